@@ -7,7 +7,7 @@ Needs numpy. ROWS are development photographs and drawn faces, each fitted from 
 its detected position; no other photograph is read. A face is good if the mean error of its points is below a tenth of the
 distance between the outer eye corners. Photographs, including the renders, have the same total weight as all drawn faces.
 The fit restarts when its confidence is low, so the rows depend slightly on the previous constants. Train therefore on the
-results of the first start alone (`SURE` of `points/chain.rs` at 0).
+results of the first start alone (`CONFIDENT` of `points/mod.rs` at 0).
 The regression uses Newton's method with a normal prior on the weights of the standardised terms. Terms whose weight has the
 wrong sign are removed one by one. The script writes the constant, then weight, minimum and maximum of each term, as
 doubles. It prints them, and the results of a tenfold cross-validation.

@@ -34,7 +34,6 @@
 
 mod bytes;
 pub mod device;
-mod family;
 pub mod link;
 pub mod ndi;
 pub mod plain_file;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serialport::SerialPortType;
 
-pub use crate::family::{Candidate, Claim, Family};
+pub use crate::device::{Candidate, Claim, Family};
 use crate::{
     device::Protocol,
     link, ndi,

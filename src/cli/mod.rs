@@ -19,7 +19,6 @@ mod gaps;
 mod import;
 mod info;
 mod ledger;
-mod manual;
 mod motion_file_reports;
 mod motion_files;
 mod original;
@@ -34,13 +33,15 @@ mod subject;
 mod values;
 mod verify;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_cli::{
-    manual::{CompletionsArgs, ManArgs},
+    manual::{self, CompletionsArgs, ManArgs, UnknownCommand},
     stop, usage,
 };
+
+use output::print_exact;
 
 pub(crate) use output::notify;
 
@@ -103,10 +104,10 @@ enum Command {
     #[command(subcommand)]
     Bench(bench::Bench),
     /// Print the script that completes commands and options in a shell
-    #[command(after_help = manual::COMPLETIONS_EXAMPLES)]
+    #[command(after_help = COMPLETIONS_EXAMPLES)]
     Completions(CompletionsArgs),
     /// Print the manual page of a command, or write all pages into a folder
-    #[command(after_help = manual::MAN_EXAMPLES)]
+    #[command(after_help = MAN_EXAMPLES)]
     Man(ManArgs),
 }
 
@@ -151,7 +152,109 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Doctor(args) => doctor::run(&args),
         Command::Config(command) => config::run(&command),
         Command::Bench(bench) => bench::run(&bench),
-        Command::Completions(args) => manual::completions(&args),
-        Command::Man(args) => manual::pages(&args),
+        Command::Completions(args) => completions(&args),
+        Command::Man(args) => pages(&args),
+    }
+}
+
+const COMPLETIONS_EXAMPLES: &str = "\
+Install it, for new shells:
+  mocapd completions bash >~/.local/share/bash-completion/completions/mocapd
+  mocapd completions fish >~/.config/fish/completions/mocapd.fish
+  mocapd completions zsh >DIR/_mocapd     DIR is a folder in $fpath
+
+The Debian package has done this.";
+
+const MAN_EXAMPLES: &str = "\
+Examples:
+  mocapd man import | man -l -
+  mocapd man plot pose | man -l -
+  mocapd man --out ~/.local/share/man/man1     then: man mocapd-import
+
+The Debian package has installed the pages.";
+
+pub(crate) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
+    print_exact(&manual::completions(args, Cli::command()))?;
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn pages(args: &ManArgs) -> anyhow::Result<Outcome> {
+    let page = manual::pages(args, Cli::command()).map_err(|error| match error.downcast_ref() {
+        Some(unknown @ UnknownCommand { .. }) => UsageError(unknown.to_string()).into(),
+        None => error,
+    })?;
+    print_exact(&page)?;
+    Ok(Outcome::Done)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{fs, path::Path};
+
+    use clap::Parser;
+    use mocapd_cli::usage::one_line;
+
+    use super::*;
+
+    /// Every visible subcommand under `command`, named as its page is.
+    fn page_names(command: &clap::Command, prefix: &str, into: &mut Vec<(String, clap::Command)>) {
+        into.push((prefix.to_owned(), command.clone()));
+        for sub in command.get_subcommands().filter(|sub| !sub.is_hide_set()) {
+            page_names(sub, &format!("{prefix}-{}", sub.get_name()), into);
+        }
+    }
+
+    fn check(page: &Path, command: &clap::Command) {
+        let text = fs::read_to_string(page).unwrap().replace('\\', "");
+        assert!(text.contains(".SH NAME"), "{}", page.display());
+        for option in command.get_opts().filter(|option| !option.is_hide_set()) {
+            let name =
+                format!("--{}", option.get_long().unwrap_or_else(|| option.get_id().as_str()));
+            assert!(text.contains(&name), "{} does not mention {name}", page.display());
+        }
+    }
+
+    fn refused(args: &[&str]) -> String {
+        let args = ["mocapd"].iter().chain(args);
+        one_line(&Cli::try_parse_from(args).unwrap_err())
+    }
+
+    #[test]
+    fn every_subcommand_has_a_page_with_all_its_options() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().to_str().unwrap();
+        let cli = Cli::try_parse_from(["mocapd", "man", "--out", out]).unwrap();
+        run(cli).unwrap();
+        let mut expected = Vec::new();
+        page_names(&Cli::command(), "mocapd", &mut expected);
+        assert!(expected.len() > 10, "{expected:?}");
+        for (name, command) in &expected {
+            check(&folder.path().join(format!("{name}.1")), command);
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), expected.len(), "and no other");
+    }
+
+    #[test]
+    fn shells_complete_every_subcommand() {
+        for shell in ["bash", "zsh", "fish"] {
+            let cli = Cli::try_parse_from(["mocapd", "completions", shell]).unwrap();
+            let Command::Completions(args) = cli.command else { panic!("{shell}") };
+            let text = manual::completions(&args, Cli::command());
+            for sub in Cli::command().get_subcommands().filter(|sub| !sub.is_hide_set()) {
+                assert!(text.contains(sub.get_name()), "{shell}: {}", sub.get_name());
+            }
+        }
+    }
+
+    #[test]
+    fn the_messages_about_arguments_are_one_line() {
+        assert_eq!(
+            refused(&["info", "a.take", "--jsn"]),
+            "unexpected argument '--jsn' found; tip: a similar argument exists: '--json'; try --help"
+        );
+        assert_eq!(
+            refused(&["import", "a.csv", "-o", "a.take", "--tolerance", "0"]),
+            "invalid value '0' for '--tolerance <LENGTH>': a tolerance of 0 keeps every bit: use --lossless"
+        );
     }
 }

@@ -6,16 +6,22 @@
 
 mod ledger_tally;
 mod scan;
-mod start;
-mod write;
 
-pub(crate) use self::ledger_tally::LedgerTally;
-pub use self::{
-    scan::{ChannelCount, RecoveryScan},
-    start::{RepairedStart, repair_start},
+use std::io::{self, Read, Seek, SeekFrom, Write};
+
+use crate::{
+    TakeError,
+    chunk::{self, CHUNK_HELD_MAX, ChunkParse, MAGIC, types},
+    damage::Problem,
+    reader::{TakeInput, repair_head},
+    record::{Channel, Event, EventKind, Header, SummaryRecord},
+    stretch::{NUMBERS, ROWS_PASSED_MAX, Span, StretchHeaderWriter},
+    timeline::{Timeline, TimelineEncoder},
+    writer::TakeWriter,
 };
 
-use crate::{chunk::types, record::Channel, stretch::Span};
+pub(crate) use self::ledger_tally::LedgerTally;
+pub use self::scan::{ChannelCount, RecoveryScan};
 
 /// The key in the settings of HEADER that marks a recovered take.
 pub const RECOVERED: &str = "recovered";
@@ -108,4 +114,264 @@ pub struct ChunkKindCount {
     /// Damaged chunks, and chunks that need a damaged one. An unreadable region counts as one chunk of the kind in its
     /// first byte, however many it held.
     pub discarded: u64,
+}
+
+/// Most bytes searched for a header; a header of 10 000 labels fits.
+const START_BYTES_MAX: u64 = 4 << 20;
+
+/// The reflected polynomial of CRC-32 (IEEE).
+const POLYNOMIAL: u32 = 0xedb8_8320;
+
+/// A file whose first bytes are replaced by repaired ones.
+#[derive(Debug)]
+pub struct RepairedStart<R> {
+    input: R,
+    start: Vec<u8>,
+    at: u64,
+}
+
+/// Reads the start of a file and repairs what it can: the magic before a valid header, and one byte of a header.
+/// Returns a reader of the repaired file and the list of repairs. Other damage stays.
+///
+/// A CRC identifies a single wrong byte: in a header of 300 bytes hardly two single-byte errors give the same CRC, and
+/// where two do, nothing is changed. A header with more wrong bytes can look like one with a single wrong byte, in one
+/// of 50 000 cases. It is then altered to match its CRC, with content that was never written, if it can be decoded at
+/// all. So ordinary readers do not repair headers, and a recovery reports the repair.
+/// # Errors
+/// Any error of reading `input`.
+pub fn repair_start<R: Read + Seek>(mut input: R) -> io::Result<(RepairedStart<R>, Vec<Problem>)> {
+    let mut start = Vec::new();
+    input.seek(SeekFrom::Start(0))?;
+    input.by_ref().take(START_BYTES_MAX).read_to_end(&mut start)?;
+    input.seek(SeekFrom::Start(0))?;
+    let mut repaired = Vec::new();
+    if let Some((magic, rest)) = start.split_at_mut_checked(MAGIC.len()) {
+        if let Some(at) = repair_header(rest) {
+            repaired.push(Problem::HeaderByte((MAGIC.len() + at) as u64));
+        }
+        let header = matches!(chunk::parse(rest), ChunkParse::Whole { kind: types::HEADER, .. });
+        if header && *magic != MAGIC {
+            magic.copy_from_slice(&MAGIC);
+            repaired.push(Problem::Magic);
+        }
+    }
+    if repaired.is_empty() {
+        start = Vec::new();
+    }
+    Ok((RepairedStart { input, start, at: 0 }, repaired))
+}
+
+/// Corrects the one wrong byte of the header at the front of `bytes`, if there is exactly one. Returns its position.
+fn repair_header(bytes: &mut [u8]) -> Option<usize> {
+    if chunk::parse(bytes) != ChunkParse::Damaged {
+        return None;
+    }
+    let ChunkParse::Whole { kind: types::HEADER, len, .. } = chunk::split(bytes) else {
+        return None;
+    };
+    let (body, crc) = bytes.get_mut(..len)?.split_last_chunk_mut::<4>()?;
+    let difference = crc32fast::hash(body) ^ u32::from_le_bytes(*crc);
+    // The wrong byte is in the CRC itself.
+    if difference.to_le_bytes().iter().filter(|&&byte| byte != 0).count() == 1 {
+        *crc = crc32fast::hash(body).to_le_bytes();
+        return Some(len - 4);
+    }
+    let (at, by) = wrong_byte(difference, body.len())?;
+    // Type and length are repaired by the reader.
+    body[at] ^= by;
+    Some(at)
+}
+
+/// The position and XOR difference of the single byte among `len` that changes the CRC by `difference`; `None` when
+/// none or several do.
+fn wrong_byte(difference: u32, len: usize) -> Option<(usize, u8)> {
+    let table = table();
+    let mut state = difference;
+    let mut found = None;
+    for at in (0..len).rev() {
+        // An error in this byte leaves exactly its own table entry here.
+        let by = (0..=255_u8).find(|&by| table[usize::from(by)] == state).filter(|&by| by != 0);
+        if let Some(by) = by
+            && found.replace((at, by)).is_some()
+        {
+            return None;
+        }
+        // Undo the effect of one correct byte.
+        let index = table.iter().position(|&entry| entry >> 24 == state >> 24)?;
+        state = (state ^ table[index]) << 8 | index as u32;
+    }
+    found
+}
+
+fn table() -> [u32; 256] {
+    let shift = |crc: u32, _| if crc & 1 == 1 { crc >> 1 ^ POLYNOMIAL } else { crc >> 1 };
+    std::array::from_fn(|byte| (0..8).fold(byte as u32, shift))
+}
+
+impl<R: Read> Read for RepairedStart<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let n = self.input.read(bytes)?;
+        let from = usize::try_from(self.at).unwrap_or(usize::MAX);
+        if let Some(repaired) = self.start.get(from..) {
+            let n = n.min(repaired.len());
+            bytes[..n].copy_from_slice(&repaired[..n]);
+        }
+        self.at += n as u64;
+        Ok(n)
+    }
+}
+
+impl<R: Seek> Seek for RepairedStart<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.at = self.input.seek(to)?;
+        Ok(self.at)
+    }
+}
+
+impl<R: Read + Seek> TakeInput for RepairedStart<R> {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+impl RecoveryScan {
+    /// A short summary of the losses, for readers of the new take.
+    #[must_use]
+    pub fn loss_summary(&self) -> String {
+        if !self.lost_anything() {
+            return "nothing was lost".to_owned();
+        }
+        let mut parts = Vec::new();
+        match self.rows_damaged() {
+            0 => {}
+            1 => parts.push("1 frame was damaged".to_owned()),
+            rows => parts.push(format!("{rows} frames were damaged")),
+        }
+        if !self.finished {
+            parts.push("the end was cut off".to_owned());
+        }
+        if self.discarded_bytes > 0 {
+            parts.push(format!("{} bytes could not be read", self.discarded_bytes));
+        }
+        if self.contradicted {
+            parts.push("a ledger was missing or wrong".to_owned());
+        } else if parts.is_empty() {
+            parts.push("marker names were lost".to_owned());
+        }
+        parts.join(", ")
+    }
+
+    /// Writes the new take and returns its size in bytes. `input` is the file that was read; `software` names the
+    /// program in the new take.
+    ///
+    /// # Errors
+    /// `Io`; `Corrupt` when the file has changed since it was read.
+    pub fn write(
+        &self,
+        mut input: impl Read + Seek,
+        output: impl Write,
+        software: &str,
+    ) -> Result<u64, TakeError> {
+        let mut header = self.header.clone();
+        let note = format!("by {software}: {}", self.loss_summary());
+        header.settings.push((RECOVERED.to_owned(), note.clone()));
+        let mut take = TakeWriter::new(output, &header)?;
+        let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
+        let times = TimelineEncoder::new(tick_hz, header.rate_hz);
+        let mut headers = StretchHeaderWriter::with_times(header.stretch_rows, times);
+        let mut bytes = Vec::new();
+        for chunk in &self.output {
+            match chunk {
+                OutputChunk::Copied { offset, len, span, .. } if *len > CHUNK_HELD_MAX => {
+                    input.seek(SeekFrom::Start(*offset))?;
+                    if !take.copy_long(*span, &mut input, *len)? {
+                        return Err(changed(*offset));
+                    }
+                }
+                OutputChunk::Copied { offset, len, kind, span } => {
+                    input.seek(SeekFrom::Start(*offset))?;
+                    bytes.clear();
+                    // Memory grows with what the file holds; the length was validated in the first pass.
+                    input.by_ref().take(*len).read_to_end(&mut bytes)?;
+                    let payload = payload(&mut bytes, *kind, *offset)?;
+                    match span {
+                        Some(span) => take.copy_stretch(*span, payload)?,
+                        None => take.chunk(*kind, payload)?,
+                    }
+                }
+                OutputChunk::Channels(channels) => take.channels(channels)?,
+                OutputChunk::Lost { first_row, rows, number } => {
+                    write_lost(&mut take, &mut headers, *first_row, *rows, *number)?;
+                }
+            }
+        }
+        if self.lost_anything() {
+            take.event(&host_event(self.rows, format!("recovered {note}")))?;
+        }
+        let summary = SummaryRecord {
+            ending: self.ending.clone(),
+            header: Some(Box::new(Header { channels: self.channels.clone(), ..header })),
+            statistics: Some(self.statistics.clone()),
+        };
+        take.close_with(&self.ledger, &summary)?;
+        Ok(take.bytes())
+    }
+}
+
+/// Writes stretches without rows in place of lost rows, and an event that reports the loss.
+fn write_lost<W: Write>(
+    take: &mut TakeWriter<W>,
+    headers: &mut StretchHeaderWriter,
+    first_row: u64,
+    rows: u64,
+    number: u8,
+) -> Result<(), TakeError> {
+    let end = first_row.saturating_add(rows);
+    // Each covers the most rows that may be lost between two stretches; the last one has the given number.
+    let pieces = rows.div_ceil(ROWS_PASSED_MAX).max(1);
+    for piece in 0..pieces {
+        let from = first_row.saturating_add(piece.saturating_mul(ROWS_PASSED_MAX));
+        let to = from.saturating_add(ROWS_PASSED_MAX).min(end);
+        let mut timeline = Timeline::default();
+        timeline.restart(from);
+        timeline.push_damaged(to - from);
+        let back = ((pieces - 1 - piece) % u64::from(NUMBERS)) as u8;
+        let number = (number + NUMBERS - back) % NUMBERS;
+        let span = Span { first_row: to, n_rows: 0, key: true, number };
+        let mut payload = Vec::new();
+        headers.put(span, &timeline, &[], true, &mut payload);
+        take.copy_stretch(span, &payload)?;
+    }
+    if rows > 0 {
+        let frames = match rows {
+            1 => format!("frame {first_row} was"),
+            _ => format!("frames {first_row} to {} were", end - 1),
+        };
+        let text = format!("{frames} damaged in the file that this take was recovered from");
+        take.event(&host_event(first_row, text))?;
+    }
+    Ok(())
+}
+
+fn host_event(row: u64, text: String) -> Event {
+    Event { kind: EventKind::Host, row, device_ticks: 0, host_ns: 0, input: 0, text }
+}
+
+/// The payload of a chunk that is valid, or whose head can be repaired.
+fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> {
+    if !matches!(chunk::parse(bytes), ChunkParse::Whole { .. }) {
+        repair_head(bytes);
+    }
+    match chunk::parse(bytes) {
+        ChunkParse::Whole { kind: found, payload, len } if found == kind && len == bytes.len() => {
+            Ok(payload)
+        }
+        _ => Err(changed(offset)),
+    }
+}
+
+fn changed(offset: u64) -> TakeError {
+    TakeError::corrupt("chunk", offset, "the file changed while it was read")
 }

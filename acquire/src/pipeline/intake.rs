@@ -4,7 +4,6 @@ mod clock;
 mod frame_counter;
 mod losses;
 mod rows;
-mod splits;
 
 use std::sync::{Arc, atomic::Ordering};
 
@@ -18,7 +17,6 @@ use self::{
     clock::ClockTracker,
     frame_counter::FrameCounter,
     losses::{PendingLoss, SilenceMonitor},
-    splits::SplitSchedule,
 };
 use super::{
     Counts, PipelineConfig, PipelineProgress, SplitAt,
@@ -27,6 +25,7 @@ use super::{
     plan::Plan,
     pool::Feed,
     ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
+    split::SplitSchedule,
 };
 use crate::{
     heartbeat::{HeartbeatHandle, ThreadRole},

@@ -8,13 +8,9 @@ mod envelope;
 mod frame;
 mod messages;
 
+use crate::device::{Claim, Family, LinkBudget};
 pub use endpoints::{DeviceLink, HostLink};
 pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
-
-use crate::{
-    device::LinkBudget,
-    family::{Claim, Family},
-};
 
 pub(crate) const FAMILY: Family = Family {
     name: "dvmc",

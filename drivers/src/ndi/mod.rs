@@ -13,15 +13,14 @@ mod run;
 mod strays;
 mod tracking;
 
+use crate::{
+    device::{Claim, Family},
+    transport::polled::line_command_channel,
+    uri::Location,
+};
 pub use host::{BAUD_MAX_DEFAULT, NdiHost};
 pub use message::{
     BAUD_AT_RESET, BAUDS, ReceivedRequest, RequestReader, code, crc16, put_binary, put_text,
-};
-
-use crate::{
-    family::{Claim, Family},
-    transport::polled::line_command_channel,
-    uri::Location,
 };
 
 pub(crate) const FAMILY: Family = Family {

@@ -1,14 +1,18 @@
 //! The phases of a jump, as defined by (Shi et al. 2012): detected from the pelvis and the feet, or read from a file.
 
-mod find;
-
 use std::collections::BTreeMap;
 
-use mocapd_take::escape::from_cell;
+use mocapd_take::{
+    escape::from_cell,
+    motion::{Motion, UpAxis},
+};
 
-use crate::ReportError;
-
-pub use self::find::{NoJump, find};
+use crate::{
+    ReportError,
+    column::{Column, Vector, norm},
+    derivative::{Butterworth, by_axis},
+    sites::Sites,
+};
 
 pub use mocapd_take::phase::Phase;
 
@@ -75,6 +79,266 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, Vec<(Phase, usize)>>, Report
         phases.push((phase, frame));
     }
     Ok(found)
+}
+
+/// Cutoff of the low-pass before the search, Hz: a take-off lasts 0.3 s, and its end must be found within two frames.
+const CUTOFF_HZ: f64 = 10.0;
+
+/// Slowest vertical take-off velocity of a jump, mm/s: a rise of 5 cm. Walking stays below 400.
+const TAKE_OFF_MM_S: f64 = 1000.0;
+
+/// Plausible flight times, s: from a hop to more than a human can jump.
+const FLIGHT_S: std::ops::RangeInclusive<f64> = 0.1..=1.2;
+
+/// Standard gravity, mm/s^2; in flight the pelvis, near the centre of mass, has about this acceleration.
+const GRAVITY_MM_S2: f64 = 9806.65;
+
+/// Least height of both feet above the ground at some time of the flight, mm.
+const FEET_ABOVE_GROUND_MM: f64 = 40.0;
+
+/// Speed of the fastest marker above which the subject no longer stands still, before the jump, mm/s.
+const MOVES_MM_S: f64 = 250.0;
+/// Horizontal speed of pelvis or feet above which the subject walks, after the jump, mm/s.
+const WALKS_MM_S: f64 = 200.0;
+
+/// How long such a speed must be sustained, s.
+const SUSTAINED_S: f64 = 0.15;
+
+/// Why no phases were found.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoJump {
+    /// A required marker is missing; the text lists the labels that it may have.
+    #[error("{0}")]
+    NoMarker(String),
+    /// The frame rate, in Hz, is too low for the filter.
+    #[error("a rate of {0} Hz is too low to detect a jump")]
+    TooSlow(f64),
+    /// The pelvis or a foot has no sample in the take.
+    #[error("{0} has no samples")]
+    NeverSeen(&'static str),
+    /// Neither the take nor the motion shows which axis is up.
+    #[error("the up axis is unknown")]
+    UpUnknown,
+    /// No flight was found.
+    #[error("no jump found: the pelvis is never in free fall")]
+    NeverInFlight,
+}
+
+/// Heights (mm), speeds (mm/s) and accelerations (mm/s^2) of a take, row by row.
+struct Signals {
+    rate_hz: f64,
+    /// Height of the pelvis, its vertical velocity and acceleration, and its horizontal speed.
+    height: Vec<f64>,
+    velocity: Vec<f64>,
+    acceleration: Vec<f64>,
+    pelvis_speed: Vec<f64>,
+    /// Height of the lower foot above the ground, and horizontal speed of the faster foot.
+    clearance: Vec<f64>,
+    foot_speed: Vec<f64>,
+    /// Speed of the fastest marker.
+    fastest: Vec<f64>,
+}
+
+/// Detects the phases: each with its first frame, in order, beginning with frame 0.
+///
+/// # Errors
+/// If a marker is missing, or the take has no jump.
+pub fn find(motion: &Motion) -> Result<Vec<(Phase, usize)>, NoJump> {
+    let sites = Sites::of(motion).map_err(NoJump::NoMarker)?;
+    let signals = Signals::of(motion, &sites)?;
+    let mut phases: Vec<(Phase, usize)> = Vec::new();
+    let mut from = 0;
+    for (leaves, lands) in signals.flights() {
+        let first_of_take = phases.is_empty();
+        for (phase, frame) in signals.phases_before(from, leaves, first_of_take) {
+            push(&mut phases, phase, frame);
+        }
+        push(&mut phases, Phase::Flight, leaves);
+        push(&mut phases, Phase::Settling, lands);
+        from = signals.first_step(lands);
+        if from < signals.height.len() {
+            push(&mut phases, Phase::Walking, from);
+        }
+    }
+    if phases.is_empty() {
+        return Err(NoJump::NeverInFlight);
+    }
+    Ok(phases)
+}
+
+/// Appends a phase; it replaces those that begin at the same frame or later, and merges with an equal one.
+fn push(phases: &mut Vec<(Phase, usize)>, phase: Phase, frame: usize) {
+    while phases.pop_if(|last| last.1 >= frame).is_some() {}
+    if phases.last().is_none_or(|last| last.0 != phase) {
+        phases.push((phase, frame));
+    }
+}
+
+impl Signals {
+    fn of(motion: &Motion, sites: &Sites) -> Result<Self, NoJump> {
+        let rate_hz = motion.info.rate_hz;
+        let filter = Butterworth::new(CUTOFF_HZ, rate_hz).map_err(|_| NoJump::TooSlow(rate_hz))?;
+        let smooth = |column: &Column| -> Option<Vec<Vector>> {
+            Some(by_axis(&column.bridged()?, |values| filter.filter(values)))
+        };
+        let pelvis = smooth(&sites.pelvis(motion)).ok_or(NoJump::NeverSeen("the pelvis"))?;
+        let [left, right] = sites.feet.map(|foot| smooth(&Column::of(motion, foot)));
+        let (left, right) = left.zip(right).ok_or(NoJump::NeverSeen("a foot"))?;
+        let up = up_axis(motion, &pelvis, &left).ok_or(NoJump::UpUnknown)?;
+        let heights = |of: &[Vector]| -> Vec<f64> { of.iter().map(|at| up.1 * at[up.0]).collect() };
+        let height = heights(&pelvis);
+        let velocity = derivative(&height, rate_hz);
+        let acceleration = derivative(&velocity, rate_hz);
+        let feet: Vec<Vec<f64>> = [&left, &right].map(|foot| above_ground(heights(foot))).into();
+        let sideways = |of: &[Vector]| {
+            let mut flat = of.to_vec();
+            flat.iter_mut().for_each(|at| at[up.0] = 0.0);
+            speed(&flat, rate_hz)
+        };
+        let larger = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(&b).map(|(a, b)| a.max(*b)).collect();
+        let fastest = (0..motion.info.markers.len())
+            .filter_map(|marker| smooth(&Column::of(motion, marker)))
+            .map(|at| speed(&at, rate_hz))
+            .reduce(larger)
+            .unwrap_or_default();
+        Ok(Self {
+            rate_hz,
+            pelvis_speed: sideways(&pelvis),
+            clearance: feet[0].iter().zip(&feet[1]).map(|(a, b)| a.min(*b)).collect(),
+            foot_speed: larger(sideways(&left), sideways(&right)),
+            height,
+            velocity,
+            acceleration,
+            fastest,
+        })
+    }
+
+    /// The first and one past the last row of each flight: after a peak of vertical velocity, while the pelvis
+    /// accelerates downwards with more than half of gravity.
+    fn flights(&self) -> Vec<(usize, usize)> {
+        let n = self.velocity.len();
+        let mut flights = Vec::new();
+        let mut row = 1;
+        while row + 1 < n {
+            let v = &self.velocity;
+            let is_peak = v[row] >= v[row - 1] && v[row] > v[row + 1];
+            if !is_peak || v[row] < TAKE_OFF_MM_S {
+                row += 1;
+                continue;
+            }
+            let falls = |row: usize| self.acceleration[row] < -0.5 * GRAVITY_MM_S2;
+            let leaves = (row..n).find(|&row| falls(row)).unwrap_or(n);
+            // A flight passes its apex; less acceleration before that comes from the body, not from the ground.
+            let top = (leaves..n).find(|&row| self.velocity[row] <= 0.0).unwrap_or(n);
+            let lands = (top..n).find(|&row| !falls(row)).unwrap_or(n);
+            let seconds = (lands - leaves) as f64 / self.rate_hz;
+            let feet_mm = self.clearance[leaves.min(n)..lands].iter().copied().fold(0.0, f64::max);
+            if lands < n && FLIGHT_S.contains(&seconds) && feet_mm > FEET_ABOVE_GROUND_MM {
+                flights.push((leaves, lands));
+                row = lands;
+            } else {
+                row += 1;
+            }
+        }
+        flights
+    }
+
+    /// The phases before the flight that begins at `leaves`, from frame `from` on.
+    fn phases_before(&self, from: usize, leaves: usize, is_first: bool) -> Vec<(Phase, usize)> {
+        // The take-off begins at the lowest point of the crouch, where the pelvis begins to rise.
+        let fastest = self.velocity[leaves];
+        let take_off = (from..leaves).rev().find(|&row| self.velocity[row] < 0.04 * fastest);
+        let take_off = take_off.map_or(from, |row| row + 1);
+        // The last swing begins where the pelvis was last near its highest before that crouch.
+        let low = self.height[take_off.min(leaves)];
+        let before = &self.height[from..take_off];
+        let usual = before.iter().copied().fold(low, f64::max);
+        let near_top = usual - 0.25 * (usual - low);
+        let mut last_swing = (from..take_off).rev().find(|&row| self.height[row] >= near_top);
+        // Back from there to the local maximum.
+        while let Some(row) =
+            last_swing.filter(|&row| row > from && self.height[row - 1] > self.height[row])
+        {
+            last_swing = Some(row - 1);
+        }
+        let last_swing = last_swing.unwrap_or(from);
+        let swings = if is_first {
+            self.sustained(from..last_swing, |row| self.fastest[row] > MOVES_MM_S)
+        } else {
+            // After an earlier jump the swings begin at the end of the last step.
+            let walks = (from..last_swing).rev().find(|&row| self.foot_speed[row] > WALKS_MM_S);
+            Some(walks.map_or(from, |row| row + 1))
+        };
+        let mut phases = Vec::new();
+        if is_first {
+            phases.push((Phase::Standing, from));
+        }
+        phases.extend(swings.map(|row| (Phase::Swings, row)));
+        phases.extend([(Phase::LastSwing, last_swing), (Phase::TakeOff, take_off)]);
+        phases
+    }
+
+    /// The first step after landing, once the body has come to rest over its feet; the number of rows if there is none.
+    fn first_step(&self, lands: usize) -> usize {
+        let n = self.height.len();
+        let rows = lands..n;
+        // While the landing is absorbed, a foot may slide and the pelvis still moves.
+        let still =
+            |i: &usize| self.pelvis_speed[*i] < WALKS_MM_S && self.foot_speed[*i] < WALKS_MM_S;
+        let Some(rests) = rows.clone().find(still) else { return n };
+        let steps =
+            |row: usize| self.foot_speed[row] > WALKS_MM_S || self.pelvis_speed[row] > WALKS_MM_S;
+        self.sustained(rests..n, steps).unwrap_or(n)
+    }
+
+    /// The first row from which a condition holds for [`SUSTAINED_S`].
+    fn sustained(&self, rows: std::ops::Range<usize>, is: impl Fn(usize) -> bool) -> Option<usize> {
+        let n_rows = (SUSTAINED_S * self.rate_hz).ceil() as usize;
+        let start = rows.start;
+        let run = crate::column::runs(rows.map(is)).find(|run| run.len() >= n_rows)?;
+        Some(start + run.start)
+    }
+}
+
+/// The up axis and its sign: as stated by the source, else the axis on which pelvis and foot are farthest apart.
+fn up_axis(motion: &Motion, pelvis: &[Vector], foot: &[Vector]) -> Option<(usize, f64)> {
+    match motion.info.up {
+        UpAxis::X => return Some((0, 1.0)),
+        UpAxis::Y => return Some((1, 1.0)),
+        UpAxis::Z => return Some((2, 1.0)),
+        UpAxis::Unknown => {}
+    }
+    let mut sum = [0.0; 3];
+    for (a, b) in pelvis.iter().zip(foot) {
+        sum.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a - b);
+    }
+    let axis = (0..3).max_by(|&a, &b| sum[a].abs().total_cmp(&sum[b].abs()))?;
+    (sum[axis] != 0.0).then(|| (axis, sum[axis].signum()))
+}
+
+/// Heights above the ground, taken to be the 20th percentile of a foot's heights.
+fn above_ground(mut heights: Vec<f64>) -> Vec<f64> {
+    let mut sorted = heights.clone();
+    sorted.sort_by(f64::total_cmp);
+    let ground = sorted.get(sorted.len() / 5).copied().unwrap_or(0.0);
+    heights.iter_mut().for_each(|height| *height -= ground);
+    heights
+}
+
+/// The derivative per second by central differences; one-sided at the ends.
+fn derivative(values: &[f64], rate_hz: f64) -> Vec<f64> {
+    let last = values.len().saturating_sub(1);
+    let slope = |row: usize| {
+        let (from, to) = (row.saturating_sub(1), (row + 1).min(last));
+        (values[to] - values[from]) * rate_hz / (to - from).max(1) as f64
+    };
+    (0..values.len()).map(slope).collect()
+}
+
+/// The speed of a position, per second.
+fn speed(of: &[Vector], rate_hz: f64) -> Vec<f64> {
+    by_axis(of, |values| derivative(values, rate_hz)).into_iter().map(norm).collect()
 }
 
 #[cfg(test)]

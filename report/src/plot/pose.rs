@@ -3,7 +3,7 @@
 use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
-use super::canvas::{
+use super::{
     Area, BLUE, BODY, DIM, DrawResult, GRID, INK, SMALL, TITLE, VERMILION, centred, left_aligned,
     sheet, shortened, text,
 };

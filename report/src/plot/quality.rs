@@ -4,7 +4,7 @@ use mocapd_codec::Settings;
 use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
-use super::canvas::{
+use super::{
     Area, BLUE, BODY, DIM, DrawResult, GRID, INK, ORANGE, SMALL, TITLE, VERMILION, centred,
     left_aligned, right_aligned, sheet, shortened, text, tick,
 };

@@ -5,7 +5,7 @@ use plotters::{
     prelude::*,
 };
 
-use super::canvas::{
+use super::{
     Area, BLUE, BODY, DIM, DrawResult, FONT, GREEN, GRID, INK, PURPLE, TITLE, VERMILION,
     left_aligned, sheet, shortened, text,
 };

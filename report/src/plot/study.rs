@@ -3,11 +3,8 @@
 use plotters::prelude::*;
 
 use super::{
-    canvas::{
-        Area, Axes, BLUE, BODY, DIM, DrawResult, GREEN, INK, ORANGE, PURPLE, SKY, TITLE, VERMILION,
-        left_aligned, panel, sheet, text,
-    },
-    sizes::names_at_ends,
+    Area, Axes, BLUE, BODY, DIM, DrawResult, GREEN, INK, ORANGE, PURPLE, SKY, TITLE, VERMILION,
+    left_aligned, panel, sheet, sizes::names_at_ends, text,
 };
 use crate::{
     ReportError,

@@ -6,7 +6,7 @@ use std::ops::Range;
 use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
-use super::canvas::{
+use super::{
     Area, Axes, BLUE, BODY, DIM, DrawResult, INK, SMALL, TITLE, VERMILION, centred, left_aligned,
     panel, range, sheet, shortened, text,
 };

@@ -2,16 +2,19 @@
 //! leave out, both readings of their second step, and the default resampler for comparison.
 
 mod measure;
-mod options;
 pub mod paper;
 pub mod tables;
 
-use crate::{derivative::DerivativeError, measures::Counts, phases::Phase};
+use mocapd_codec::{ResamplerKind, Settings, SplineVariant};
+use mocapd_take::motion::Motion;
 
-pub use self::{
-    measure::{EXHAUSTIVE_FRAMES_MAX, measure, work},
-    options::{Coder, Method, Options, Trial},
+use crate::{
+    derivative::DerivativeError,
+    measures::Counts,
+    phases::{Phase, PhaseSpan},
 };
+
+pub use self::measure::{EXHAUSTIVE_FRAMES_MAX, measure, work};
 
 /// Size of a sample as raw float32, bytes.
 const RAW_SAMPLE_BYTES: u64 = 12;
@@ -81,7 +84,7 @@ pub struct Results {
 impl Results {
     pub(super) fn new(trial: &Trial) -> Self {
         let info = &trial.motion.info;
-        let lengths = |parts: &Vec<crate::phases::PhaseSpan>| {
+        let lengths = |parts: &Vec<PhaseSpan>| {
             parts.iter().map(|part| (part.phase, part.frames.len())).collect()
         };
         Self {
@@ -191,4 +194,84 @@ impl Findings {
             .for_each(|marker| sum.add_all(marker));
         (sum.velocity_mm_s.n() > 0).then_some(sum)
     }
+}
+
+/// A resampler, and for the published method the reading of its step 2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Method {
+    /// The published method; step 2 inserts the sample with the largest error.
+    WorstSample,
+    /// The published method; step 2 tries every sample.
+    Exhaustive,
+    /// Synchronous resampling, at the union of the knots of [`WorstSample`](Self::WorstSample).
+    Sync,
+    /// mocapd's default resampler.
+    Dense,
+}
+
+impl Method {
+    /// All methods.
+    pub const ALL: [Self; 4] = [Self::WorstSample, Self::Exhaustive, Self::Sync, Self::Dense];
+
+    /// The resampler of this method.
+    #[must_use]
+    pub fn kind(self) -> ResamplerKind {
+        match self {
+            Self::WorstSample => ResamplerKind::Spline(SplineVariant::WorstSample),
+            Self::Exhaustive => ResamplerKind::Spline(SplineVariant::Exhaustive),
+            Self::Sync => ResamplerKind::Sync(SplineVariant::WorstSample),
+            Self::Dense => ResamplerKind::Dense,
+        }
+    }
+
+    /// The name, as for `--resampler`.
+    #[must_use]
+    pub fn name(self) -> String {
+        self.kind().to_string()
+    }
+}
+
+/// A trial to study.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    /// Name of its file.
+    pub name: String,
+    /// Its motion.
+    pub motion: Motion,
+    /// Its phases, or why there are none; it is then studied only as a whole.
+    pub phases: Result<Vec<PhaseSpan>, String>,
+}
+
+/// The parameters of the study.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Options {
+    /// Tolerances (`ErrLim`) of table 1, mm, ascending.
+    pub tolerances_mm: Vec<f64>,
+    /// Tolerances of table 2, mm.
+    pub prefix_tolerances_mm: Vec<f64>,
+    /// Lengths of table 2, frames.
+    pub prefixes: Vec<usize>,
+    /// Cutoff before derivatives, Hz.
+    pub cutoff_hz: f64,
+}
+
+impl Default for Options {
+    /// The parameters of the paper.
+    fn default() -> Self {
+        Self {
+            tolerances_mm: paper::TOLERANCES_MM.to_vec(),
+            prefix_tolerances_mm: paper::PREFIX_TOLERANCES_MM.to_vec(),
+            prefixes: paper::PREFIXES.to_vec(),
+            cutoff_hz: crate::derivative::CUTOFF_HZ,
+        }
+    }
+}
+
+/// Codes takes in memory, byte for byte as on disk.
+pub trait Coder {
+    /// The bytes of a take of `motion` coded with `settings`.
+    ///
+    /// # Errors
+    /// A message if it cannot be coded.
+    fn take(&self, motion: &Motion, settings: &Settings) -> Result<Vec<u8>, String>;
 }

@@ -17,7 +17,7 @@ use mocapd_acquire::{
 use mocapd_take::record::{EndingKind, Event, EventKind};
 
 use super::{
-    Inner, names,
+    Inner, folder,
     session::{NamedTake, OpenTake},
 };
 use crate::{
@@ -336,7 +336,7 @@ impl Inner {
         let path = |name: &str| options.take.directory.join(format!("{name}.take"));
         let is_free = |path: &PathBuf| path.symlink_metadata().is_err();
         if let Some(name) = name {
-            let name = names::normalised(name)?;
+            let name = folder::normalised(name)?;
             let path = path(name);
             if !is_free(&path) {
                 let message = format!("a take called {name} exists: choose another name");
@@ -346,7 +346,7 @@ impl Inner {
         }
         for count in 1..NAMES_MAX {
             let name = options.name_take(count);
-            let name = names::normalised(&name)?.to_owned();
+            let name = folder::normalised(&name)?.to_owned();
             // A template without `{count}` gets a number appended if needed.
             let counted = format!("{name}-{count}");
             let name = if count == 1 || is_free(&path(&name)) { name } else { counted };

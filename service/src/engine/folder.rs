@@ -1,4 +1,4 @@
-//! Lists the takes in the service's folder.
+//! The takes in the service's folder: their list, and the names that requests give them.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -16,8 +16,9 @@ use mocapd_acquire::{
 use mocapd_drivers::plain_file;
 use mocapd_take::{TakeEnds, TakeError};
 
-use super::{Inner, names};
+use super::Inner;
 use crate::{
+    config::{NAME_BYTES_MAX, is_refused_in_name},
     control::{Refusal, RefusalKind},
     status::TakeSummary,
 };
@@ -118,10 +119,10 @@ impl Inner {
     }
 
     pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
-        let name = names::check(name)?;
+        let name = check(name)?;
         let directory = self.core().options.take.directory.clone();
         // The name as listed, or else as a file name.
-        for name in [Some(name), names::strip_extension(name)].into_iter().flatten() {
+        for name in [Some(name), strip_extension(name)].into_iter().flatten() {
             let path = directory.join(format!("{name}.take"));
             // A link could lead out of the folder.
             if path.symlink_metadata().is_ok_and(|file| file.is_file()) {
@@ -182,4 +183,82 @@ fn summarise(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (T
         }
     }
     (summary, true)
+}
+
+/// Normalises the name of a new take: a file name without path. The extension `.take` is removed and added once later.
+pub(super) fn normalised(name: &str) -> Result<&str, Refusal> {
+    let mut name = name;
+    while let Some(shorter) = strip_extension(name) {
+        name = shorter;
+    }
+    let name = check(name)?;
+    // A file that ends so exists already, perhaps: only a new one is refused.
+    if name.ends_with('.') {
+        return Err(Refusal::new(RefusalKind::Invalid, wrong_ends(name)));
+    }
+    Ok(name)
+}
+
+fn wrong_ends(name: &str) -> String {
+    format!("name {name:?}: remove '.', '-', ' ' at its start, '.', ' ' at its end")
+}
+
+/// The name without the extension `.take`, in any case; `None` if it has another or none.
+pub(super) fn strip_extension(name: &str) -> Option<&str> {
+    let (shorter, extension) = name.split_at_checked(name.len().checked_sub(".take".len())?)?;
+    extension.eq_ignore_ascii_case(".take").then_some(shorter)
+}
+
+/// Checks the name of an existing take. Files from other programs may be named `NAME.take.take`.
+pub(super) fn check(name: &str) -> Result<&str, Refusal> {
+    let invalid = |message: String| Err(Refusal::new(RefusalKind::Invalid, message));
+    if name.is_empty() || name.len() > NAME_BYTES_MAX {
+        return invalid(format!("a take name has 1 to {NAME_BYTES_MAX} bytes, not {}", name.len()));
+    }
+    if name.starts_with(['.', '-', ' ']) || name.ends_with(' ') {
+        return invalid(wrong_ends(name));
+    }
+    if let Some(wrong) = name.chars().find(|&c| is_refused_in_name(c)) {
+        return invalid(format!("a take name cannot contain {wrong:?}, as it is a file name"));
+    }
+    Ok(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_names_and_never_paths() {
+        for good in ["jump", "Max Müller 3", "2026-11-22_walk", "a.b", "x.take"] {
+            assert!(normalised(good).is_ok(), "{good}");
+        }
+        for (sent, name) in [("x.take", "x"), ("x.take.TAKE", "x"), ("x.taken", "x.taken")] {
+            assert_eq!(normalised(sent).unwrap(), name);
+        }
+        for existing in ["x.take", "x."] {
+            assert_eq!(check(existing).unwrap(), existing);
+        }
+        let long = "x".repeat(201);
+        for bad in [
+            "",
+            ".take",
+            "..",
+            "../x",
+            "/etc/passwd",
+            "a/b",
+            "a\\b",
+            ".x",
+            "-x",
+            "x.",
+            "x..take",
+            "a\0b",
+            "c:",
+            "what?",
+            "turned \u{202e}round",
+            &long,
+        ] {
+            assert_eq!(normalised(bad).unwrap_err().kind, RefusalKind::Invalid, "{bad:?}");
+        }
+    }
 }

@@ -16,8 +16,6 @@ mod finish;
 mod folder;
 mod hub;
 mod idempotency;
-mod names;
-mod options;
 mod quality;
 mod recoveries;
 mod session;
@@ -35,10 +33,12 @@ use std::{
     time::{Duration, Instant},
 };
 
+use anyhow::{Context, anyhow};
+use jiff::Zoned;
 use mocapd_acquire::{files::FileId, heartbeat::Heartbeat, pipeline::lock, threads};
-use mocapd_take::record::EndingKind;
+use mocapd_drivers::{registry, uri::DeviceUri};
+use mocapd_take::record::{EndingKind, Subject};
 
-pub use self::options::EngineOptions;
 use self::{
     events::EventPublisher,
     folder::SummaryCache,
@@ -53,6 +53,9 @@ use super::{
     },
     live::LiveFeed,
     status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
+};
+use crate::config::{
+    ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig, auto_device,
 };
 
 /// Longest wait for the previous command, which may be waiting for a stalled disk.
@@ -293,5 +296,52 @@ impl Status {
                 None => format!("idle: the device is {}", self.device.presence),
             },
         }
+    }
+}
+
+/// The engine's part of a configuration.
+#[derive(Debug, Clone)]
+pub struct EngineOptions {
+    /// Name of the rig.
+    pub rig: String,
+    /// The device to record, and its settings.
+    pub device: DeviceConfig,
+    /// Where takes are written, and how.
+    pub take: TakeConfig,
+    /// The subject, stored in every take.
+    pub subject: Option<Arc<Subject>>,
+    /// What is kept in memory between takes.
+    pub arm: ArmConfig,
+}
+
+impl EngineOptions {
+    /// Takes the options from a configuration, and reads the subject's files.
+    ///
+    /// # Errors
+    /// If a file of the subject is missing or invalid.
+    pub fn load(config: &Config) -> anyhow::Result<Self> {
+        Ok(Self {
+            rig: config.rig_name.clone(),
+            device: config.device.clone(),
+            take: config.take.clone(),
+            subject: config.subject.load().context("[subject]")?.map(Arc::new),
+            arm: config.arm.clone(),
+        })
+    }
+
+    /// The device to open: the configured one, or the one found automatically.
+    fn find_device(&self) -> anyhow::Result<DeviceUri> {
+        match &self.device.uri {
+            DeviceChoice::At(uri) => Ok(uri.clone()),
+            auto @ DeviceChoice::Auto => {
+                auto_device(auto, &registry::devices()?).map_err(|error| anyhow!(error))
+            }
+        }
+    }
+
+    /// A name for a take that was started without one; if it exists, the caller tries the next `count`.
+    fn name_take(&self, count: u32) -> String {
+        let (begin, count) = (Zoned::now().datetime(), u64::from(count));
+        self.take.name.fill(&NameParts { begin, rig: &self.rig, count })
     }
 }

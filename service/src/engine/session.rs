@@ -20,7 +20,7 @@ use mocapd_acquire::{
 use mocapd_drivers::{device::Hello, registry::Candidate};
 use mocapd_take::record::{EndingKind, Header};
 
-use super::options::EngineOptions;
+use super::EngineOptions;
 use crate::status::TakeSummary;
 
 /// Most removed files that are kept open: several takes may be removed in a row, but each occupies the disk.

@@ -10,7 +10,6 @@
 //! work, so that clients of one never wait for those of the other. The data plane knows nothing of it. docs/api.md
 //! describes the routes and their guarantees.
 
-mod assets;
 mod auth;
 mod body;
 mod broadcast;

@@ -11,7 +11,7 @@ use std::{
 
 use ipnet::IpNet;
 
-use super::{Trigger, TriggerError, encode, parse};
+use super::{Trigger, TriggerError, datagram::is_from_instance, parse};
 use crate::config::problem::excerpt;
 
 /// A datagram that was parsed and accepted.
@@ -66,7 +66,7 @@ impl Listener {
             return Err(TriggerError::NotAllowed(from));
         }
         let trigger = parse(datagram)?;
-        if encode::is_from_instance(&trigger, self.instance_id) {
+        if is_from_instance(&trigger, self.instance_id) {
             return Ok(Incoming::Own);
         }
         if self.recent.is_repeat(from, &trigger, datagram, now) {

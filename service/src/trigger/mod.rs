@@ -4,9 +4,8 @@
 //! Everything except [`socket`] and [`TriggerQueue`] is sans-io: a datagram and the time go in, and a [`Trigger`] or a
 //! [`TriggerError`] comes out.
 
-mod encode;
+mod datagram;
 mod listener;
-mod parse;
 mod queue;
 pub mod socket;
 
@@ -16,9 +15,10 @@ mod tests;
 use std::{net::IpAddr, time::Duration};
 
 pub use self::{
-    encode::{Announcer, first_packet_id},
+    datagram::{
+        Announcer, DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, TakeName, first_packet_id, parse,
+    },
     listener::{IDS_MAX, Incoming, Listener, Network, REMEMBERED, SENDERS_MAX},
-    parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, TakeName, parse},
     queue::{
         DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, PendingTriggers, ReceivedTrigger,
         TriggerQueue,

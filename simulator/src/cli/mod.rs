@@ -1,16 +1,17 @@
-//! The command line.
+//! The command line, its completions and its manual pages.
 
 mod files;
 mod generate;
-mod manual;
 mod output;
 mod serve;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use mocapd_cli::{
-    manual::{CompletionsArgs, ManArgs},
+    manual::{self, CompletionsArgs, ManArgs, UnknownCommand},
     usage,
 };
+
+use output::print_exact;
 
 pub(crate) use output::notify;
 
@@ -41,10 +42,10 @@ enum Command {
     /// The folder appears when it is complete.
     Generate(generate::GenerateArgs),
     /// Print the script that completes commands and options in a shell
-    #[command(after_help = manual::COMPLETIONS_EXAMPLES)]
+    #[command(after_help = COMPLETIONS_EXAMPLES)]
     Completions(CompletionsArgs),
     /// Print the manual page of a command, or write all pages into a folder
-    #[command(after_help = manual::MAN_EXAMPLES)]
+    #[command(after_help = MAN_EXAMPLES)]
     Man(ManArgs),
 }
 
@@ -83,7 +84,77 @@ pub(crate) fn run(cli: Cli) -> Result<(), Failure> {
     match cli.command {
         Command::Serve(args) => serve::run(*args),
         Command::Generate(args) => generate::run(&args),
-        Command::Completions(args) => manual::completions(&args),
-        Command::Man(args) => manual::pages(&args),
+        Command::Completions(args) => completions(&args),
+        Command::Man(args) => pages(&args),
+    }
+}
+
+const COMPLETIONS_EXAMPLES: &str = "\
+Install it, for new shells:
+  mocapd-sim completions bash >~/.local/share/bash-completion/completions/mocapd-sim
+  mocapd-sim completions fish >~/.config/fish/completions/mocapd-sim.fish
+  mocapd-sim completions zsh >DIR/_mocapd-sim     DIR is a folder in $fpath
+
+The Debian package has done this.";
+
+const MAN_EXAMPLES: &str = "\
+Examples:
+  mocapd-sim man serve | man -l -
+  mocapd-sim man --out ~/.local/share/man/man1     then: man mocapd-sim-serve
+
+The Debian package has installed the pages.";
+
+fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
+    Ok(print_exact(&manual::completions(args, Cli::command()))?)
+}
+
+fn pages(args: &ManArgs) -> Result<(), Failure> {
+    let page = manual::pages(args, Cli::command()).map_err(|error| {
+        if error.is::<UnknownCommand>() { Failure::usage(error) } else { error.into() }
+    })?;
+    Ok(print_exact(&page)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn every_subcommand_has_a_page_with_its_options() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().to_str().unwrap();
+        run(Cli::parse_from(["mocapd-sim", "man", "--out", out])).unwrap();
+        let command = Cli::command();
+        let mut names: Vec<_> = command
+            .get_subcommands()
+            .map(|sub| format!("mocapd-sim-{}.1", sub.get_name()))
+            .collect();
+        names.push("mocapd-sim.1".to_owned());
+        names.sort();
+        let found = fs::read_dir(folder.path()).unwrap();
+        let mut found: Vec<_> =
+            found.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        found.sort();
+        assert_eq!(found, names);
+        for sub in command.get_subcommands() {
+            let page = folder.path().join(format!("mocapd-sim-{}.1", sub.get_name()));
+            let page = fs::read_to_string(page).unwrap().replace('\\', "");
+            for option in sub.get_opts().filter(|option| !option.is_hide_set()) {
+                let name = format!("--{}", option.get_long().unwrap());
+                assert!(page.contains(&name), "the page of {} has no {name}", sub.get_name());
+            }
+        }
+    }
+
+    #[test]
+    fn an_unknown_command_is_a_usage_error() {
+        let failure = run(Cli::parse_from(["mocapd-sim", "man", "frob"])).unwrap_err();
+        assert_eq!(failure.code, 2);
+        assert_eq!(
+            failure.error.to_string(),
+            "'mocapd-sim' has no command 'frob': it has serve, generate, completions, man"
+        );
     }
 }

@@ -1,10 +1,9 @@
 //! Scripted fault injection between a device and a recorder. A script has a seed, so a run can be repeated exactly.
 //!
 //! Three layers, all sans-io: `source` changes motion, counter and clock before frames are encoded, `wire` damages the
-//! encoded bytes, and `connection` stalls or cuts the link. `fates` tracks what became of every frame.
+//! encoded bytes, and `device` stalls or cuts the link. `fates` tracks what became of every frame.
 //! `docs/faults.md` lists all keys.
 
-mod connection;
 mod device;
 mod fates;
 mod kinds;

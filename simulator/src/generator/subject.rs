@@ -2,12 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use super::Phase;
 use super::body::{Body, SITES};
 use super::geometry::{V3, sin_cos};
 use super::plan::Style;
 use super::rng::Rng;
-use super::trial::Trial;
+use super::{Phase, Trial};
 
 /// Shift of the drifts from one first trial to the next, seconds: not a multiple of their periods.
 const DRIFT_STEP_S: f64 = 17.3;

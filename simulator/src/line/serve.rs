@@ -1,14 +1,14 @@
 //! The loop between a device and its line: one thread that sleeps until the next frame or byte.
 
-use std::io::{self, Write};
+use std::io;
+use std::io::Write;
 use std::num::NonZeroU64;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
 
-use super::pace::{BaudLimiter, LatencyTimer};
-use super::{Line, LineError};
+use super::{BaudLimiter, LatencyTimer, Line, LineError};
 use crate::device::{LineDevice, SentLog};
 
 /// The longest sleep, which bounds the reaction time to a stop.

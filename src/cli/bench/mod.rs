@@ -1,16 +1,26 @@
 //! `bench`: speed of the codec and of the recording pipeline on this machine.
 
 mod codec;
-mod device;
 mod pipeline;
 
-use std::time::{Duration, Instant};
+use std::{
+    sync::atomic::Ordering,
+    time::{Duration, Instant},
+};
 
 use anyhow::Context;
 use clap::Subcommand;
-use mocapd::outcome::Outcome;
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_drivers::{device::Command, registry, uri::DeviceUri};
-use mocapd_service::process;
+use mocapd_service::{process, units};
+use mocapd_simulator::{
+    device::{Device, DeviceSettings},
+    generator::{JumpSpec, SAMPLES_MAX},
+    pty::{ServeOptions, serve_pty},
+};
+use mocapd_take::motion::Motion;
+
+use crate::cli::{output::print, stop::stop_on_signal};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Bench {
@@ -20,14 +30,14 @@ pub(crate) enum Bench {
     Pipeline(pipeline::Args),
     /// Run the device that `bench pipeline` records
     #[command(hide = true)]
-    Device(device::Args),
+    Device(DeviceArgs),
 }
 
 pub(crate) fn run(bench: &Bench) -> anyhow::Result<Outcome> {
     match bench {
         Bench::Codec(args) => codec::run(args),
         Bench::Pipeline(args) => pipeline::run(args),
-        Bench::Device(args) => device::run(args),
+        Bench::Device(args) => serve_device(args),
     }
 }
 
@@ -64,6 +74,51 @@ pub(super) fn copy_gb_per_s(bytes: &[u8]) -> f64 {
     let copy = std::hint::black_box(bytes.to_vec());
     let seconds = started.elapsed().as_secs_f64();
     copy.len() as f64 / seconds / 1e9
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct DeviceArgs {
+    #[arg(long)]
+    markers: usize,
+    #[arg(long, value_parser = units::rate_hz)]
+    rate: f64,
+    #[arg(long, value_parser = units::duration)]
+    seconds: Duration,
+}
+
+/// Checks that the motion of a benchmark fits into memory.
+///
+/// # Errors
+/// A usage error with its number of samples.
+fn check(markers: u16, rate_hz: f64, seconds: f64) -> Result<(), UsageError> {
+    let samples = f64::from(markers) * rate_hz * seconds;
+    if samples <= SAMPLES_MAX as f64 {
+        return Ok(());
+    }
+    Err(UsageError(format!(
+        "{markers} markers at {rate_hz} Hz for {seconds} s are {samples:.0} samples, more than {SAMPLES_MAX}: \
+         reduce the time, the rate or the markers"
+    )))
+}
+
+/// The motion that every benchmark records.
+fn motion(markers: usize, rate_hz: f64, seconds: f64) -> anyhow::Result<Motion> {
+    let spec = JumpSpec { seconds: Some(seconds), n_markers: markers, ..JumpSpec::new(1, rate_hz) };
+    Ok(spec.generate()?.motion)
+}
+
+/// Serves the simulated device of `bench pipeline`, which is a process of its own so that its processor time is counted
+/// separately.
+fn serve_device(args: &DeviceArgs) -> anyhow::Result<Outcome> {
+    let stop = stop_on_signal()?;
+    let motion = motion(args.markers, args.rate, args.seconds.as_secs_f64())?;
+    let mut device = Device::new(motion, DeviceSettings::default())?;
+    let log = serve_pty(&mut device, None, ServeOptions::default(), &stop, |path| {
+        print(&format!("{}\n", path.display())).ok();
+    })?;
+    stop.store(true, Ordering::Relaxed);
+    print(&format!("{}\n", log.total.frames_produced))?;
+    Ok(Outcome::Done)
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ use mocapd_simulator::device::TICK_HZ;
 use mocapd_take::motion::{Motion, is_gap};
 use serde::{Deserialize, Serialize};
 
-use super::{bare_read_cpu_percent, copy_gb_per_s, device, median};
+use super::{bare_read_cpu_percent, check, copy_gb_per_s, median};
 use crate::cli::{
     output::{notify, print, print_json},
     record::{LatencyReport, ProcessReport},
@@ -68,9 +68,9 @@ const IN_PROCESS_S: f64 = 10.0;
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let codec = args.codec.live_settings()?;
     ensure!(args.dir.is_dir(), "{} is not a folder: create it first", args.dir.display());
-    device::check(args.markers, args.rate, args.seconds.as_secs_f64().max(IN_PROCESS_S))?;
+    check(args.markers, args.rate, args.seconds.as_secs_f64().max(IN_PROCESS_S))?;
     let stop = stop_on_signal()?;
-    let motion = device::motion(args.markers.into(), args.rate, IN_PROCESS_S)?;
+    let motion = super::motion(args.markers.into(), args.rate, IN_PROCESS_S)?;
     let wire = wire(&motion)?;
     let mut in_process =
         InProcessReport { wire_bytes: wire.len() as u64, ..InProcessReport::default() };

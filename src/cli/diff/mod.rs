@@ -1,8 +1,7 @@
 //! `diff`: shows how two takes differ, or a take and a motion file.
 
-mod report;
-
 use std::{
+    fmt::Write,
     io::BufReader,
     path::{Path, PathBuf},
     sync::{Arc, atomic::AtomicU64},
@@ -13,17 +12,25 @@ use mocapd::outcome::{DataLostError, Outcome, UsageError};
 use mocapd_acquire::files::{self, CountingFile, SparseFile};
 use mocapd_take::{
     TakeFrames,
-    compare::{ContentDifference, Difference, TimesDifference, compare, compare_times},
+    compare::{
+        ContentDifference, Difference, EventDifference, FieldDifference, TimesDifference, compare,
+        compare_times,
+    },
+    damage::Problem,
     motion::FrameSource,
 };
+use serde::Serialize;
 
-use self::report::{DiffReport, MotionReport};
 use super::{
     edited::open,
     motion_files::read_options,
     original::{MotionSource, open_motion},
     output::{Progress, notify, print, print_json},
     paths,
+};
+use crate::cli::{
+    output::plain,
+    values::{count, thousands},
 };
 
 #[derive(Debug, clap::Args)]
@@ -146,4 +153,225 @@ fn times(
     }
     let inputs = (open(&args.a, read)?, open(&args.b, read)?);
     Ok(Some(compare_times((inputs.0, a.map()), (inputs.1, b.map()))?))
+}
+
+/// Most labels, and most events, that the text lists; the JSON has all of them.
+const LISTED_MAX: usize = 10;
+
+#[derive(Debug, Serialize)]
+struct DiffReport {
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    a: PathBuf,
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    b: PathBuf,
+    equal: bool,
+    problems: Vec<String>,
+    motion: MotionReport,
+    /// `None` if only the motion was compared.
+    content: Option<ContentDifference>,
+    /// `None` unless both are recordings.
+    times: Option<TimesDifference>,
+}
+
+#[derive(Debug, Serialize)]
+struct MotionReport {
+    equal: bool,
+    frames: u64,
+    frames_missing: u64,
+    frames_lost: u64,
+    markers_differing: Vec<String>,
+    samples: u64,
+    samples_differing: u64,
+    gaps_differing: u64,
+    max_distance_mm: f64,
+    rms_distance_mm: f64,
+    farthest: Option<SamplePlace>,
+    first: Option<SamplePlace>,
+    notes: Vec<String>,
+}
+
+/// A sample of a marker.
+#[derive(Debug, Serialize)]
+struct SamplePlace {
+    frame: u64,
+    marker: String,
+}
+
+impl MotionReport {
+    /// `labels` are those of the motion with more markers.
+    fn new(found: &Difference, labels: &[String]) -> Self {
+        let place = |frame: Option<u64>, marker: Option<usize>| {
+            let marker = labels.get(marker?).cloned().unwrap_or_default();
+            Some(SamplePlace { frame: frame?, marker })
+        };
+        let first = found.first_differing;
+        Self {
+            equal: found.is_none(),
+            frames: found.frames,
+            frames_missing: found.frames_missing,
+            frames_lost: found.frames_lost,
+            markers_differing: found.labels_differing.clone(),
+            samples: found.samples,
+            samples_differing: found.bits_differing,
+            gaps_differing: found.gaps_differing,
+            max_distance_mm: found.max_error_mm,
+            rms_distance_mm: found.rms_error_mm,
+            farthest: place(found.worst_frame, found.worst_marker),
+            first: place(first.map(|(frame, _)| frame), first.map(|(_, marker)| marker)),
+            notes: found.notes.clone(),
+        }
+    }
+
+    fn text(&self, out: &mut String) {
+        let (samples, frames) = (count(self.samples, "sample"), count(self.frames, "frame"));
+        writeln!(out, "motion: {samples} of {frames} compared").ok();
+        for note in &self.notes {
+            writeln!(out, "  {}", plain(note)).ok();
+        }
+        if self.samples_differing > 0 {
+            let samples = count(self.samples_differing, "sample");
+            let (max_mm, rms_mm) = (self.max_distance_mm, self.rms_distance_mm);
+            let at = self.farthest.as_ref().map_or_else(String::new, SamplePlace::text);
+            writeln!(out, "  {samples} differ, by at most {max_mm:.4} mm{at}, rms {rms_mm:.4} mm")
+                .ok();
+        }
+        for (n, what) in [(self.frames_missing, "frame"), (self.gaps_differing, "sample")] {
+            if n > 0 {
+                writeln!(out, "  {} in only one of the two", count(n, what)).ok();
+            }
+        }
+        if self.frames_lost > 0 {
+            let frames = count(self.frames_lost, "frame");
+            writeln!(out, "  {frames} not compared: damaged in the first").ok();
+        }
+        if let Some(first) = &self.first {
+            writeln!(out, "  first difference{}", first.text()).ok();
+        }
+        if !self.markers_differing.is_empty() {
+            let n = self.markers_differing.len();
+            let listed = self.markers_differing.iter().take(LISTED_MAX).cloned();
+            let labels = listed.collect::<Vec<_>>().join(", ");
+            let more = if n > LISTED_MAX {
+                format!(" and {} more", n - LISTED_MAX)
+            } else {
+                String::new()
+            };
+            writeln!(out, "  markers differ: {}{more}", plain(&labels)).ok();
+        }
+        if self.equal {
+            writeln!(out, "  no difference").ok();
+        }
+    }
+}
+
+impl SamplePlace {
+    fn text(&self) -> String {
+        format!(" at frame {}, {}", thousands(self.frame), plain(&self.marker))
+    }
+}
+
+impl DiffReport {
+    /// `content`: what else was compared, with the times of two recordings.
+    fn new<'a>(
+        args: &Args,
+        motion: MotionReport,
+        content: Option<(ContentDifference, Option<TimesDifference>)>,
+        problems: impl Iterator<Item = (&'a PathBuf, &'a Problem)>,
+    ) -> Self {
+        let (content, times) =
+            content.map_or((None, None), |(content, times)| (Some(content), times));
+        let equal = motion.equal
+            && content.as_ref().is_none_or(ContentDifference::is_none)
+            && times.as_ref().is_none_or(TimesDifference::is_none);
+        let problem =
+            |(path, problem): (&PathBuf, &Problem)| format!("{}: {problem}", path.display());
+        let (a, b) = (args.a.clone(), args.b.clone());
+        Self { a, b, equal, problems: problems.map(problem).collect(), motion, content, times }
+    }
+
+    fn is_equal(&self) -> bool {
+        self.equal
+    }
+
+    /// Whether all of both was compared.
+    fn is_whole(&self) -> bool {
+        self.problems.is_empty()
+    }
+
+    /// What is damaged or missing.
+    fn problems(&self) -> impl Iterator<Item = &str> {
+        self.problems.iter().map(String::as_str)
+    }
+
+    /// A section for the motion, and one for each other kind of difference; `<` has what the first states, `>` what the
+    /// second does.
+    fn text(&self) -> String {
+        let mut out = String::new();
+        self.motion.text(&mut out);
+        if let Some(times) = &self.times {
+            times_text(times, &mut out);
+        }
+        let Some(content) = &self.content else { return out };
+        for (name, fields) in [
+            ("header", &content.header),
+            ("settings", &content.settings),
+            ("subject", &content.subject),
+            ("ledger", &content.ledger),
+            ("foreign parts", &content.foreign),
+        ] {
+            fields_text(name, fields, &mut out);
+        }
+        events_text(&content.events, &mut out);
+        out
+    }
+}
+
+fn times_text(times: &TimesDifference, out: &mut String) {
+    let TimesDifference {
+        ticks_differing,
+        arrivals_differing,
+        timecodes_differing,
+        losses_differing,
+        first_frame,
+    } = times;
+    let Some(first) = first_frame else { return };
+    writeln!(out, "times: the first difference is at frame {}", thousands(*first)).ok();
+    for (n, what) in [
+        (ticks_differing, "different device ticks"),
+        (arrivals_differing, "different arrivals"),
+        (timecodes_differing, "different timecodes"),
+        (losses_differing, "lost in only one of the two, or for different causes"),
+    ] {
+        if *n > 0 {
+            writeln!(out, "  {}: {what}", count(*n, "frame")).ok();
+        }
+    }
+}
+
+fn fields_text(name: &str, fields: &[FieldDifference], out: &mut String) {
+    if fields.is_empty() {
+        return;
+    }
+    writeln!(out, "{name}").ok();
+    for FieldDifference { field, a, b } in fields {
+        for (side, value) in [('<', a), ('>', b)] {
+            if let Some(value) = value {
+                writeln!(out, "  {side} {}: {}", plain(field), plain(value)).ok();
+            }
+        }
+    }
+}
+
+fn events_text(events: &[EventDifference], out: &mut String) {
+    if events.is_empty() {
+        return;
+    }
+    writeln!(out, "events").ok();
+    for EventDifference { only_in, frame, kind, text } in events.iter().take(LISTED_MAX) {
+        let side = if *only_in == "a" { '<' } else { '>' };
+        writeln!(out, "  {side} frame {}: {kind} {}", thousands(*frame), plain(text)).ok();
+    }
+    if events.len() > LISTED_MAX {
+        writeln!(out, "  and {} more", thousands((events.len() - LISTED_MAX) as u64)).ok();
+    }
 }

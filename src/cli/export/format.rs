@@ -1,11 +1,13 @@
-//! The format of an export, and its options.
+//! The format of an export and its options, and labels that a spreadsheet would take for formulas.
 
-use std::path::Path;
+use std::{io, path::Path};
 
 use mocapd::outcome::UsageError;
 use mocapd_take::{
+    TakeMap,
     foreign::force_plates::Baseline,
     interchange::{Format, bids},
+    motion::{FrameSource, MotionInfo, Position},
 };
 
 use crate::cli::paths;
@@ -156,5 +158,45 @@ impl FormatArgs {
         let (session, run) = (self.session.as_deref(), self.run.as_deref());
         bids::BidsLabels::new(subject, session, &task, run)
             .map_err(|error| UsageError(error.to_string()).into())
+    }
+}
+
+/// Characters that begin a formula in a spreadsheet, full-width ones included, and the white space that some
+/// spreadsheets skip before one.
+const FORMULAS: [char; 10] = ['=', '+', '-', '@', '\t', '\r', '＝', '＋', '－', '＠'];
+
+/// A source that puts an apostrophe before labels that would begin a formula; spreadsheets then read them as text.
+pub(super) struct EscapedLabels<'a> {
+    frames: &'a mut dyn FrameSource,
+    info: MotionInfo,
+}
+
+impl<'a> EscapedLabels<'a> {
+    pub(super) fn new(frames: &'a mut dyn FrameSource) -> Self {
+        let mut info = frames.info().clone();
+        for marker in &mut info.markers {
+            if marker.label.starts_with(FORMULAS) {
+                marker.label.insert(0, '\'');
+            }
+        }
+        Self { frames, info }
+    }
+}
+
+impl FrameSource for EscapedLabels<'_> {
+    fn info(&self) -> &MotionInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self, row: &mut [Position]) -> io::Result<bool> {
+        self.frames.next_frame(row)
+    }
+
+    fn stated_error_mm(&self, column: usize) -> Option<f64> {
+        self.frames.stated_error_mm(column)
+    }
+
+    fn take(&self) -> Option<&TakeMap> {
+        self.frames.take()
     }
 }

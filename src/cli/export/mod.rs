@@ -2,7 +2,6 @@
 
 mod crop;
 mod format;
-mod spreadsheet;
 
 use std::{
     io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write},
@@ -29,8 +28,7 @@ use serde::Serialize;
 
 use self::{
     crop::CroppedFrames,
-    format::{FormatArgs, FormatName},
-    spreadsheet::EscapedLabels,
+    format::{EscapedLabels, FormatArgs, FormatName},
 };
 use super::{
     batch::{

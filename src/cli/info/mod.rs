@@ -1,21 +1,31 @@
 //! `info`: shows what is in takes and motion files.
 
-mod report;
 mod subject;
 mod text;
 
-use std::{io::BufReader, path::PathBuf};
+use std::{
+    io::BufReader,
+    path::{Path, PathBuf},
+};
 
 use anyhow::Context;
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
     files::{CountingFile, SparseFile},
     health::TakeHealth,
-    inspect::Summary,
+    inspect::{Summary, size_ratio},
+    ledger::LedgerDocument,
 };
+use mocapd_take::{
+    interchange::ReadOptions,
+    reader::TakeBytes,
+    record::{Device, Header, ImportSource},
+    recovery::RECOVERED,
+};
+use serde::Serialize;
 
 use self::{
-    report::InfoReport,
+    subject::SubjectReport,
     text::{line, text},
 };
 use super::{
@@ -23,6 +33,7 @@ use super::{
     damage, motion_file_reports,
     paths::{InputFormat, InputFormatName},
 };
+use crate::cli::{clock::ClockReport, damage::DamageReport, ledger::OutagesReport};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -84,4 +95,185 @@ fn take_info(job: &Job<'_>, all_markers: bool) -> anyhow::Result<FileReport> {
         },
         ..FileReport::default()
     })
+}
+
+#[derive(Debug, Serialize)]
+struct InfoReport {
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    take: PathBuf,
+    finished: bool,
+    problems: Vec<String>,
+    damage: Vec<DamageReport>,
+    recovered: Option<String>,
+    health: TakeHealth,
+    ending: Option<&'static str>,
+    ending_detail: Option<String>,
+    software: String,
+    created: Option<String>,
+    #[serde(skip)]
+    created_unix_ms: Option<i64>,
+    resampler: String,
+    tolerance_mm: f64,
+    up_axis: Option<&'static str>,
+    device: Option<Device>,
+    source: Option<ImportSourceReport>,
+    subject: Option<SubjectReport>,
+    foreign_parts: Vec<ForeignReport>,
+    frames: u64,
+    seconds: f64,
+    markers: usize,
+    rate_hz: f64,
+    samples: u64,
+    raw_bytes: u64,
+    file_bytes: u64,
+    bytes: TakeBytes,
+    ratio: f64,
+    max_error_mm: f64,
+    stretches: u64,
+    sr1: Option<f64>,
+    sr2: Option<f64>,
+    ledger: Option<LedgerDocument>,
+    outages: OutagesReport,
+    clock: Option<ClockReport>,
+    events: Vec<EventReport>,
+    channels: Vec<ChannelReport>,
+}
+
+#[derive(Debug, Serialize)]
+struct ImportSourceReport {
+    #[serde(flatten)]
+    file: ImportSource,
+    /// Size of the file.
+    bytes: Option<u64>,
+    /// The value of `import --unit`, if given.
+    unit_given: Option<String>,
+    /// The value of `import --up`, if given.
+    up_given: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct ForeignReport {
+    kind: String,
+    bytes: u64,
+    stored_bytes: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct EventReport {
+    kind: &'static str,
+    frame: u64,
+    device_ticks: u64,
+    input: u8,
+    text: String,
+}
+
+#[derive(Debug, Serialize)]
+struct ChannelReport {
+    label: String,
+    labelled: bool,
+    samples: u64,
+    gaps: u64,
+    knots: u64,
+    max_error_mm: f64,
+    frames_damaged: u64,
+}
+
+impl InfoReport {
+    fn new(take: &Path, summary: &Summary, file_bytes: u64) -> Self {
+        let header = &summary.take.header;
+        let channels = summary.take.channels.iter().zip(&summary.per_channel);
+        let channels = channels.map(|(channel, found)| ChannelReport {
+            label: channel.label.clone(),
+            labelled: channel.labelled,
+            samples: found.samples,
+            gaps: found.gaps,
+            knots: found.knots,
+            max_error_mm: found.max_error_mm,
+            frames_damaged: found.rows_damaged,
+        });
+        let bytes = summary.bytes;
+        let events = summary.take.events.iter().map(|event| EventReport {
+            kind: event.kind.name(),
+            frame: event.row,
+            device_ticks: event.device_ticks,
+            input: event.input,
+            text: event.text.clone(),
+        });
+        let parts = summary.take.foreign.iter();
+        let foreign_parts = parts.map(|part| ForeignReport {
+            kind: part.kind.clone(),
+            bytes: part.data_bytes,
+            stored_bytes: part.deflated_bytes(),
+        });
+        let options = ReadOptions::from_settings(&header.settings);
+        Self {
+            take: take.to_owned(),
+            finished: summary.take.finished,
+            problems: summary.take.problems.iter().map(ToString::to_string).collect(),
+            damage: DamageReport::all(&summary.take.damage),
+            recovered: recovered(header),
+            health: summary.health(),
+            ending: summary.take.ending.as_ref().map(|ending| ending.kind.name()),
+            ending_detail: detail(summary),
+            software: header.software.clone(),
+            created: created_unix_ms(header).and_then(utc),
+            created_unix_ms: created_unix_ms(header),
+            resampler: header.resampler.clone(),
+            tolerance_mm: header.tolerance_mm,
+            up_axis: header.up_axis.name(),
+            device: header.device.clone(),
+            source: header.source.clone().map(|file| ImportSourceReport {
+                file,
+                bytes: header.source_bytes(),
+                unit_given: options.unit.map(|unit| unit.to_string()),
+                up_given: options.up.map(|up| up.to_string()),
+            }),
+            subject: summary.take.subject.as_ref().map(SubjectReport::new),
+            foreign_parts: foreign_parts.collect(),
+            frames: summary.take.n_rows,
+            seconds: summary.take.n_rows as f64 / header.rate_hz,
+            markers: summary.take.channels.len(),
+            rate_hz: header.rate_hz,
+            samples: summary.samples(),
+            raw_bytes: summary.raw_bytes(),
+            file_bytes,
+            bytes: TakeBytes { framing: bytes.framing + bytes.lengths, ..bytes },
+            ratio: size_ratio(summary.samples(), file_bytes),
+            max_error_mm: summary.max_error_mm(),
+            stretches: summary.stretches,
+            sr1: summary.statistics.sr1(),
+            sr2: summary.statistics.sr2(),
+            ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
+            outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
+            clock: ClockReport::new(&summary.clock, &summary.take.clock_lines),
+            events: events.collect(),
+            channels: channels.collect(),
+        }
+    }
+
+    /// Recorded frames, by the final ledger; `None` for a take that was cut off, whose last ledger may count too few.
+    fn frames_recorded(&self) -> Option<u64> {
+        self.ledger.as_ref().filter(|_| self.finished).map(|ledger| ledger.recorded)
+    }
+}
+
+/// Details of why the take ended, if it states any.
+fn detail(summary: &Summary) -> Option<String> {
+    let detail = &summary.take.ending.as_ref()?.detail;
+    (!detail.is_empty()).then(|| detail.clone())
+}
+
+/// When the recording began; `None` for an import.
+fn created_unix_ms(header: &Header) -> Option<i64> {
+    Some(header.created_unix_ms).filter(|&unix_ms| unix_ms != 0)
+}
+
+fn utc(unix_ms: i64) -> Option<String> {
+    Some(jiff::Timestamp::from_millisecond(unix_ms).ok()?.to_string())
+}
+
+/// The remarks of all recoveries of the take; `None` if it was never recovered.
+fn recovered(header: &Header) -> Option<String> {
+    let remarks = header.settings.iter().filter(|(key, _)| key == RECOVERED);
+    remarks.map(|(_, text)| text.clone()).reduce(|all, next| format!("{all}; again {next}"))
 }

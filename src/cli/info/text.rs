@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use mocapd_service::units;
 
-use super::report::{ForeignReport, InfoReport};
+use super::{ForeignReport, InfoReport};
 use crate::cli::{
     clock::ClockReport,
     damage, ledger,
@@ -186,7 +186,7 @@ fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
 }
 
 fn marker_table(report: &InfoReport, out: &mut String) {
-    let label = |channel: &super::report::ChannelReport| {
+    let label = |channel: &super::ChannelReport| {
         let note = if channel.labelled { "" } else { " (unlabelled)" };
         format!("{}{note}", plain(&channel.label))
     };

@@ -1,8 +1,8 @@
-//! `plot`: plots of takes, as SVG or PNG.
+//! `plot`: plots of takes, as SVG or PNG. `plot trajectory` draws one marker, in space and
+//! against time; `plot quality` each marker's gaps, noise and error.
 
 mod pose;
 mod sizes;
-mod trajectory;
 
 use std::{
     path::{Path, PathBuf},
@@ -14,9 +14,12 @@ use clap::Subcommand;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files::Kept;
 use mocapd_report::{
+    column::{Column, distance},
     decoded::DecodedTake,
-    plot::{QualityPlot, png, quality},
+    plot::{QualityPlot, TrajectoryPlot, png, quality, trajectory},
 };
+use mocapd_service::units;
+use mocapd_take::{interchange::column_labels, motion::frame_at};
 use serde::Serialize;
 
 use crate::cli::{
@@ -26,11 +29,12 @@ use crate::cli::{
     paths::{self, InputFormatName, ends_in},
     values::{TimeOrFormat, split_to},
 };
+use pose::up;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Plot {
     /// Plot one marker: original samples, kept samples and the reconstruction, in space and against time
-    Trajectory(trajectory::Args),
+    Trajectory(TrajectoryArgs),
     /// Plot stick figures at several times, the original above and the reconstruction below
     Pose(pose::Args),
     /// Plot the size of the take against the tolerance, by resampler, one panel per take or file
@@ -41,7 +45,7 @@ pub(crate) enum Plot {
 
 pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
     match plot {
-        Plot::Trajectory(args) => trajectory::run(args),
+        Plot::Trajectory(args) => draw_trajectory(args),
         Plot::Pose(args) => pose::run(args),
         Plot::Sizes(args) => sizes::run(args),
         Plot::Quality(args) => draw_quality(args),
@@ -270,4 +274,65 @@ fn draw_quality(args: &PictureArgs) -> anyhow::Result<Outcome> {
             original_settings: original.and_then(|(_, settings)| *settings),
         })?)
     })
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct TrajectoryArgs {
+    #[command(flatten)]
+    picture: PictureArgs,
+    /// Label of the marker [default: the marker with the longest path]
+    #[arg(long, value_name = "LABEL")]
+    marker: Option<String>,
+    /// Plot frames from this time on: 10s, 500ms, 2min
+    #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
+    from: Option<Duration>,
+}
+
+fn draw_trajectory(args: &TrajectoryArgs) -> anyhow::Result<Outcome> {
+    args.picture.run(TimeSpan::Range, |picture| draw(args, picture))
+}
+
+fn draw(args: &TrajectoryArgs, picture: &Picture<'_>) -> anyhow::Result<String> {
+    let decoded = &picture.take;
+    let motion = &decoded.motion;
+    let (n_frames, rate_hz) = (motion.n_frames(), motion.info.rate_hz);
+    let row = |time: Duration| usize::try_from(frame_at(time, rate_hz)).unwrap_or(usize::MAX);
+    let rows = (args.from.map_or(0, row), picture.end.map_or(n_frames, row));
+    if rows.0 >= rows.1.min(n_frames) {
+        let length_s = n_frames as f64 / rate_hz;
+        anyhow::bail!(UsageError(format!(
+            "no frames between --from and --to: the take has {n_frames} frames, {length_s:.3} s"
+        )));
+    }
+    Ok(trajectory(&TrajectoryPlot {
+        name: &picture.name,
+        take: decoded,
+        original: picture.original.as_ref().map(|(motion, _)| motion),
+        marker: marker(decoded, args.marker.as_deref())?,
+        rows,
+        up: up(motion),
+    })?)
+}
+
+/// The column of the marker with this label, or of the one with the longest path.
+fn marker(decoded: &DecodedTake, label: Option<&str>) -> anyhow::Result<usize> {
+    let markers = &decoded.motion.info.markers;
+    if let Some(label) = label {
+        // As in exports: if several markers share a label, the second is `LABEL#2`.
+        let names = column_labels(&decoded.motion.info);
+        let named = names.iter().position(|name| name == label);
+        let labelled = || markers.iter().position(|marker| marker.label == label);
+        return named.or_else(labelled).ok_or_else(|| {
+            let wanted = label.to_lowercase();
+            let likeness = |name: &str| strsim::jaro_winkler(&name.to_lowercase(), &wanted);
+            let nearest = names.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)));
+            let hint = nearest.map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
+            UsageError(format!("no marker has the label '{label}'{hint}")).into()
+        });
+    }
+    let path_mm = |marker: usize| {
+        let samples: Vec<_> = Column::of(&decoded.motion, marker).0.into_iter().flatten().collect();
+        samples.windows(2).map(|pair| distance(pair[0], pair[1])).sum::<f64>()
+    };
+    Ok((0..markers.len()).max_by(|&a, &b| path_mm(a).total_cmp(&path_mm(b))).unwrap_or(0))
 }

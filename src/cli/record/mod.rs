@@ -2,7 +2,6 @@
 
 mod raw;
 mod report;
-mod series;
 mod split;
 mod watch;
 
@@ -21,11 +20,11 @@ use mocapd_service::units;
 use mocapd_take::record::EndingKind;
 use serde::Serialize;
 
+use self::{report::SeriesReport, split::SplitValue, watch::record_series_and_watch};
 pub(crate) use self::{
     report::{LatencyReport, ProcessReport, RecordReport},
     watch::{Limits, record_and_watch},
 };
-use self::{series::SeriesReport, split::SplitValue, watch::record_series_and_watch};
 use super::{
     output::{notify, print, print_json},
     paths,

@@ -1,7 +1,6 @@
 //! `verify`: checks that takes are intact and consistent, and compares them with originals.
 
 mod against;
-mod derivatives;
 mod limbs;
 
 use std::{
@@ -24,7 +23,7 @@ use serde::Serialize;
 
 pub(super) use self::against::{AgainstReport, against};
 use self::{
-    derivatives::{DerivativesReport, derivatives},
+    against::{DerivativesReport, derivatives},
     limbs::{LimbsReport, limbs_of},
 };
 use super::{

@@ -1,16 +1,15 @@
 //! Analysis of one scan, from a clean surface to joint centres.
 //!
 //! The default method finds the extremities ([`extremity`]), refines them and places landmarks and joints ([`locate`]),
-//! then checks the result: proportions (`plausible`), volume, neck, and parts missing from the scan. Doubtful joints
+//! then checks the result: proportions ([`Plausibility`]), volume, neck, and parts missing from the scan. Doubtful joints
 //! get a larger standard deviation or are left out, each with a note.
 
-use super::extremity::{self, Extremities, NamingMode};
+use super::extremity::{Extremities, NamingMode};
 use super::geodesic::{Adjacency, Graph, Workspace};
-use super::locate::{self, Landmarks, refine_ends};
-use super::paper;
-use super::plausible::{self, Plausibility};
+use super::joint::Plausibility;
+use super::locate::{Landmarks, refine_ends};
 use super::skeleton::Method;
-use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side};
+use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side, extremity, joint, locate, paper};
 
 /// Least ratio of the girths of head and neck. Whole bodies have 1.24 or more, in their own and in other builds; bodies
 /// cut off above the throat have less.
@@ -93,8 +92,8 @@ impl ScanAnalysis {
         }
         // Unusual arm lengths alone are no sign of contact.
         let scale = landmarks.scale;
-        if let Some(by) = plausible::size_shortfall(mesh, scale, touching || handles > 0) {
-            notes.push(plausible::widen_sigmas(&mut joints, scale, by));
+        if let Some(by) = joint::size_shortfall(mesh, scale, touching || handles > 0) {
+            notes.push(joint::widen_sigmas(&mut joints, scale, by));
         }
         if landmarks.head_is_in_doubt() {
             notes.push(Note::new("head-unsure", HEAD_UNCERTAIN));

@@ -22,21 +22,19 @@ pub mod locate;
 mod mesh;
 pub mod paper;
 pub mod picture;
-mod plausible;
 pub mod read;
 pub mod reeb;
 pub mod repair;
 pub mod skeleton;
 #[cfg(test)]
 mod tests;
-mod topology;
 mod unit;
 
+pub use crate::joint::Plausibility;
 pub use analysis::ScanAnalysis;
 pub use diagnosis::{Note, Refusal};
 pub use joint::{Estimate, Joint, Joints, Side};
 pub use mesh::Mesh;
-pub use plausible::Plausibility;
 pub use reeb::Levels;
 pub use repair::Repaired;
 pub use unit::{Unit, UnitError};

@@ -3,14 +3,14 @@
 use std::fmt;
 
 use crate::adapt::{Depth, Width, adapt};
-use crate::find::{self, DetectedFace};
+use crate::find::DetectedFace;
 use crate::fitted::{FittedFace, Method, Source};
 use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, ModelError, OUTER_EYES_MM};
-use crate::paper;
 use crate::photo::Photo;
-use crate::points::{self, FacePoints, RoughFace};
+use crate::plane::{distance, middle};
+use crate::points::{FacePoints, RoughFace};
 use crate::proportions::ProportionModel;
-use crate::vector::{distance, middle};
+use crate::{find, paper, points};
 
 /// Most faces that are fitted, by score: a class, or a team.
 pub const FACES_MAX: usize = 64;

@@ -24,7 +24,6 @@ pub mod points;
 pub mod pose;
 pub mod proportions;
 mod table;
-mod vector;
 
 pub use document::DocumentError;
 pub use photo::{Photo, PhotoError};

@@ -299,7 +299,7 @@ fn check_statistics(take: &[u8]) {
 fn rows_of(take: &[u8]) -> Vec<RowContent> {
     check_statistics(take);
     let mut frames = TakeFrames::open(Cursor::new(take)).unwrap();
-    let quick = crate::TakeMap::open(&mut Cursor::new(take)).unwrap();
+    let quick = TakeMap::open(&mut Cursor::new(take)).unwrap();
     assert_eq!(quick.n_sampled_rows, None, "its end and the heads of its chunks agree");
     assert_eq!(quick.keys, frames.map().keys);
     let mut row = vec![GAP; frames.info().markers.len()];
@@ -465,7 +465,7 @@ fn parts_join_to_the_whole() {
     }
 }
 
-fn sorted_events(map: &crate::TakeMap) -> Vec<Event> {
+fn sorted_events(map: &TakeMap) -> Vec<Event> {
     let mut events = map.events.clone();
     events.sort_by_key(|event| event.row);
     events

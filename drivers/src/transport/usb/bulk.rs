@@ -8,18 +8,17 @@ use std::{
     time::{Duration, Instant},
 };
 
+use TransferError::{Cancelled, Disconnected, Fault, Stall};
 use nusb::{
     Endpoint, MaybeFuture,
     transfer::{Buffer, Bulk, Out, TransferError},
 };
 
 use super::{
-    device::{UsbDevice, find, open_error},
-    pair,
+    UsbDevice, find, open_error, pair,
     queue::{CANCEL_TIMEOUT, RETRY_PAUSE, ReadQueue, TRANSFER_BYTES, TRANSFERS},
 };
 use crate::transport::{READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
-use TransferError::{Cancelled, Disconnected, Fault, Stall};
 
 /// `ENOMEM`: the kernel's memory limit for transfers is exhausted.
 const ENOMEM: u32 = 12;

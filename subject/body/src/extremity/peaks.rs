@@ -3,7 +3,7 @@
 
 use super::FarPoint;
 use crate::geodesic::{Graph, Workspace, distances};
-use crate::topology::find_root;
+use crate::mesh::find_root;
 
 /// Number of widely spread vertices. Five would do for a body; two more limit the effect of one that fell on a knee.
 const SPREAD_COUNT: usize = 7;

@@ -23,7 +23,7 @@ fn spiked(spikes: &[([f64; 3], f64)]) -> Mesh {
     mesh
 }
 
-fn ends(mesh: &Mesh) -> Result<Ends, crate::Refusal> {
+fn ends(mesh: &Mesh) -> Result<Ends, Refusal> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh)?);
     find(mesh, &graph, &mut Workspace::default())
 }
@@ -69,14 +69,14 @@ fn an_animal_has_more_limbs_than_a_body() {
         [-1.0, 0.0, 0.5],
     ];
     let refusal = ends(&spiked(&towards.map(|towards| (towards, 4.0)))).unwrap_err();
-    assert_eq!(refusal, crate::Refusal::TooManyEnds { found: 6 });
+    assert_eq!(refusal, Refusal::TooManyEnds { found: 6 });
 }
 
 #[test]
 fn a_table_with_four_legs_has_too_few_ends() {
     let towards = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]];
     let refusal = ends(&spiked(&towards.map(|towards| (towards, 4.0)))).unwrap_err();
-    assert_eq!(refusal, crate::Refusal::TooFewEnds { found: 4 });
+    assert_eq!(refusal, Refusal::TooFewEnds { found: 4 });
 }
 
 #[test]

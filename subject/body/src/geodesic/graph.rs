@@ -1,8 +1,7 @@
 //! Mesh connectivity, and graphs on a mesh whose shortest paths approximate geodesics.
 
-use crate::mesh::{Point, distance};
-use crate::topology::{self, SparseRows, half_edges};
-use crate::{Mesh, Refusal};
+use crate::mesh::{Point, SparseRows, distance, half_edges};
+use crate::{Mesh, Refusal, mesh};
 
 /// No triangle: the other side of a border edge.
 pub const NONE: u32 = u32::MAX;
@@ -37,7 +36,7 @@ impl Adjacency {
         let mut edges: Vec<Edge> = Vec::with_capacity(mesh.triangles.len() * 3 / 2);
         let mut triangle_edges = vec![[0; 3]; mesh.triangles.len()];
         let all = half_edges(&mesh.triangles);
-        for half_edges in topology::edges(&all) {
+        for half_edges in mesh::edges(&all) {
             let mut triangles = [NONE; 2];
             for (triangle, side) in triangles.iter_mut().zip(half_edges) {
                 *triangle = side.index / 3;

@@ -7,7 +7,6 @@
 mod charts;
 mod shade;
 mod sheet;
-mod tables;
 mod trace;
 mod views;
 
@@ -109,20 +108,20 @@ const HEIGHT: f64 = 1080.0;
 #[must_use]
 pub fn svg(drawing: &Drawing<'_>) -> String {
     let notes =
-        drawing.skeleton.map_or_else(Vec::new, |skeleton| tables::note_lines(&skeleton.notes));
-    let mut sheet = Sheet::new(WIDTH, HEIGHT + tables::notes_height(&notes));
+        drawing.skeleton.map_or_else(Vec::new, |skeleton| charts::note_lines(&skeleton.notes));
+    let mut sheet = Sheet::new(WIDTH, HEIGHT + charts::notes_height(&notes));
     sheet.text(40.0, 38.0, drawing.title, 20.0, sheet::INK, Anchor::Left);
     let upright = Upright::of(drawing);
     views::draw(&mut sheet, drawing, &upright);
     charts::reeb(&mut sheet, drawing, &upright);
-    tables::lengths(&mut sheet, drawing);
+    charts::lengths(&mut sheet, drawing);
     for (i, (title, is_of)) in PARTS.into_iter().enumerate() {
         let curves: Vec<&Curve> = drawing.curves.iter().filter(|c| is_of(c.part)).collect();
         charts::circularity(&mut sheet, 40.0 + 452.0 * i as f64, title, &curves, drawing);
     }
     let legend = "circularity h = 4π area / perimeter² of each level set (Yu et al. 2008, eq. 5); dashed: joints";
     sheet.text(WIDTH - 40.0, HEIGHT - 12.0, legend, 11.0, DIM, Anchor::Right);
-    tables::notes(&mut sheet, &notes, HEIGHT);
+    charts::notes(&mut sheet, &notes, HEIGHT);
     sheet.finish()
 }
 

@@ -3,8 +3,6 @@
 //! The content determines the format; the file name's extension counts only if the content leaves it open. Counts in a
 //! file are never trusted for allocation: every vertex and face comes from bytes that exist.
 
-mod obj;
-mod off;
 mod ply;
 mod stl;
 mod surface;
@@ -50,10 +48,10 @@ pub fn read(bytes: &[u8], name: &str) -> Result<Scan, ReadError> {
     }
     let format = format(bytes, name)?;
     let surface = match format {
-        Format::Obj => obj::read(bytes)?,
+        Format::Obj => text::read_obj(bytes)?,
         Format::Ply => ply::read(bytes)?,
         Format::Stl => stl::read(bytes)?,
-        Format::Off => off::read(bytes)?,
+        Format::Off => text::read_off(bytes)?,
     };
     let mut scan = surface.finish()?;
     if let Some(ending) = Format::from_name(name)

@@ -1,4 +1,8 @@
-//! Lines, tokens and numbers of text formats.
+//! The text formats Wavefront OBJ and Geomview OFF, and the lines, tokens and numbers that all text formats share.
+
+use super::surface::{Surface, put_corner};
+use super::{Format, ReadError};
+use crate::{Note, Unit};
 
 /// Most bytes of foreign text that a message quotes.
 const QUOTE_MAX: usize = 24;
@@ -58,4 +62,125 @@ pub(super) fn quote(bytes: &[u8]) -> String {
     let short = bytes.get(..QUOTE_MAX).unwrap_or(bytes);
     let dots = if short.len() < bytes.len() { "..." } else { "" };
     format!("`{}{dots}`", short.escape_ascii())
+}
+
+/// Reads an OBJ file. Indices count from 1, or backwards from the latest vertex if negative, and may name vertices that
+/// follow.
+pub(super) fn read_obj(bytes: &[u8]) -> Result<Surface, ReadError> {
+    let mut surface = Surface::new(Format::Obj);
+    let mut corners = Vec::new();
+    let mut joined = Vec::new();
+    let mut curved = 0_usize;
+    for (number, line) in lines(without_bom(bytes)) {
+        if surface.unit.is_none() && line.first() == Some(&b'#') {
+            surface.unit = Unit::from_comment(line);
+        }
+        let line = before_comment(line);
+        // A backslash at the end continues the line.
+        if let Some(front) = line.trim_ascii_end().strip_suffix(b"\\") {
+            joined.extend_from_slice(front);
+            joined.push(b' ');
+            continue;
+        }
+        let whole;
+        let line = if joined.is_empty() {
+            line
+        } else {
+            joined.extend_from_slice(line);
+            whole = std::mem::take(&mut joined);
+            &whole
+        };
+        let mut tokens = tokens(line);
+        match tokens.next() {
+            Some(b"v") => {
+                let wrong = || Format::Obj.unexpected(number, "`v` and three numbers", line);
+                surface.vertex(position(&mut tokens).ok_or_else(wrong)?)?;
+            }
+            Some(b"f") => {
+                corners.clear();
+                for token in tokens {
+                    let wrong = || Format::Obj.unexpected(number, "the index of a vertex", token);
+                    let index = index(token, surface.n_vertices()).ok_or_else(wrong)?;
+                    put_corner(&mut corners, index)?;
+                }
+                surface.face(&corners)?;
+            }
+            Some(b"curv" | b"curv2" | b"surf") => curved += 1,
+            _ => {}
+        }
+    }
+    if curved > 0 {
+        let text = format!("left out curved surfaces: {curved}");
+        surface.notes.push(Note::new("curved-surfaces", text));
+    }
+    Ok(surface)
+}
+
+/// Parses `7`, `7/1`, `7//3`, `7/1/3` or `-1` as an index from 0; 0 is invalid.
+fn index(token: &[u8], n_vertices: usize) -> Option<u32> {
+    let vertex = token.split(|&b| b == b'/').next()?;
+    let number = integer(vertex)?;
+    let index = if number < 0 { (n_vertices as i64).checked_add(number)? } else { number - 1 };
+    u32::try_from(index).ok()
+}
+
+/// Reads an OFF file. Colours, normals and texture coordinates are ignored.
+pub(super) fn read_off(bytes: &[u8]) -> Result<Surface, ReadError> {
+    let mut surface = Surface::new(Format::Off);
+    let mut lines = lines(without_bom(bytes))
+        .map(|(number, line)| (number, before_comment(line)))
+        .filter(|(_, line)| !line.trim_ascii().is_empty());
+    let (number, line) = lines.next().unwrap_or((1, &[]));
+    let mut keywords = tokens(line).peekable();
+    let keyword = keywords.next().unwrap_or_default();
+    if keyword.contains(&b'4') || keyword.contains(&b'n') {
+        let what = format!("{}, of more than three dimensions,", quote(keyword));
+        return Err(ReadError::Unsupported { format: Format::Off, what });
+    }
+    if keywords.peek().is_some_and(|token| token.eq_ignore_ascii_case(b"BINARY")) {
+        let what = "its binary form".to_owned();
+        return Err(ReadError::Unsupported { format: Format::Off, what });
+    }
+    // Some writers put the counts on the line of the keyword.
+    let counts = if keywords.peek().is_some() {
+        counts(number, &mut keywords)
+    } else {
+        let (number, line) = lines.next().unwrap_or((number, &[]));
+        counts(number, &mut tokens(line))
+    };
+    let (n_vertices, n_faces) = counts?;
+    for found in 0..n_vertices {
+        let (number, line) = lines.next().ok_or_else(|| cut_off("vertices", n_vertices, found))?;
+        let wrong = || Format::Off.unexpected(number, "three numbers", line);
+        surface.vertex(position(&mut tokens(line)).ok_or_else(wrong)?)?;
+    }
+    let mut corners = Vec::new();
+    for found in 0..n_faces {
+        let (number, line) = lines.next().ok_or_else(|| cut_off("faces", n_faces, found))?;
+        let mut numbers = tokens(line);
+        let wrong = || Format::Off.unexpected(number, "a count and as many indices", line);
+        let count = numbers.next().and_then(integer).ok_or_else(wrong)?;
+        corners.clear();
+        for _ in 0..count {
+            let index = numbers.next().and_then(integer).ok_or_else(wrong)?;
+            put_corner(&mut corners, u32::try_from(index).map_err(|_| wrong())?)?;
+        }
+        surface.face(&corners)?;
+    }
+    Ok(surface)
+}
+
+/// The counts of vertices and faces; that of edges is not needed and often 0.
+fn counts(number: usize, tokens: &mut dyn Iterator<Item = &[u8]>) -> Result<(u64, u64), ReadError> {
+    let mut next = || tokens.next().and_then(integer).and_then(|n| u64::try_from(n).ok());
+    let counts = next().zip(next());
+    counts.ok_or_else(|| {
+        Format::Off.malformed_line(number, "expected the counts of vertices and faces")
+    })
+}
+
+fn cut_off(what: &str, announced: u64, found: u64) -> ReadError {
+    let reason =
+        format!("expected {announced} {what}, found {found}: cut off, export the scan again");
+    Format::Off.malformed("end of file", reason)
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::extremity::Extremities;
 use crate::geodesic::{Adjacency, Graph, NONE, Workspace, distances};
 use crate::level::{Rings, Spans, cut, even_levels};
-use crate::topology::find_root;
+use crate::mesh::find_root;
 use crate::{Mesh, Refusal};
 
 #[cfg(test)]

@@ -4,8 +4,7 @@ use std::collections::HashMap;
 
 use super::manifold::{pair_half_edges, pieces};
 use super::{RepairError, drop_unused};
-use crate::mesh::distance;
-use crate::topology::{edges, half_edges};
+use crate::mesh::{distance, edges, half_edges};
 use crate::{Mesh, Note};
 
 /// Border vertices closer than this fraction of the extent are merged: 0.02 mm on a body. Programs that write each part

@@ -2,8 +2,7 @@
 
 use super::RepairError;
 use super::clean::remove_degenerate_triangles;
-use crate::mesh::{Point, distance};
-use crate::topology::{HalfEdge, SparseRows, edges, half_edges};
+use crate::mesh::{HalfEdge, Point, SparseRows, distance, edges, half_edges};
 use crate::{Mesh, Note};
 
 /// Number of radii that are tried, each a fifth larger.

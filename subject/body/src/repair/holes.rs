@@ -2,8 +2,7 @@
 
 use super::RepairError;
 use super::manifold::{NONE, pair_half_edges};
-use crate::mesh::{Point, distance, mean};
-use crate::topology::ends;
+use crate::mesh::{Point, distance, ends, mean};
 use crate::{Mesh, Note};
 
 /// Largest patch that is closed, as a fraction of the surface. A missing sole has 0.01, a neck 0.007, a leg cut at the

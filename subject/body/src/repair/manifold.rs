@@ -3,9 +3,8 @@
 use std::collections::HashMap;
 
 use super::drop_unused;
-use crate::mesh::{self, Point, unit};
-use crate::topology::{HalfEdge, edges, ends, find_root, half_edges, union};
-use crate::{Mesh, Note};
+use crate::mesh::{HalfEdge, Point, edges, ends, find_root, half_edges, union, unit};
+use crate::{Mesh, Note, mesh};
 
 /// No half-edge.
 pub(super) const NONE: u32 = u32::MAX;

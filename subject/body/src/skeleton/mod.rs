@@ -71,23 +71,10 @@ pub fn joint_name(joint: Joint) -> &'static str {
     JOINTS.iter().find(|(other, _)| *other == joint).map_or("", |(_, name)| name)
 }
 
-/// The joint with this name.
-#[must_use]
-pub fn joint_from_name(name: &str) -> Option<Joint> {
-    JOINTS.iter().find(|(_, other)| *other == name).map(|(joint, _)| *joint)
-}
-
 /// The corresponding bone of the other side. Left and right bones are stored in the same order.
 fn twin(name: &str) -> Option<&'static str> {
     let at = BONES.iter().position(|bone| bone.name == name)?.checked_sub(2)?;
     Some(BONES[2 + (at + 6) % 12].name)
-}
-
-/// Side and pair of a bone: `l` and `thigh` of `l_thigh`.
-fn pair(name: &str) -> Option<(char, &str)> {
-    [('l', "l_"), ('r', "r_")]
-        .into_iter()
-        .find_map(|(side, prefix)| Some((side, name.strip_prefix(prefix)?)))
 }
 
 /// All joints, in the order of documents.
@@ -240,22 +227,5 @@ impl Skeleton {
     #[must_use]
     pub fn new(method: Method, scans: &[ScanJoints]) -> Option<Self> {
         combine::combine(method, scans)
-    }
-
-    /// Length of a pair of bones, such as `upper_arm`: the mean of both sides.
-    ///
-    /// Sides differ by about a per cent, scans by more.
-    #[must_use]
-    pub fn symmetric_length(&self, pair: &str) -> Option<Length> {
-        let side = |side: char| {
-            self.bones.iter().find(|bone| self::pair(&bone.name) == Some((side, pair)))
-        };
-        match (side('l').map(Bone::length), side('r').map(Bone::length)) {
-            (Some(left), Some(right)) => Some(Length {
-                mm: (left.mm + right.mm) / 2.0,
-                sigma_mm: left.sigma_mm.hypot(right.sigma_mm) / 2.0,
-            }),
-            (one, other) => one.or(other),
-        }
     }
 }

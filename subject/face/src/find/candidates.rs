@@ -1,7 +1,7 @@
 //! Search of the template: every place of every size, at five rolls, frontal and turned to both sides; and refinement
 //! between the cells, sizes and rolls of that search.
 
-use super::frame::{Frame, length};
+use super::features::{Frame, length};
 use super::template::{CELL_PX, Cells, EYES_PX, SIDE, TEMPLATES, TemplateFit, best_fit, eyes_of};
 use crate::plane::{Plane, Pyramid};
 

@@ -19,24 +19,20 @@
 //! The template of (Yang et al. 2004, eq. 4) was the starting point. It is evaluated everywhere instead of on blocks of
 //! skin, so that neither hair over a cheek nor a skin-coloured wall hides a face.
 
-mod align;
 mod candidates;
 mod features;
-mod frame;
+mod stages;
 mod template;
 #[cfg(test)]
 mod tests;
-mod trees;
 
 use crate::photo::Photo;
-use crate::plane::Pyramid;
+use crate::plane::{Pyramid, distance, middle};
 use crate::points::RoughFace;
-use crate::vector::{distance, middle};
-use align::STEPS;
 use candidates::candidates;
-pub use features::{FEATURE_COUNT, FeatureVector, SECOND_STAGE_COUNT};
+pub use features::{FEATURE_COUNT, FeatureVector, Frame, SECOND_STAGE_COUNT};
 use features::{extract, second_stage};
-pub use frame::Frame;
+use stages::STEPS;
 
 /// A detected face. Coordinates are the photograph's, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -102,7 +98,7 @@ pub fn second_stage_hypotheses(photo: &Photo) -> Vec<Hypothesis> {
         .iter()
         .filter_map(|found| {
             let (frame, features) = second_stage(&pyramid, photo, found)?;
-            let found = on_photo(&frame, trees::second_stage_score(&features));
+            let found = on_photo(&frame, stages::second_stage_score(&features));
             Some(Hypothesis { found, features })
         })
         .collect()
@@ -152,7 +148,7 @@ fn overlap(a: &DetectedFace, b: &DetectedFace) -> bool {
 
 fn hypothesis(pyramid: &Pyramid, frame: &Frame) -> Hypothesis {
     let features = extract(pyramid, frame);
-    Hypothesis { found: on_photo(frame, trees::score(&features)), features }
+    Hypothesis { found: on_photo(frame, stages::score(&features)), features }
 }
 
 fn on_photo(frame: &Frame, score: f64) -> DetectedFace {

@@ -4,13 +4,13 @@
 use std::io::Cursor;
 use std::ops::Range;
 
-use image::imageops::{self, FilterType};
-use image::{ImageError, ImageFormat, Rgb, RgbImage};
+use image::imageops::FilterType;
+use image::{ImageError, ImageFormat, Rgb, RgbImage, imageops};
 
 use super::{Curve, FittedFace, Part, edges};
 use crate::model::FeatureId;
 use crate::photo::Photo;
-use crate::vector::{Point, distance, extent};
+use crate::plane::{Point, distance, extent};
 
 /// Least interocular distance: smaller pictures are enlarged first, or the lines would cover the face.
 const EYES_MIN_PX: f64 = 160.0;

@@ -2,7 +2,7 @@
 
 use super::{Curve, FittedFace, Pose};
 use crate::model::{Camera, FeatureId};
-use crate::vector::extent;
+use crate::plane::extent;
 
 const VIEWS: [(&str, f64); 3] = [("front", 0.0), ("three-quarter", 40.0), ("side", 90.0)];
 const PANEL_PX: f64 = 320.0;

@@ -2,6 +2,12 @@ use super::*;
 use crate::model::{Camera, Model};
 use mocapd_testkit::photograph::PictureRng;
 
+/// The mapping of the public recording of a singing face with 37 markers (c3d.org, sample 19), whose labels run from
+/// `root-1` to `section14-3`.
+fn singing_face() -> Mapping {
+    Mapping::from_json(include_bytes!("../../data/singing-face-mapping.json")).unwrap()
+}
+
 fn moved(vertices: &[[f64; 3]]) -> Vec<[f64; 3]> {
     // An arbitrary similarity: rotated, scaled by 1.07, translated. Project flips y; twice is the identity.
     let camera = Camera {
@@ -17,7 +23,7 @@ fn moved(vertices: &[[f64; 3]]) -> Vec<[f64; 3]> {
 #[test]
 fn a_similarity_is_recovered() {
     let model = Model::generic().unwrap();
-    let mapping = Mapping::singing_face().unwrap();
+    let mapping = singing_face();
     let there = moved(&model.vertices);
     let place = |label: &str| {
         let marker = mapping.markers.iter().find(|marker| marker.label == label)?;
@@ -37,7 +43,7 @@ fn a_similarity_is_recovered() {
 #[test]
 fn noise_and_missing_markers_change_the_alignment_little() {
     let model = Model::generic().unwrap();
-    let mapping = Mapping::singing_face().unwrap();
+    let mapping = singing_face();
     let there = moved(&model.vertices);
     let mut random = PictureRng::new(11);
     let noisy: BTreeMap<String, [f64; 3]> = mapping
@@ -60,7 +66,7 @@ fn noise_and_missing_markers_change_the_alignment_little() {
 #[test]
 fn degenerate_markers_are_refused() {
     let model = Model::generic().unwrap();
-    let mapping = Mapping::singing_face().unwrap();
+    let mapping = singing_face();
     let align = |marker: &dyn Fn(&str) -> Option<[f64; 3]>| {
         mapping.align(&model.vertices, &model.features, marker, Scaling::Free).unwrap_err()
     };
@@ -83,7 +89,7 @@ fn degenerate_markers_are_refused() {
 #[test]
 fn the_mapping_of_the_singing_face_fits_the_generic_face() {
     let model = Model::generic().unwrap();
-    let mapping = Mapping::singing_face().unwrap();
+    let mapping = singing_face();
     let vertex = |label: &str| {
         let marker = mapping.markers.iter().find(|marker| marker.label == label).unwrap();
         model.vertices[marker.place.vertex(&model.features, model.vertices.len()).unwrap()]
@@ -102,7 +108,7 @@ fn the_mapping_of_the_singing_face_fits_the_generic_face() {
 
 #[test]
 fn mappings_are_written_and_read_and_refused() {
-    let mapping = Mapping::singing_face().unwrap();
+    let mapping = singing_face();
     let text = mapping.to_json().unwrap();
     assert_eq!(Mapping::from_json(text.as_bytes()).unwrap(), mapping);
     for (from, to) in [
@@ -150,7 +156,7 @@ fn an_error_is_a_short_line_for_any_mapping() {
 
 #[test]
 fn changed_bytes_give_an_error_or_a_valid_mapping() {
-    let good = Mapping::singing_face().unwrap().to_json().unwrap().into_bytes();
+    let good = singing_face().to_json().unwrap().into_bytes();
     let mut random = PictureRng::new(5);
     let mut read = 0;
     for _ in 0..400 {

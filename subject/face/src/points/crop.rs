@@ -3,8 +3,7 @@
 
 use super::RoughFace;
 use crate::photo::Photo;
-use crate::plane::Plane;
-use crate::vector::{Point, distance, extent, middle};
+use crate::plane::{Plane, Point, distance, extent, middle};
 
 /// Width of the crop (pixels): 1.3 outer interocular distances to either side.
 pub(crate) const WIDTH: usize = 224;

@@ -2,15 +2,14 @@
 //! function of terms such as how clearly the features are visible at these places.
 
 use super::crop::Maps;
-use super::outline::{self, Ray};
+use super::outline::Ray;
 use super::regressor::{LandmarkPoints, REGRESSED};
 use super::search::SearchResult;
 use super::shape::{LANDMARKS, PosedModel, Target};
-use super::{BROWS, EYES, MOUTH, NOSE, features};
-use crate::plane::Plane;
+use super::{BROWS, EYES, MOUTH, NOSE, features, outline};
+use crate::plane::{Plane, Point, distance, middle};
 use crate::pose::{EyeLine, YawRule};
 use crate::table::f64s;
-use crate::vector::{Point, distance, middle};
 
 /// Standard deviations of a clearly visible point (pixels): eyelids and lips are edges, a brow is not.
 const EYE_SD: f64 = 1.8;

@@ -3,7 +3,7 @@
 
 use super::crop::{Maps, at};
 use super::search::{Motion, SearchResult, only, search, shift, stretch, turn};
-use crate::vector::{Point, along, cubic, direction, distance, middle, up};
+use crate::plane::{Point, along, cubic, direction, distance, middle, up};
 
 /// Sampled places on an eyelid or a lip.
 const STEPS: [f64; 7] = [0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88];

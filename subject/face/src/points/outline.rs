@@ -2,8 +2,7 @@
 //! curve can mislead; and twelve points of it, left and right at six heights (Yang et al. 2004, section 3).
 
 use super::crop::{Maps, at};
-use crate::plane::Plane;
-use crate::vector::{Point, along, distance, extent};
+use crate::plane::{Plane, Point, along, distance, extent};
 
 /// A point of the outline, with its contrast.
 #[derive(Debug, Clone, Copy, Default)]

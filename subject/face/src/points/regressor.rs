@@ -12,8 +12,8 @@ use super::RoughFace;
 use super::crop::{Crop, HEIGHT, WIDTH};
 use crate::oriented_gradients::{DIRECTIONS, FLOOR, Histograms, SLOPE_BYTES, byte, directions};
 use crate::photo::Photo;
-use crate::plane::Plane;
-use crate::vector::{self, Point};
+use crate::plane;
+use crate::plane::{Plane, Point};
 
 /// The landmarks that are predicted, by iBUG-68 number: all that the generic face has.
 pub const REGRESSED: [usize; 60] = [
@@ -28,7 +28,7 @@ pub type LandmarkPoints = [Point; REGRESSED.len()];
 /// The mean of the landmarks whose iBUG-68 numbers lie in the range.
 pub(crate) fn mean(landmarks: &LandmarkPoints, range: Range<usize>) -> Point {
     let part = REGRESSED.iter().zip(landmarks).filter(|(landmark, _)| range.contains(landmark));
-    vector::mean(part.map(|(_, at)| *at))
+    plane::mean(part.map(|(_, at)| *at))
 }
 
 /// Side of a cell in pixels of the halved crop: 0.27 of the eye distance.

@@ -1,6 +1,6 @@
 //! Search of a feature's outline: moved and bent for the best score.
 
-use crate::vector::Point;
+use crate::plane::Point;
 
 /// A degree of freedom of an outline.
 #[derive(Debug, Clone, Copy)]

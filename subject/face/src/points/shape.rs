@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector, Matrix2x3, Vector3};
 
 use crate::model::{FeatureId, Model, OUTER_EYES_MM};
-use crate::vector::{Point, mean};
+use crate::plane::{Point, mean};
 
 /// Number of landmarks, in the order of iBUG-68. Those that the model lacks (the ridge of the nose, the inner lips
 /// except their middles) lie at the nasion and are never searched.

@@ -7,7 +7,7 @@ use super::shape::{Landmarks, PosedModel};
 use super::{Evidence, FacePoints, Point, RoughFace, find, outline, paper};
 use crate::model::{FeatureId, Model};
 use crate::photo::Photo;
-use crate::vector::mean;
+use crate::plane::mean;
 
 const SIDE: usize = 320;
 /// Distance of the outer eye corners in the picture.

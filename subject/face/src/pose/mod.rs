@@ -5,7 +5,7 @@ mod tests;
 
 use thiserror::Error;
 
-use crate::vector::{Point, along, direction, distance};
+use crate::plane::{Point, along, direction, distance};
 
 /// The rule that gives yaw from the position of the eyes between the edges of the face.
 ///

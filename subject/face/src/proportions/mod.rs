@@ -9,9 +9,10 @@ mod tests;
 
 use std::ops::Range;
 
-use super::model::{Camera, FeatureId, FitOptions, Model};
-use super::vector::{mean, middle};
 use Noise::{Outline, Pair, Part};
+
+use super::model::{Camera, FeatureId, FitOptions, Model};
+use super::plane::{mean, middle};
 
 /// Reporting limit in standard deviations: by the model, one face in 370 exceeds it for each proportion.
 const LIMIT_SD: f64 = 3.0;

@@ -4,8 +4,7 @@
 use std::{borrow::Cow, collections::HashMap, io::Write};
 
 use super::{
-    dialect::{LineCells, quote},
-    malformed,
+    LineCells, malformed, quote,
     rectangle::{PlacedSample, Rectangle},
 };
 use crate::{

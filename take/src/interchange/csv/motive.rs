@@ -11,7 +11,7 @@
 
 use std::collections::HashSet;
 
-use super::{HEADER, dialect::LineCells, malformed};
+use super::{HEADER, LineCells, malformed};
 use crate::{
     ambiguity::Notes,
     foreign::content::NewScratch,

@@ -2,11 +2,7 @@
 
 use std::io::Write;
 
-use super::{
-    HEADER,
-    dialect::{LineCells, quote},
-    malformed,
-};
+use super::{HEADER, LineCells, malformed, quote};
 use crate::{
     ambiguity::Notes,
     escape::from_cell,

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use super::messages::Message;
+use super::Message;
 
 /// A field: name, number and type.
 type Field = (&'static str, u32, FieldType);

@@ -50,9 +50,10 @@ pub(crate) fn faces() -> Vec<Vec<u8>> {
     cut.chain(whole.clone()).collect()
 }
 
-/// The built-in mapping, one with vertices by number, and one of a later version.
+/// The mapping of a public recording, one with vertices by number, and one of a later version.
 pub(crate) fn mappings() -> Vec<Vec<u8>> {
-    let own = Mapping::singing_face().and_then(|mapping| mapping.to_json()).unwrap_or_default();
+    let file = include_bytes!("../../../../subject/face/data/singing-face-mapping.json");
+    let own = Mapping::from_json(file).and_then(|mapping| mapping.to_json()).unwrap_or_default();
     let kind = r#"{"format": "mocapd-face-mapping", "version": "#;
     let markers =
         r#", "markers": [{"label": "a", "at": 7}, {"label": "é", "at": "chin", "weight": 0.1}]}"#;

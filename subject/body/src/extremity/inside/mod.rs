@@ -11,8 +11,7 @@ use super::peaks::protrusions;
 use super::{Ends, Extremities, NamingMode};
 use crate::Mesh;
 use crate::geodesic::{Graph, GraphEdge, Workspace, distances, distances_from};
-use crate::mesh::{Point, distance, normal};
-use crate::topology::{find_root, union};
+use crate::mesh::{Point, distance, find_root, normal, union};
 
 #[cfg(test)]
 mod tests;

@@ -3,13 +3,13 @@ mod second_stage;
 use mocapd_testkit::photograph::Scene;
 use mocapd_testkit::random::Random;
 
-use super::align::STEPS;
 use super::features::{extract, mirrored};
+use super::stages::STEPS;
 use super::{FEATURE_COUNT, Frame, SCORE_MIN, faces};
 use crate::model::FeatureId;
 use crate::photo::Photo;
+use crate::plane;
 use crate::plane::Pyramid;
-use crate::vector;
 
 /// A drawn person in front of clutter, and the centres of eyes and mouth.
 fn drawn(seed: u64, interocular_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
@@ -29,7 +29,7 @@ fn turned(seed: u64, interocular_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo
         let [x, y, _] = picture.faces[0].points_px[FeatureId::from_ibug(i).unwrap().index()];
         [x, y]
     };
-    let mean = |from: usize, to: usize| vector::mean((from..to).map(at));
+    let mean = |from: usize, to: usize| plane::mean((from..to).map(at));
     let photo = Photo::from_pixels(size.0, size.1, pixels).unwrap();
     (photo, [mean(36, 42), mean(42, 48), mean(48, 60)])
 }

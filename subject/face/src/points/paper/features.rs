@@ -3,8 +3,7 @@
 use std::ops::RangeInclusive;
 
 use super::{Bounds, fit_snake, value};
-use crate::plane::{Gradient, Plane};
-use crate::vector::{Point, extent};
+use crate::plane::{Gradient, Plane, Point, extent};
 
 /// Radii of an iris (pixels): 0.07 to 0.15 of the eye distance. The paper gives none.
 const RADII: RangeInclusive<i32> = 4..=9;

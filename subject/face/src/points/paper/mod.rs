@@ -11,8 +11,8 @@ use super::crop::{Crop, EYE_DISTANCE, HEIGHT, Maps, WIDTH};
 use super::outline::{Heights, twelve};
 use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, RoughFace};
 use crate::photo::Photo;
-use crate::plane::{Gradient, Plane};
-use crate::vector::{self, Point};
+use crate::plane;
+use crate::plane::{Gradient, Plane, Point};
 
 /// Confidence of a point whose step failed and fell back to a place in its box.
 const FALLBACK: f64 = 0.2;
@@ -53,14 +53,14 @@ pub fn find(photo: &Photo, rough: &RoughFace) -> FacePoints {
         points.put(&brow, &line.points, sure(line.found), &crop);
         brow_y += line.points.iter().map(|p| p[1]).sum::<f64>() / 10.0;
     }
-    let middle = vector::middle(left, right);
+    let middle = plane::middle(left, right);
     let base = features::nose(&slope, Bounds::nose(middle, mouth_at));
     points.put(&NOSE, &base.points, sure(base.found), &crop);
     let base_y = base.points.iter().map(|p| p[1]).sum::<f64>() / 5.0;
     let lips = features::mouth(&saturation, mouth_at);
     points.put(&MOUTH, &lips.points, sure(lips.found), &crop);
 
-    let centre = vector::middle(middle, mouth_at);
+    let centre = plane::middle(middle, mouth_at);
     let cheek = |eye: Point| [eye[0], (eye[1] + mouth_at[1]) / 2.0];
     let skin = [cheek(left), cheek(right), [centre[0], middle[1] + 0.25 * EYE_DISTANCE]];
     let half = Maps::of(&crop).unlike_skin(&skin);
@@ -227,7 +227,7 @@ fn fit_snake(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
 
 /// Scales energies to 0 to 1 over the neighbourhood; a range below `floor` is no difference.
 fn scaled(energy: [f64; 5], floor: f64) -> [f64; 5] {
-    let (low, high) = vector::extent(energy);
+    let (low, high) = plane::extent(energy);
     let range = (high - low).max(floor).max(1e-12);
     energy.map(|e| (e - low) / range)
 }
