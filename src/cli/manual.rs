@@ -12,7 +12,7 @@ Install it, for new shells:
   mocapd completions fish >~/.config/fish/completions/mocapd.fish
   mocapd completions zsh >DIR/_mocapd     DIR is a folder in $fpath
 
-The Debian package has done this.";
+The Debian package already does this.";
 
 pub(super) const MAN_EXAMPLES: &str = "\
 Examples:
@@ -20,7 +20,7 @@ Examples:
   mocapd man plot pose | man -l -
   mocapd man --out ~/.local/share/man/man1     then: man mocapd-import
 
-The Debian package has installed the pages.";
+The Debian package installs the pages.";
 
 pub(crate) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
     print_exact(&manual::completions(args, Cli::command()))?;

@@ -49,7 +49,7 @@ pub(crate) use output::notify;
 #[command(
     version,
     propagate_version = true,
-    after_help = "Exit codes: 0 done, 1 failed, 2 usage or refused input value, 3 done but data was lost"
+    after_help = "Exit codes: 0 done, 1 failed, 2 usage error or refused value, 3 done but data was lost"
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]

@@ -564,7 +564,7 @@ impl Rig {
         if reader.restarts <= RESTARTS_REPORTED_MAX {
             reader.intake.event(host_event("the device identified itself and was restarted"));
             (options.notify)(
-                "the device identified itself, as after a reset, a power loss or a long silence: it was restarted",
+                "the device identified itself, as after a reset, a power loss or a long silence: mocapd started it again",
             );
         }
         if now.rate_millihertz != self.hello.rate_millihertz {

@@ -11,14 +11,14 @@ Install it, for new shells:
   mocapd-sim completions fish >~/.config/fish/completions/mocapd-sim.fish
   mocapd-sim completions zsh >DIR/_mocapd-sim     DIR is a folder in $fpath
 
-The Debian package has done this.";
+The Debian package already does this.";
 
 pub(super) const MAN_EXAMPLES: &str = "\
 Examples:
   mocapd-sim man serve | man -l -
   mocapd-sim man --out ~/.local/share/man/man1     then: man mocapd-sim-serve
 
-The Debian package has installed the pages.";
+The Debian package installs the pages.";
 
 pub(super) fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
     Ok(print_exact(&manual::completions(args, Cli::command()))?)

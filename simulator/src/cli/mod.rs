@@ -20,7 +20,7 @@ pub(crate) use output::notify;
     name = "mocapd-sim",
     version,
     propagate_version = true,
-    after_help = "Exit codes: 0 done, 1 failed, 2 usage or refused input value"
+    after_help = "Exit codes: 0 done, 1 failed, 2 usage error or refused value"
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]

@@ -62,7 +62,7 @@ pub(super) fn status(status: &Status) -> String {
     if let Some(take) = &status.last_take {
         let (name, size, health) = (plain(&take.name), bytes(take.bytes), take.health.name());
         let ending = take.ending.map_or("", EndingKind::name);
-        writeln!(out, "  before    {name}: {size}, {health}, ended: {ending}").ok();
+        writeln!(out, "  last take {name}: {size}, {health}, ended: {ending}").ok();
     }
     writeln!(out, "  disk      {}, in {}", disk(status), plain(&status.disk.directory)).ok();
     out
@@ -146,7 +146,7 @@ fn duration(seconds: u64) -> String {
 pub(super) fn started(started: &Started) -> String {
     let before = started.first_frame.before_request_s;
     let pre_roll =
-        if before > 0.0 { format!(", from {before:.2} s before") } else { String::new() };
+        if before > 0.0 { format!(", from {before:.2} s before the request") } else { String::new() };
     format!("recording {}{pre_roll}\n", plain(&started.path.display().to_string()))
 }
 
