@@ -103,7 +103,7 @@ pub(super) fn watch_line(status: &Status) -> String {
 /// Free disk space, and how long it lasts.
 fn disk(status: &Status) -> String {
     // On a full disk a take still has its reserve, so the remaining time would be wrong.
-    let Some(free_bytes) = status.disk.free_bytes else { return "unknown free".to_owned() };
+    let Some(free_bytes) = status.disk.free_bytes else { return "free space unknown".to_owned() };
     let free = bytes(free_bytes);
     let left = status.disk.left_s.filter(|_| free_bytes > 0);
     let left = left.map(|left| format!(", enough for {}", duration(left)));
