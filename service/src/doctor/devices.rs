@@ -79,7 +79,9 @@ fn rules(folders: &[&str]) -> Finding {
         Some(path) => Finding::good(what, format!("{} is installed", path.display())),
         None => Finding::warning(
             what,
-            format!("{NAME} is not installed: only root may open rigs, and serial adapters hold bytes back for up to 16 ms"),
+            format!(
+                "{NAME} is not installed: only root may open rigs, and serial adapters hold bytes back for up to 16 ms"
+            ),
             format!(
                 "`sudo install -m 644 systemd/{NAME} /etc/udev/rules.d/ && sudo udevadm control --reload`"
             ),

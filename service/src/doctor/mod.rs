@@ -116,8 +116,12 @@ fn timer_latency() -> Finding {
 fn timer_finding(late: &LatencyHistogram) -> Finding {
     let us = |ns: u64| ns / 1000;
     let (p99, max) = (late.quantile_ns(0.99), late.max_ns());
-    let seen =
-        format!("timer latency {} us (p99), {} us (maximum of {} sleeps)", us(p99), us(max), late.count());
+    let seen = format!(
+        "timer latency {} us (p99), {} us (maximum of {} sleeps)",
+        us(p99),
+        us(max),
+        late.count()
+    );
     let remedy = "close other programs, or reserve a core for mocapd";
     Finding::warning_if(p99 > LATE_NS_MAX, "wake-ups", seen, remedy)
 }

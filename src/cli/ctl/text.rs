@@ -145,8 +145,11 @@ fn duration(seconds: u64) -> String {
 
 pub(super) fn started(started: &Started) -> String {
     let before = started.first_frame.before_request_s;
-    let pre_roll =
-        if before > 0.0 { format!(", from {before:.2} s before the request") } else { String::new() };
+    let pre_roll = if before > 0.0 {
+        format!(", from {before:.2} s before the request")
+    } else {
+        String::new()
+    };
     format!("recording {}{pre_roll}\n", plain(&started.path.display().to_string()))
 }
 

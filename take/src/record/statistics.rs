@@ -40,7 +40,9 @@ pub(super) fn to_section(statistics: &TakeStatistics) -> Result<Vec<u8>, TakeErr
     if coder.finish() && is_possible && statistics.channels.len() <= CHANNELS_MAX {
         return Ok(out);
     }
-    Err(TakeError::InvalidArgument("impossible statistics: their counts do not fit together".to_owned()))
+    Err(TakeError::InvalidArgument(
+        "impossible statistics: their counts do not fit together".to_owned(),
+    ))
 }
 
 /// Decodes the content of the section in the chunk at file offset `offset`.
@@ -49,7 +51,8 @@ pub(super) fn to_section(statistics: &TakeStatistics) -> Result<Vec<u8>, TakeErr
 /// `Unsupported` for another version, `Corrupt`.
 pub(super) fn of_section(section: &[u8], offset: u64) -> Result<TakeStatistics, TakeError> {
     let content = section_content(section, NAME, VERSION, offset)?;
-    decode(content).ok_or_else(|| TakeError::corrupt(NAME, offset, "its counts do not fit together"))
+    decode(content)
+        .ok_or_else(|| TakeError::corrupt(NAME, offset, "its counts do not fit together"))
 }
 
 fn decode(content: &[u8]) -> Option<TakeStatistics> {

@@ -3,8 +3,8 @@
 use super::functional::{self, Centre, LENGTH_MAX_MM};
 use super::json::{POSITION_MAX_MM, round};
 use super::{
-    BONES, Bone, BoneEnds, Length, Method, ScanJoints, Skeleton, SkeletonJoint, joint_name, joints,
-    counterpart,
+    BONES, Bone, BoneEnds, Length, Method, ScanJoints, Skeleton, SkeletonJoint, counterpart,
+    joint_name, joints,
 };
 use crate::mesh::distance;
 use crate::{Estimate, Joint, Joints};
