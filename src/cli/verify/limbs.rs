@@ -156,7 +156,7 @@ impl LimbsReport {
         if !off.is_empty() {
             let all = self.bones.len();
             found.push(format!(
-                "{} of {all} bones have another length in the take than in the skeleton: {}",
+                "{} of {all} bones do not fit (other lengths in the take than in the skeleton): {}",
                 off.len(),
                 off.join(", ")
             ));
