@@ -91,7 +91,7 @@ function ring({ input: { ring_fill: fill }, device }) {
 function size(take) {
   if (!take) return NO_TAKE;
   const behind = bytes(Math.max(0, take.bytes - take.durable_bytes)).join(" ");
-  const word = take.ratio > 0 ? `${rounded(take.ratio)}× smaller` : "";
+  const word = take.ratio > 0 ? `${rounded(take.ratio)}:1` : "";
   return { ...value(...bytes(take.bytes)), note: `${behind} not synced yet`, word };
 }
 

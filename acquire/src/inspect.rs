@@ -143,7 +143,7 @@ impl Summary {
                 found.channels.len()
             ),
             None => format!(
-                "the summary states {} frames with samples, {} of them with a kept one, and {} samples in these, but the take holds {}, {} and {}",
+                "the summary states {} frames with samples, {} with kept samples, and {} samples in the latter, but the take holds {}, {} and {}",
                 stated.rows_with_samples,
                 stated.key_rows,
                 stated.samples_in_key_rows,

@@ -17,7 +17,7 @@ pub struct CompletionsArgs {
 /// The arguments of the command that prints a manual page, or writes all of them.
 #[derive(Debug, clap::Args)]
 pub struct ManArgs {
-    /// The command whose page to print, in as many words as it has [default: the program itself]
+    /// The command whose page to print; subcommands as further words [default: the program itself]
     #[arg(value_name = "COMMAND")]
     command: Vec<String>,
     /// Write the pages of all commands into this folder instead, which must exist; replaces existing pages

@@ -18,7 +18,7 @@ pub enum State {
     Armed,
     /// A take is being written.
     Recording,
-    /// A take could not be completed, or the data plane failed: see `failure`.
+    /// A take could not be completed, or the recording pipeline failed: see `failure`.
     Failed,
 }
 
@@ -113,7 +113,7 @@ pub struct OutageStatus {
     /// Frames due in that time at the device's rate. A take in progress misses them; its ledger counts them once the
     /// device is back or the take ends.
     pub frames: u64,
-    /// Seconds until the service gives up the device and ends the take; `None` if it is `silent`, because then the
+    /// Seconds until the service stops waiting for the device and ends the take; `None` if it is `silent`, because then the
     /// service waits without a limit.
     pub ends_in_s: Option<f64>,
 }
@@ -131,7 +131,7 @@ pub struct InputStatus {
     pub ring_fill: f64,
     /// 99th percentile of the time from a frame's last byte to its place in every ring, in microseconds.
     pub ring_latency_p99_us: u64,
-    /// 99th percentile of the delay of frames after the line fitted to the clock, in microseconds; 0 while unknown.
+    /// 99th percentile of the delay of frames against the clock line, in microseconds; 0 while unknown.
     pub jitter_p99_us: u64,
     /// How much faster the host's clock runs than the device's, in parts per million.
     pub drift_ppm: f64,
@@ -269,7 +269,7 @@ pub enum ServiceEventKind {
     Mark,
     /// Something may need attention.
     Warning,
-    /// A take could not be completed, or the data plane failed.
+    /// A take could not be completed, or the recording pipeline failed.
     Failure,
     /// A capture trigger was received.
     Trigger,

@@ -95,11 +95,11 @@ impl ClockReport {
             writeln!(out, "  {name:>15} {text}").ok();
         };
         let within = match self.drift_bound_ppm {
-            Some(ppm) => format!(" within {ppm:.1}"),
-            None => ", accuracy unknown without round trips".to_owned(),
+            Some(ppm) => format!(" +- {ppm:.1} ppm"),
+            None => " ppm, accuracy unknown without round trips".to_owned(),
         };
         let faster = self.faster_clock();
-        line("drift", &format!("{:+.1} ppm{within}: {faster}", self.drift_ppm));
+        line("drift", &format!("{:+.1}{within}: {faster}", self.drift_ppm));
         let ClockPoint { device_ticks, host_ns } = self.at;
         let host_s = host_ns as f64 * 1e-9;
         let known = match self.bound_us {

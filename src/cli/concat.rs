@@ -17,9 +17,9 @@ use super::{
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "All takes need the same markers (more may follow in later takes), rate, resampler, \
-    tolerance, unit and up axis. Takes of one recording continue each other: frames that are missing between two of \
-    them become lost frames of the new take. An event marks the beginning of any other take."
+    after_help = "All takes need the same markers (later takes may have more), rate, resampler, tolerance, \
+    unit and up axis. Between takes of one recording, frames that are in none of them become lost frames of the new \
+    take. An event marks the beginning of any other take."
 )]
 pub(crate) struct Args {
     /// The takes, in order; they are not changed

@@ -87,7 +87,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let device = Device::new(Arc::clone(&motion), DeviceSettings::default())?;
     let simulated = SimulatedDevice::start(device)?;
     print(&format!(
-        "1. a simulated device of {} at {}, {seconds} s of a standing long jump, on {}\n\
+        "1. a simulated device with {} at {}, {seconds} s of a standing long jump, on {}\n\
          2. recording it over that line, each marker resampled within {} mm ...\n",
         count(motion.info.markers.len() as u64, "marker"),
         rate(args.rate),
@@ -129,10 +129,9 @@ fn show_take(take: &Path) -> anyhow::Result<()> {
     let summary = Summary::read(BufReader::new(files::open(take)?))?;
     let gaps: u64 = summary.per_channel.iter().map(|channel| channel.gaps).sum();
     print(&format!(
-        "3. in the take: {} of {} kept, in {} per marker; {} in the trajectories\n",
+        "3. in the take: {} of {} kept; {} in the trajectories\n",
         thousands(summary.statistics.knots()),
         count(summary.samples(), "sample"),
-        count(summary.stretches, "block"),
         count(gaps, "gap")
     ))
 }

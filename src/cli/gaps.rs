@@ -124,7 +124,7 @@ impl CsvOutput {
         Ok(match &args.output {
             None => Self::Nowhere,
             Some(path) if paths::is_dash(path) && args.json => {
-                let message = "standard output cannot have both the CSV and the JSON document: give -o a file";
+                let message = "standard output cannot have both the CSV and the JSON document: name a file with -o";
                 bail!(UsageError(message.to_owned()))
             }
             Some(path) if paths::is_dash(path) => Self::Stdout(String::new()),

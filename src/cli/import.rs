@@ -42,8 +42,8 @@ pub(crate) struct Args {
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// The take to write, which must not exist, or the folder for the takes of several files; `-` writes one take to
-    /// standard output. In a folder or beside its file, a take of the same file and settings that exists is left as it
-    /// is [default: beside each file]
+    /// standard output. In a folder, or beside its file, a take that was already imported from the same file with the same
+    /// settings is left unchanged [default: beside each file]
     #[arg(short, long, value_name = "TAKE")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -146,7 +146,7 @@ impl ImportPlan<'_> {
         let n_samples = info.n_frames.saturating_mul(info.markers.len() as u64);
         let header = import.header()?;
         drop(reading);
-        let output = job.output.context("no output was planned")?;
+        let output = job.output.context("no output name: please report this bug")?;
         let before = if paths::is_dash(output) { None } else { existing(output, &header)? };
         let is_unchanged = before.is_some();
         let (info, written) = match before {
@@ -239,10 +239,10 @@ fn check_unit(info: &MotionInfo, file: &Path, tolerance_mm: f64) -> anyhow::Resu
                 "" => "no unit of length is stated".to_owned(),
                 unit => format!("the unit of length `{}` is unknown", plain(unit)),
             };
-            format!("{unit}, and all markers are within {span:.4} of it")
+            format!("{unit}, and all markers lie within {span:.4} units")
         }
         Some(Ambiguity::StatedUnit { stated, span_mm }) => format!(
-            "the unit of length is stated as `{}`, in which all markers are within {span_mm:.4} mm",
+            "the unit of length is stated as `{}`, in which all markers lie within {span_mm:.4} mm",
             plain(stated)
         ),
         _ => return Ok(()),

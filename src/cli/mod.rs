@@ -50,7 +50,7 @@ pub(crate) use output::notify;
 #[command(
     version,
     propagate_version = true,
-    after_help = "Exit codes: 0 done, 1 failed, 2 usage or refused input value, 3 done but data was lost"
+    after_help = "Exit codes: 0 done, 1 failed, 2 usage error or refused value, 3 done but data was lost"
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]
@@ -163,7 +163,7 @@ Install it, for new shells:
   mocapd completions fish >~/.config/fish/completions/mocapd.fish
   mocapd completions zsh >DIR/_mocapd     DIR is a folder in $fpath
 
-The Debian package has done this.";
+The Debian package already does this.";
 
 const MAN_EXAMPLES: &str = "\
 Examples:
@@ -171,7 +171,7 @@ Examples:
   mocapd man plot pose | man -l -
   mocapd man --out ~/.local/share/man/man1     then: man mocapd-import
 
-The Debian package has installed the pages.";
+The Debian package installs the pages.";
 
 pub(crate) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
     print_exact(&manual::completions(args, Cli::command()))?;

@@ -160,7 +160,7 @@ impl MotionFileInfo {
         let length = length_of_time(self.seconds);
         line("motion", &format!("{frames} of {markers} at {}, {length}", rate(self.rate_hz)));
         let unit = if self.unit.is_empty() { "not stated" } else { &self.unit };
-        line("unit", &format!("{unit}, {} mm", self.factor));
+        line("unit", &format!("{unit} (factor to mm: {})", self.factor));
         line("up", self.up_axis.unwrap_or("not stated"));
         let (samples, raw) = (count(self.samples, "sample"), bytes(self.raw_bytes));
         line("samples", &format!("{samples}, {raw} as float32"));
@@ -267,7 +267,7 @@ pub(super) fn verify(job: &Job<'_>) -> anyhow::Result<FileReport> {
 impl VerifiedMotionFile {
     fn line(&self) -> String {
         let state = match self.frames_missing {
-            0 => "whole".to_owned(),
+            0 => "complete".to_owned(),
             n => format!("TRUNCATED, {} missing", count(n, "frame")),
         };
         let warnings = match self.warnings.len() {

@@ -119,8 +119,8 @@ pub(super) fn are_one(one: &Path, other: &Path) -> bool {
     one == other || (is_same_folder && one.file_name() == other.file_name())
 }
 
-/// A path that is the same for every name of a file that may not exist yet: of its deepest folder that exists, the real
-/// path.
+/// A path with its symbolic links resolved, as far as its folders exist: paths of one file compare equal, even before it
+/// exists.
 pub(super) fn resolved(path: &Path) -> PathBuf {
     let mut missing = Vec::new();
     let mut at = path;

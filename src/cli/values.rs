@@ -154,7 +154,7 @@ const DEFAULT_EFFORT: u8 = 3;
 /// How hard to encode a whole take.
 #[derive(Debug, Args)]
 pub(crate) struct EffortArgs {
-    /// Effort of the resampler dense, 1 to 9: more makes smaller takes and takes longer. 1 is that of a recording
+    /// Effort of the resampler dense, 1 to 9: higher levels need more time and make smaller files; recordings use 1
     /// [default: 3]
     #[arg(long, value_name = "N", value_parser = str::parse::<Effort>)]
     effort: Option<Effort>,
@@ -172,7 +172,7 @@ impl EffortArgs {
             (_, None) => Ok(Effort::MIN),
             (kind, Some(_)) => {
                 bail!(UsageError(format!(
-                    "{kind} encodes in one way: omit --effort, which is dense's"
+                    "--effort is for the resampler dense: omit it with {kind}"
                 )))
             }
         }

@@ -58,7 +58,7 @@ impl std::fmt::Debug for EditContext<'_> {
 /// The error for a take that is not whole.
 fn damaged(problem: &Problem) -> TakeError {
     TakeError::InvalidArgument(format!(
-        "only a complete take can be cut or joined, but {problem}: use the take that `mocapd recover` writes"
+        "only complete takes can be cut or joined: use the take that `mocapd recover` writes ({problem})"
     ))
 }
 

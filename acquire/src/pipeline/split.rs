@@ -94,20 +94,20 @@ impl SplitSchedule {
         }
     }
 
-    /// Whether a take ends at or before a frame of this row, however long the writer finds it.
+    /// Whether a division is due at or before this row; by size, the writer decides.
     pub(super) fn is_due(self, row: u64) -> bool {
         matches!(self, Self::Rows { next, end, .. } if row >= next && next < end)
     }
 
-    /// The first row of the take that a frame of this row is in, if it is another than before. `is_asked`: the writer
-    /// asks for one.
+    /// If a frame of this row begins a new take: that take's first row, which lies before `row` if lost frames lie
+    /// between. `is_asked`: the writer has asked for a new take.
     pub(super) fn take_due(&mut self, row: u64, is_asked: bool) -> Option<u64> {
         let is_due = self.is_due(row);
         match self {
             Self::Never => None,
             Self::Rows { every, next, .. } => is_due.then(|| {
                 let first_row = *next;
-                // Past the places between lost rows: no take is without a frame.
+                // Skips divisions that lie within a loss: a take without a frame would be empty.
                 *next = (row / *every).saturating_add(1).saturating_mul(*every);
                 first_row
             }),

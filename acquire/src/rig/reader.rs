@@ -388,7 +388,7 @@ pub(super) struct Reader<'a> {
     pub(super) end: Option<()>,
     /// A hello received during the stream: the device identified itself again.
     new_hello: Option<Hello>,
-    /// Open while the device's identity was queried because no frame came.
+    /// Set when the device was asked for its identity because no frame came; cleared by the next frame.
     pub(super) query: Option<IdentityQuery>,
     /// The device's last status report of this run.
     pub(super) last_status: Option<Status>,
@@ -564,7 +564,7 @@ impl Rig {
         if reader.restarts <= RESTARTS_REPORTED_MAX {
             reader.intake.event(host_event("the device identified itself and was restarted"));
             (options.notify)(
-                "the device identified itself, as after a reset, a power loss or a long silence: it was restarted",
+                "the device identified itself, as after a reset, a power loss or a long silence: mocapd started it again",
             );
         }
         if now.rate_millihertz != self.hello.rate_millihertz {

@@ -7,7 +7,7 @@ use crate::CodecError;
 
 /// How much time the encoder of `dense` takes to make blocks smaller; other resamplers have one way to encode.
 ///
-/// Time is a factor on effort 1, bytes are against it: geometric means over 20 recorded takes at six tolerances from 0.1
+/// Time is relative to effort 1, and bytes are the change from it: geometric means over 20 recorded takes at six tolerances from 0.1
 /// to 20 mm.
 ///
 /// | effort | rows whose points are searched | plans at a time | time | bytes |
@@ -34,7 +34,7 @@ pub(super) struct SearchDepth {
 }
 
 impl Effort {
-    /// The least effort: every row is chosen as it comes. The only one for recording.
+    /// The least effort: each row is chosen without looking ahead. Recordings always use it.
     pub const MIN: Self = Self(1);
     /// The greatest effort.
     pub const MAX: Self = Self(9);

@@ -7,8 +7,8 @@
 //! are interpolated. Shi et al. place spline knots freely. Here the rows lie on a dyadic grid: a block is cut into
 //! spans of [`SPAN`] rows; the last row of a run in a span is its *anchor*, extrapolated in time; the rows of the
 //! strides 32, 16, 8, 4, 2 and 1 follow, each predicted by a cubic through four decoded rows. A row whose prediction
-//! lies inside the tolerance ball is not kept and costs one cheap decision: the ball has 4.19, its inscribed cube 1.54
-//! cubed tolerances. A fixed grid needs no knot times, and residuals of different markers fall on the same rows, so
+//! lies inside the tolerance ball is not kept and costs one cheap decision; the ball has a volume of 4.19 cubed
+//! tolerances, its inscribed cube only 1.54. A fixed grid needs no knot times, and residuals of different markers fall on the same rows, so
 //! that one marker can predict another. In a prototype at 1 mm the grid coded about as many samples as a spline keeps
 //! free knots, at 10.8 to 12.5 bits per sample in place of 15 to 20 per knot. Interpolation scales the quantisation
 //! noise of the decoded rows by 0.8, a second difference by the square root of 6.
@@ -49,7 +49,7 @@
 //! - [`first_row`] and [`residual`]: the syntax of a row
 //! - [`level`]: the rows of one level of one run; [`walk`]: the order of all rows of a group
 //! - [`candidates`] and [`level_samples`]: the greedy choice of lattice points
-//! - [`planner`]: choices by what they lead to, with [`run_search`] for one run, over [`trial`]s that are priced with
+//! - [`planner`]: choices by their later cost, with [`run_search`] for one run, over [`trial`]s that are priced with
 //!   [`cost`]; [`effort`]: how far
 //! - [`row_encoder`], [`encoder`] and [`decoder`]: blocks
 

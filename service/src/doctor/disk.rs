@@ -168,7 +168,8 @@ fn speed(bytes_per_s: f64) -> Finding {
 fn sync(syncs: &LatencyHistogram) -> Finding {
     let ms = |ns: u64| ns as f64 * 1e-6;
     let (p50, max) = (syncs.quantile_ns(0.5), syncs.max_ns());
-    let seen = format!("median {:.1} ms, maximum {:.1} ms of {}", ms(p50), ms(max), syncs.count());
+    let seen =
+        format!("median {:.1} ms, maximum {:.1} ms of {} syncs", ms(p50), ms(max), syncs.count());
     let remedy = "record to another disk: a power cut may cost more than the last second";
     Finding::warning_if(max > SYNC_NS_MAX, "disk syncs", seen, remedy)
 }

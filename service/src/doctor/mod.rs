@@ -116,8 +116,12 @@ fn timer_latency() -> Finding {
 fn timer_finding(late: &LatencyHistogram) -> Finding {
     let us = |ns: u64| ns / 1000;
     let (p99, max) = (late.quantile_ns(0.99), late.max_ns());
-    let seen =
-        format!("timer latency {} us (p99), {} us (maximum of {})", us(p99), us(max), late.count());
+    let seen = format!(
+        "timer latency {} us (p99), {} us (maximum of {} sleeps)",
+        us(p99),
+        us(max),
+        late.count()
+    );
     let remedy = "close other programs, or reserve a core for mocapd";
     Finding::warning_if(p99 > LATE_NS_MAX, "wake-ups", seen, remedy)
 }
@@ -245,7 +249,9 @@ fn rules(folders: &[&str]) -> Finding {
         Some(path) => Finding::good(what, format!("{} is installed", path.display())),
         None => Finding::warning(
             what,
-            format!("{NAME} is not installed: only root may open devices, and adapters are slow"),
+            format!(
+                "{NAME} is not installed: only root may open rigs, and serial adapters hold bytes back for up to 16 ms"
+            ),
             format!(
                 "`sudo install -m 644 systemd/{NAME} /etc/udev/rules.d/ && sudo udevadm control --reload`"
             ),

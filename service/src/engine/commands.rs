@@ -250,7 +250,7 @@ impl Inner {
         drop(core);
         let row = row.map_err(|error| busy(&error))?;
         let row = row.row.recv_timeout(MARK_TIMEOUT).map_err(|_| {
-            let message = "the mark was not placed in time: no device, or a host that is too slow";
+            let message = "the mark was not placed in time: check that the device sends frames, and set it again";
             Refusal::unavailable(message)
         })?;
         let message = if text.is_empty() { "a mark" } else { text };

@@ -200,7 +200,9 @@ pub(super) fn normalised(name: &str) -> Result<&str, Refusal> {
 }
 
 fn wrong_ends(name: &str) -> String {
-    format!("name {name:?}: remove '.', '-', ' ' at its start, '.', ' ' at its end")
+    format!(
+        "the take name {name:?} begins with '.', '-' or ' ', or ends with '.' or ' ': remove these"
+    )
 }
 
 /// The name without the extension `.take`, in any case; `None` if it has another or none.

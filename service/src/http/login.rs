@@ -40,8 +40,8 @@ pub(super) struct Login {
 /// form again if they are refused, with the reason.
 #[utoipa::path(post, path = "/login", tag = "login", security(()),
     request_body(content = inline(Login), content_type = "application/x-www-form-urlencoded"),
-    responses((status = 303, description = "Logged in: to the dashboard"),
-        (status = 401, description = "Not the token", body = Problem,
+    responses((status = 303, description = "Logged in: redirects to the dashboard"),
+        (status = 401, description = "Wrong token", body = Problem,
             content_type = "application/problem+json")))]
 pub(super) async fn login(app: State<Shared>, request: Request) -> Result<Response, Problem> {
     let (parts, body) = request.into_parts();
@@ -66,7 +66,7 @@ pub(super) async fn login(app: State<Shared>, request: Request) -> Result<Respon
 
 /// Log out a browser
 #[utoipa::path(post, path = "/logout", tag = "login",
-    responses((status = 303, description = "Logged out: to the login page")))]
+    responses((status = 303, description = "Logged out: redirects to the login page")))]
 pub(super) async fn logout(app: State<Shared>, headers: HeaderMap) -> Result<Response, Problem> {
     app.auth.close_session(&headers);
     let mut response = Redirect::to("/login").into_response();

@@ -220,7 +220,7 @@ impl StatusMetrics {
             gauge input_ring_fill in Ratio = input.ring_fill;
             /// Time from a frame's last byte to its place in every ring, 99th percentile
             gauge input_ring_latency_p99 in Seconds = input.ring_latency_p99_us as f64 / 1e6;
-            /// Delay of frames after the line fitted to the clock, 99th percentile; 0 while unknown
+            /// 99th percentile of the delay of frames against the clock line; 0 while unknown
             gauge input_jitter_p99 in Seconds = input.jitter_p99_us as f64 / 1e6;
             /// Relative drift: how much faster the host's clock runs than the device's
             gauge input_clock_drift in Ratio = input.drift_ppm / 1e6;

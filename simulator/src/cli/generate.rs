@@ -50,7 +50,7 @@ pub(super) struct GenerateArgs {
 /// Jumps that are generated and wait to be written: one, while the next is being generated.
 const WAITING_MAX: usize = 1;
 
-/// Time between two looks at Ctrl-C, which is to be answered within 0.3 s.
+/// Interval at which Ctrl-C is checked, which must take effect within 0.3 s.
 const STEP: Duration = Duration::from_millis(50);
 
 pub(super) fn run(args: &GenerateArgs) -> Result<(), Failure> {

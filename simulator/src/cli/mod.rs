@@ -21,7 +21,7 @@ pub(crate) use output::notify;
     name = "mocapd-sim",
     version,
     propagate_version = true,
-    after_help = "Exit codes: 0 done, 1 failed, 2 usage or refused input value"
+    after_help = "Exit codes: 0 done, 1 failed, 2 usage error or refused value"
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]
@@ -95,14 +95,14 @@ Install it, for new shells:
   mocapd-sim completions fish >~/.config/fish/completions/mocapd-sim.fish
   mocapd-sim completions zsh >DIR/_mocapd-sim     DIR is a folder in $fpath
 
-The Debian package has done this.";
+The Debian package already does this.";
 
 const MAN_EXAMPLES: &str = "\
 Examples:
   mocapd-sim man serve | man -l -
   mocapd-sim man --out ~/.local/share/man/man1     then: man mocapd-sim-serve
 
-The Debian package has installed the pages.";
+The Debian package installs the pages.";
 
 fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
     Ok(print_exact(&manual::completions(args, Cli::command()))?)

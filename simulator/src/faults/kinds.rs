@@ -159,7 +159,7 @@ kinds! {
     /// Random bytes arrive before the device's Hello.
     Garbage = "garbage", windowed: false, {
         bytes: usize = key("bytes", "bytes", 1.0, 65_536.0),
-        #[serde(default = "one")] times: u64 = optional("times", "greetings", 1.0, 1000.0)
+        #[serde(default = "one")] times: u64 = optional("times", "Hellos", 1.0, 1000.0)
     }
 }
 

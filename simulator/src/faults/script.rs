@@ -19,7 +19,7 @@ pub struct Script {
     pub seed: u64,
     /// The faults, in the script's order.
     pub faults: Vec<ScheduledFault>,
-    /// What a recording should come to. Tests read it; the device does not.
+    /// The expected result of a recording. Tests read it; the device does not.
     pub expect: Option<ExpectedRecording>,
 }
 
@@ -133,7 +133,7 @@ pub(super) fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// What a recording of a device under the script should come to.
+/// The expected result of a recording under the script.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Default)]
 #[serde(deny_unknown_fields)]
 pub struct ExpectedRecording {
@@ -324,7 +324,7 @@ fn number(value: &DeValue<'_>) -> Option<f64> {
 fn check_range(value: &Spanned<DeValue<'_>>, key: &KeySpec) -> Result<(), CheckError> {
     let KeySpec { name, unit, min, max, .. } = key;
     let is_bool = *unit == "bool";
-    let is_whole = ["frames", "markers", "bytes", "greetings", "ms"].contains(unit);
+    let is_whole = ["frames", "markers", "bytes", "Hellos", "ms"].contains(unit);
     let fits = match value.get_ref() {
         DeValue::Boolean(_) => is_bool,
         DeValue::Float(_) if is_whole => false,

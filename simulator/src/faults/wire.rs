@@ -47,7 +47,7 @@ pub(super) struct WireFaults {
     /// Bytes for the line.
     pub(super) out: Vec<u8>,
     n_others: u64,
-    n_greetings: u64,
+    n_hellos: u64,
     /// Time of the last frame since the first Start, which also stands for messages without a time of their own.
     since_ns: Option<u64>,
     /// Kinds that destroyed the 0x00 of the last message, which now runs into the next one.
@@ -75,7 +75,7 @@ impl WireFaults {
             late: Vec::new(),
             out: Vec::new(),
             n_others: 0,
-            n_greetings: 0,
+            n_hellos: 0,
             since_ns: None,
             unterminated: Kinds::default(),
             scratch: Vec::new(),
@@ -187,12 +187,12 @@ impl WireFaults {
     }
 
     fn garbage(&mut self) {
-        self.n_greetings += 1;
+        self.n_hellos += 1;
         let script = Arc::clone(&self.script);
         for (index, scheduled) in script.faults.iter().enumerate() {
             match scheduled.fault {
-                Fault::Garbage { bytes, times } if self.n_greetings <= times => {
-                    let mut rng = stream(&script, index, self.n_greetings);
+                Fault::Garbage { bytes, times } if self.n_hellos <= times => {
+                    let mut rng = stream(&script, index, self.n_hellos);
                     let garbage: Vec<u8> = (0..bytes).map(|_| rng.next_u64() as u8).collect();
                     self.fates.queued(garbage.len(), None);
                     self.counts.add(Kind::Garbage, 1);

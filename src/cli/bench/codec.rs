@@ -46,7 +46,7 @@ pub(crate) struct Args {
     /// A tolerance; can be repeated [default: 0.1 0.5 1 5 10 20 mm]
     #[arg(long = "tolerance", value_name = "LENGTH", value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
-    /// An effort of dense; can be repeated [default: 1]
+    /// An effort of the resampler dense, 1 to 9; can be repeated [default: 1]
     #[arg(long = "effort", value_name = "N", value_parser = str::parse::<Effort>)]
     efforts: Vec<Effort>,
     /// Measurements of each speed, of at least 20 ms and one run each; the median is reported

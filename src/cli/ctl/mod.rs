@@ -136,7 +136,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 /// Deserialises an answer; a service of another version may answer something else.
 fn read<T: DeserializeOwned>(document: &Value) -> anyhow::Result<T> {
-    T::deserialize(document).context("cannot read the reply: the service may be another version")
+    T::deserialize(document).context("cannot read the reply: the service may be of another version")
 }
 
 /// Prints an answer, as JSON or as text, and returns it.

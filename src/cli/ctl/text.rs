@@ -62,7 +62,7 @@ pub(super) fn status(status: &Status) -> String {
     if let Some(take) = &status.last_take {
         let (name, size, health) = (plain(&take.name), bytes(take.bytes), take.health.name());
         let ending = take.ending.map_or("", EndingKind::name);
-        writeln!(out, "  before    {name}: {size}, {health}, ended: {ending}").ok();
+        writeln!(out, "  last take {name}: {size}, {health}, ended: {ending}").ok();
     }
     writeln!(out, "  disk      {}, in {}", disk(status), plain(&status.disk.directory)).ok();
     out
@@ -103,7 +103,7 @@ pub(super) fn watch_line(status: &Status) -> String {
 /// Free disk space, and how long it lasts.
 fn disk(status: &Status) -> String {
     // On a full disk a take still has its reserve, so the remaining time would be wrong.
-    let Some(free_bytes) = status.disk.free_bytes else { return "unknown free".to_owned() };
+    let Some(free_bytes) = status.disk.free_bytes else { return "free space unknown".to_owned() };
     let free = bytes(free_bytes);
     let left = status.disk.left_s.filter(|_| free_bytes > 0);
     let left = left.map(|left| format!(", enough for {}", duration(left)));
@@ -145,8 +145,11 @@ fn duration(seconds: u64) -> String {
 
 pub(super) fn started(started: &Started) -> String {
     let before = started.first_frame.before_request_s;
-    let pre_roll =
-        if before > 0.0 { format!(", from {before:.2} s before") } else { String::new() };
+    let pre_roll = if before > 0.0 {
+        format!(", from {before:.2} s before the request")
+    } else {
+        String::new()
+    };
     format!("recording {}{pre_roll}\n", plain(&started.path.display().to_string()))
 }
 

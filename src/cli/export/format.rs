@@ -40,7 +40,7 @@ pub(super) struct FormatArgs {
     /// For bids: number of the run, if the subject has several of the task
     #[arg(long, value_name = "NUMBER")]
     run: Option<String>,
-    /// For bids: label of the task, letters and digits [default: those in the take's name]
+    /// For bids: label of the task, letters and digits [default: the letters and digits of the take's name]
     #[arg(long, value_name = "LABEL")]
     task: Option<String>,
 }

@@ -195,7 +195,7 @@ impl ExportPlan<'_> {
     fn export(&self, job: &Job<'_>) -> anyhow::Result<FileReport> {
         let (args, format) = (self.args, self.format);
         let name = job.input.name.display();
-        let output = job.output.context("no output was planned")?;
+        let output = job.output.context("no output name: please report this bug")?;
         let reading = || format!("cannot read {name}");
         let file = SparseFile::open(&job.input.path)?;
         let bytes_read = file.len_bytes().with_context(reading)?;

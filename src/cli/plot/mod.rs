@@ -99,8 +99,8 @@ pub(crate) struct PictureArgs {
     /// `-` writes to standard output [default: beside each file]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Format of the plots: svg or png [default: by the extension of the output, else svg]; for a trajectory also, as a
-    /// time, the end of the plot: plot frames before it
+    /// Format of the plots: svg or png [default: by the extension of the output, else svg]; or, for `plot trajectory`
+    /// only, a time: plot frames before it
     #[arg(long, value_name = "FORMAT|TIME", allow_hyphen_values = true)]
     to: Vec<TimeOrFormat<PictureFormat>>,
     #[command(flatten)]
@@ -151,7 +151,7 @@ pub(crate) struct Picture<'a> {
     pub(crate) end: Option<Duration>,
 }
 
-/// What a plot is of: all of the time, or a range.
+/// The part of the take that a plot can show: all of it, or a range of time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum TimeSpan {
     All,
@@ -230,7 +230,7 @@ impl PictureArgs {
         in_folder: bool,
         draw: &impl Fn(&Picture<'_>) -> anyhow::Result<String>,
     ) -> anyhow::Result<FileReport> {
-        let output = job.output.context("no output was planned")?;
+        let output = job.output.context("no output name: please report this bug")?;
         let (take, bytes_read) = read_picture_source(job)?;
         let original = self.against.as_ref().map(|path| original(job, &take, path)).transpose()?;
         let picture = Picture { job, name: file_name(&job.input.name), take, original, end };

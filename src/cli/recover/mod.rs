@@ -66,7 +66,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 fn recover(job: &Job<'_>, is_folder: bool) -> anyhow::Result<FileReport> {
     let name = job.input.name.display();
-    let output = job.output.context("no output was planned")?;
+    let output = job.output.context("no output name: please report this bug")?;
     let reading = || format!("cannot read {name}");
     let file = SparseFile::open(&job.input.path)?;
     let file_bytes = file.len_bytes().with_context(reading)?;

@@ -156,7 +156,7 @@ impl LimbsReport {
         if !off.is_empty() {
             let all = self.bones.len();
             found.push(format!(
-                "{} of {all} bones of the skeleton do not fit the take, in which their lengths differ: {}",
+                "{} of {all} bones do not fit (other lengths in the take than in the skeleton): {}",
                 off.len(),
                 off.join(", ")
             ));

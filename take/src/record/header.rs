@@ -373,7 +373,9 @@ fn read_channels(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
             marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id exceeds 65535")?;
         }
         let n = if head & 15 >= LONG { bytes.varint().ok_or(CUT)? } else { u64::from(head & 15) };
-        let beginning = previous_label.get(..shared).ok_or("a label shares too many bytes")?;
+        let beginning = previous_label
+            .get(..shared)
+            .ok_or("a label repeats more bytes than the one before it has")?;
         // Limit the memory of the table like that of other records: a byte here may claim at most as much.
         claimed = (claimed + (ENTRY_BYTES + shared) as u64).saturating_add(n);
         if claimed > LIMIT_BYTES as u64 {

@@ -30,7 +30,7 @@ const ODDS: u8 = 32;
 /// The content of the section.
 ///
 /// # Errors
-/// `InvalidArgument` for figures that no take can have.
+/// `InvalidArgument` if the counts do not fit together.
 pub(super) fn to_section(statistics: &TakeStatistics) -> Result<Vec<u8>, TakeError> {
     let mut out = VERSION.to_le_bytes().to_vec();
     varint::put(&mut out, statistics.channels.len() as u64);
@@ -40,7 +40,9 @@ pub(super) fn to_section(statistics: &TakeStatistics) -> Result<Vec<u8>, TakeErr
     if coder.finish() && is_possible && statistics.channels.len() <= CHANNELS_MAX {
         return Ok(out);
     }
-    Err(TakeError::InvalidArgument("statistics that no take can have".to_owned()))
+    Err(TakeError::InvalidArgument(
+        "impossible statistics: their counts do not fit together".to_owned(),
+    ))
 }
 
 /// Decodes the content of the section in the chunk at file offset `offset`.
@@ -49,7 +51,8 @@ pub(super) fn to_section(statistics: &TakeStatistics) -> Result<Vec<u8>, TakeErr
 /// `Unsupported` for another version, `Corrupt`.
 pub(super) fn of_section(section: &[u8], offset: u64) -> Result<TakeStatistics, TakeError> {
     let content = section_content(section, NAME, VERSION, offset)?;
-    decode(content).ok_or_else(|| TakeError::corrupt(NAME, offset, "figures that no take can have"))
+    decode(content)
+        .ok_or_else(|| TakeError::corrupt(NAME, offset, "its counts do not fit together"))
 }
 
 fn decode(content: &[u8]) -> Option<TakeStatistics> {

@@ -233,7 +233,7 @@ impl SummaryRecord {
         let mut cursor = Cursor::new(sections);
         while !cursor.is_empty() {
             let (Some(tag), Some(section)) = (cursor.varint(), cursor.prefixed()) else {
-                return Err(corrupt("its sections do not fit it"));
+                return Err(corrupt("a section ends outside the summary"));
             };
             let is_twice = match tag {
                 ENDING_TAG => summary.ending.is_some(),

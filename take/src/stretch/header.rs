@@ -160,7 +160,7 @@ impl<'a> StretchHeader<'a> {
         let shape = if head & PLAIN != 0 { HAS_TIMES } else { cursor.byte().ok_or(short)? };
         let key = head & KEY != 0;
         if !is_known(shape) {
-            return Err("unknown shape: use a newer mocapd");
+            return Err("unknown form of its header: use a newer mocapd");
         }
         let from_row = if key { Some(cursor.varint().ok_or(short)?) } else { None };
         let listed = shape & ROWS_LISTED != 0;

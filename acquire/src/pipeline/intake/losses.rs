@@ -50,7 +50,7 @@ impl Intake {
         let (missing, causes, how, why) = match self.counter.rejoin(frame.seq, frame.device_ticks) {
             Some(missing) => {
                 let causes = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
-                (u64::from(missing), causes, "continues", "are missing by its counter")
+                (u64::from(missing), causes, "continues", "are missing according to its counter")
             }
             // The counter does not cover the time between; use the host's clock, so that the take keeps time.
             None => {

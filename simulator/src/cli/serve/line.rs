@@ -14,8 +14,8 @@ use crate::cli::Failure;
 pub(super) struct LineArgs {
     /// Serve on a pty; with PATH, create a symbolic link to it there, as its stable name
     ///
-    /// `--pty PATH` and `--pty=PATH` are the same. A motion or a log is never the link: `--pty jump.c3d` plays
-    /// jump.c3d on a pty without a link.
+    /// `--pty PATH` and `--pty=PATH` are the same. A file that can be played is never taken for the link:
+    /// `--pty jump.c3d` plays jump.c3d on a pty without a link.
     #[arg(long, value_name = "PATH", num_args = 0..=1, required_unless_present_any = ["usb_gadget", "usb_serial"])]
     pub(super) pty: Option<Option<PathBuf>>,
     /// Act as a USB device with bulk endpoints; needs root and a USB device controller

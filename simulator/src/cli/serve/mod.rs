@@ -86,7 +86,7 @@ pub(super) struct ServeArgs {
     ///
     /// The columns are run, seq, `device_ticks`, present, dropped (the frame never left the device), `host_ns` (the
     /// host's monotonic clock at `device_ticks`) and unasked (an NDI system's frame after the last request); with
-    /// --faults also fate, again, faults and frames.
+    /// --faults also fate, again, faults and frames, which docs/faults.md describes.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     /// Play only this much of the motion: 10s, 500ms, 2min; with --generate, its length [default: one jump]

@@ -135,8 +135,8 @@ const ELBOW_SD: f64 = 0.012;
 /// Standard deviation of knees from their average place on the leg, in body scales.
 const KNEE_SD: f64 = 0.008;
 
-/// Standard deviation of an elbow along the arm, in body scales: that of all elbows on a straight arm, less the more
-/// sharply the arm bends.
+/// Standard deviation of an elbow along the arm, in body scales: that of all elbows on a straight arm, and smaller the
+/// more sharply the arm bends.
 pub(super) fn elbow_sigma(sharpness: f64) -> f64 {
     hinge_sigma(ELBOW_SD, ELBOW_WEIGHT, sharpness)
 }
@@ -146,22 +146,23 @@ pub(super) fn knee_sigma(sharpness: f64) -> f64 {
     hinge_sigma(KNEE_SD, KNEE_WEIGHT, sharpness)
 }
 
-/// The prior alone has a sharpness of twice its weight, and costs relate as variances.
+/// A variance is inversely proportional to the second derivative of the cost; that of the prior alone is twice its
+/// weight.
 fn hinge_sigma(varies: f64, weight: f64, sharpness: f64) -> f64 {
     varies * (2.0 * weight / sharpness.max(2.0 * weight)).sqrt()
 }
 
 /// Largest distance from the end of the hand to its thickest curve, in body scales.
 const HAND_ENDS: f64 = 0.13;
-/// Largest distance from there to the thinnest curve of the forearm.
+/// Largest distance from that thickest curve to the thinnest one of the forearm.
 const THINNEST_REACH: f64 = 0.11;
 /// Girth at the wrist relative to the least girth. The minimum lies on the forearm, is hard to place on a lean one, and
 /// the hand ends abruptly.
 const HAND_TO_FOREARM: f64 = 1.2;
-/// Search range of the wrist from there, towards the hand and towards the elbow. Fat makes the forearm more like the
+/// Search range of the wrist around the level of [`HAND_TO_FOREARM`], towards the hand and towards the elbow. Fat makes the forearm more like the
 /// hand, and a stout hand then seems to end too early.
 const WRIST_REACH: [f64; 2] = [0.02, 0.03];
-/// Standard deviation of the wrist from there.
+/// Standard deviation of the wrist from that level.
 const WRIST_SD: f64 = 0.01;
 /// Weight of the girth: a quarter of what independent deviations would have.
 const WRIST_GIRTH: f64 = 0.25;

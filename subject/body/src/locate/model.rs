@@ -1,6 +1,7 @@
 //! Learned constants: joints as weighted means of landmarks, and the girths of limbs around their joints.
 //!
-//! `benches/subject/learn.py` writes both files in `data/` from the shapes mavg and favg. Change them there.
+//! `benches/subject/learn.py` writes both files in `data/` from two shapes of `MakeHuman`, the average man (mavg) and
+//! the average woman (favg). Change them there.
 
 use std::sync::LazyLock;
 
@@ -88,11 +89,12 @@ pub(super) struct Girth {
     pub(super) measure: Measure,
     /// Mean of the measure at each level.
     pub(super) mean: Vec<f64>,
-    /// Orthogonal modes, scaled by the fraction of a deviation along them that is free. The first two are overall
+    /// Orthogonal modes, each scaled by the fraction of a deviation along it that adds nothing to the misfit. The first two are overall
     /// thickness and taper.
     modes: Vec<Vec<f64>>,
     /// Standard deviation of the residual.
-    rest: f64,
+    #[serde(rename = "rest")]
+    residual_sd: f64,
 }
 
 /// A measure of a curve's length.
@@ -127,7 +129,7 @@ impl Girth {
         let dot = |mode: &Vec<f64>| mode.iter().zip(&deviations).map(|(a, b)| a * b).sum::<f64>();
         let square: f64 = deviations.iter().map(|deviation| deviation * deviation).sum();
         let explained: f64 = self.modes.iter().map(|mode| dot(mode).powi(2)).sum();
-        (square - explained).max(0.0) / (self.rest * self.rest)
+        (square - explained).max(0.0) / (self.residual_sd * self.residual_sd)
     }
 }
 

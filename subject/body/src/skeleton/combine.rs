@@ -3,8 +3,8 @@
 use super::functional::{self, Centre, LENGTH_MAX_MM};
 use super::json::{POSITION_MAX_MM, round};
 use super::{
-    BONES, Bone, BoneEnds, Length, Method, ScanJoints, Skeleton, SkeletonJoint, joint_name, joints,
-    twin,
+    BONES, Bone, BoneEnds, Length, Method, ScanJoints, Skeleton, SkeletonJoint, counterpart,
+    joint_name, joints,
 };
 use crate::mesh::distance;
 use crate::{Estimate, Joint, Joints};
@@ -144,12 +144,12 @@ fn mean_bone(ends: BoneEnds, lengths: &[Length]) -> Bone {
 fn average_sides(bones: &mut [Bone]) {
     let before = bones.to_vec();
     for bone in bones {
-        let twin = twin(&bone.name);
-        if let Some(twin) = before.iter().find(|other| Some(&*other.name) == twin) {
-            bone.length_mm = round((bone.length_mm + twin.length_mm) / 2.0);
+        let counterpart = counterpart(&bone.name);
+        if let Some(counterpart) = before.iter().find(|other| Some(&*other.name) == counterpart) {
+            bone.length_mm = round((bone.length_mm + counterpart.length_mm) / 2.0);
             let larger = |(a, b): (f64, f64)| a.max(b);
-            bone.uncertainty_mm = bone.uncertainty_mm.zip(twin.uncertainty_mm).map(larger);
-            bone.spread_mm = bone.spread_mm.zip(twin.spread_mm).map(larger);
+            bone.uncertainty_mm = bone.uncertainty_mm.zip(counterpart.uncertainty_mm).map(larger);
+            bone.spread_mm = bone.spread_mm.zip(counterpart.spread_mm).map(larger);
         }
     }
 }

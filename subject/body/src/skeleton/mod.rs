@@ -72,7 +72,7 @@ pub fn joint_name(joint: Joint) -> &'static str {
 }
 
 /// The corresponding bone of the other side. Left and right bones are stored in the same order.
-fn twin(name: &str) -> Option<&'static str> {
+fn counterpart(name: &str) -> Option<&'static str> {
     let at = BONES.iter().position(|bone| bone.name == name)?.checked_sub(2)?;
     Some(BONES[2 + (at + 6) % 12].name)
 }

@@ -107,7 +107,7 @@ fn frame(regressor: &LandmarkRegressor, landmarks: &LandmarkPoints) -> Frame {
 /// Maps a face's own coordinates to a picture's: the eyes are at (-1/2, 0) and (1/2, 0), the mouth at (0,
 /// [`Frame::MOUTH`]).
 ///
-/// The map is affine except for the turn of the head. A face is taken for a cylinder of radius R; rotated by an angle
+/// The map is affine except for the turn of the head. A face is modelled as a cylinder of radius R; rotated by an angle
 /// a, a point at x appears at x cos a + sqrt(R^2 - x^2) sin a. To second order, and with the eyes kept in place, that
 /// is x + turn (x^2 - 1/4): one half is wider, and the nose is nearer to the other eye.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -37,12 +37,12 @@ const OTHER_ROWS: [usize; 7] = [7, 5, 6, 4, 8, 0, 9];
 /// the training faces has less), the biases of frontal and turned faces; then four weights per cell, for the left half
 /// of a frontal face and for a whole one whose nose points to the picture's right.
 const TABLE: &[u8] = include_bytes!("../../data/face-template.bin");
-const HEAD: [f32; 3] = f32s(TABLE, 0);
-const EYE_ROWS_MIN: f32 = HEAD[0];
-const FRONTAL_BIAS: f32 = HEAD[1];
-const TURNED_BIAS: f32 = HEAD[2];
+const HEADER: [f32; 3] = f32s(TABLE, 0);
+const EYE_ROWS_MIN: f32 = HEADER[0];
+const FRONTAL_BIAS: f32 = HEADER[1];
+const TURNED_BIAS: f32 = HEADER[2];
 /// Size of the header, and of a cell's weights.
-const HEAD_BYTES: usize = 3 * size_of::<f32>();
+const HEADER_BYTES: usize = 3 * size_of::<f32>();
 const CELL_BYTES: usize = size_of::<Cell>();
 
 /// Gradients of a cell: brighter to the right, to the left, down, up.
@@ -58,8 +58,8 @@ pub(super) struct Cells {
 
 impl Cells {
     /// Pools square roots of brightness; incomplete cells at the right and at the bottom are dropped.
-    pub(super) fn new(root: &Plane) -> Self {
-        let (across, down) = (root.width() / CELL_PX, root.height() / CELL_PX);
+    pub(super) fn new(roots: &Plane) -> Self {
+        let (across, down) = (roots.width() / CELL_PX, roots.height() / CELL_PX);
         let mut cells = vec![Cell::default(); across * down];
         let mut energy = Plane::filled(across, down, 0.0);
         for (y, (row, energies)) in cells
@@ -68,9 +68,9 @@ impl Cells {
             .enumerate()
         {
             for y in [CELL_PX * y, CELL_PX * y + 1] {
-                let upper = root.row(y.saturating_sub(1));
-                let lower = root.row((y + 1).min(root.height() - 1));
-                pool(root.row(y), upper, lower, row, energies);
+                let upper = roots.row(y.saturating_sub(1));
+                let lower = roots.row((y + 1).min(roots.height() - 1));
+                pool(roots.row(y), upper, lower, row, energies);
             }
         }
         let around = energy.blurred(AROUND_CELLS);
@@ -149,7 +149,7 @@ fn smooth(cells: &mut [Cell], across: usize) {
 type Weights = [[Cell; SIDE]; SIDE];
 
 /// Weights of a face whose nose points to the picture's right.
-const TURNED: Weights = weights(HEAD_BYTES + SIDE * SIDE / 2 * CELL_BYTES, SIDE);
+const TURNED: Weights = weights(HEADER_BYTES + SIDE * SIDE / 2 * CELL_BYTES, SIDE);
 
 /// The template of one head pose.
 #[derive(Debug)]
@@ -165,7 +165,7 @@ pub(super) struct Template {
 /// Frontal; the nose to the picture's right; to its left.
 pub(super) static TEMPLATES: [Template; 3] = [
     Template {
-        weights: weights(HEAD_BYTES, SIDE / 2),
+        weights: weights(HEADER_BYTES, SIDE / 2),
         bias: FRONTAL_BIAS,
         frame: Frame { origin: [0.0; 2], across: [1.0, 0.0], down: [0.0, 1.0], turn: 0.0 },
     },

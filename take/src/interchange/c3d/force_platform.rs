@@ -228,7 +228,7 @@ impl PlateLists<'_> {
         let factors = channels.iter().enumerate().map(&mut factor).collect();
         if !unknown.is_empty() {
             warnings.push(format!(
-                "Channels of force plate {number} are in {}; they were read as N, and N times POINT:UNITS.",
+                "Channels of force plate {number} are in {}; they were read as N, moments as N times POINT:UNITS.",
                 unknown.join(", ")
             ));
         }

@@ -42,7 +42,8 @@ impl C3dParameter {
     }
 }
 
-/// Integers that the user guide defines as unsigned: counts, block numbers, and frame numbers of which they are halves.
+/// Integers that the user guide defines as unsigned: counts, block numbers, and the 16-bit halves of frame
+/// numbers.
 const UNSIGNED: [(&str, &str); 7] = [
     ("POINT", "USED"),
     ("POINT", "FRAMES"),
