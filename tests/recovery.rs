@@ -157,9 +157,9 @@ fn a_take_cut_at_any_byte_is_recovered() {
     let first = places(&take)[0].1.end;
     let summary_chunk = places(&take).into_iter().find(|p| p.0 == types::SUMMARY).unwrap().1;
     let mut most = 0;
-    // Every byte of the first and the last part, then every 61st.
+    // Every byte of the first and the last part, then every 127th.
     for cut in (first..take.len())
-        .filter(|cut| *cut < first + 200 || *cut + 200 > take.len() || cut % 61 == 0)
+        .filter(|cut| *cut < first + 200 || *cut + 200 > take.len() || cut % 127 == 0)
     {
         let (scan, _, summary) = check(&take[..cut], &take, &format!("cut at {cut}"));
         let finished = scan.finished;
