@@ -28,9 +28,7 @@ pub(super) struct FirstRow {
 pub(super) fn choose(grid: Grid, position: Position, step: i64, origins: &[Point]) -> FirstRow {
     let units = grid.units(position);
     let steps_from = |from: &Point| -> Point {
-        std::array::from_fn(|axis| {
-            ((units[axis] - from[axis] as f64) / step as f64).round() as i64
-        })
+        std::array::from_fn(|axis| ((units[axis] - from[axis] as f64) / step as f64).round() as i64)
     };
     // In half bits: the exponent, as many mantissa bits, a sign, and the rank of the candidate.
     let cost = |steps: &Point| -> u64 {

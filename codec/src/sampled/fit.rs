@@ -18,6 +18,25 @@ const ESTIMATE: usize = 2048;
 /// Samples of more bits than this are stored instead.
 const STORED_BITS: f64 = 32.0;
 
+/// The channels before one, from which those that predict it are chosen.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Before<'a> {
+    /// Channel after channel, one sample per row of the block.
+    pub(super) samples: &'a [f32],
+    pub(super) n_rows: usize,
+    /// The rows that have a sample of the channel, ascending; `None` for all.
+    pub(super) rows: Option<&'a [u32]>,
+}
+
+impl Before<'_> {
+    /// The rows of a sample of the channel and of the two before it; `None` if there is a gap between them.
+    fn rows(&self, sample: usize) -> Option<[usize; 3]> {
+        let Some(rows) = self.rows else { return Some([sample, sample - 1, sample - 2]) };
+        let row = *rows.get(sample)? as usize;
+        (*rows.get(sample - 2)? as usize + 2 == row).then(|| [row, row - 1, row - 2])
+    }
+}
+
 /// Chooses, with memory that is used again.
 #[derive(Debug, Default)]
 pub(super) struct Fit {
@@ -46,7 +65,7 @@ impl Fit {
         &mut self,
         track: &SampledChannelState,
         samples: &[f32],
-        before: &[f32],
+        before: Before<'_>,
     ) -> (Head, &Cells) {
         self.sorted.clear();
         self.sorted.extend(
@@ -396,19 +415,20 @@ const CORRELATED: usize = 1024;
 const CORRELATION_MIN: f64 = 0.05;
 
 /// Chooses the channels before whose changes are most like this one's.
-fn choose_beside(samples: &[f32], before: &[f32], head: &mut Head) {
-    let n_rows = samples.len();
-    let stride = n_rows / CORRELATED + 1;
-    let bend = |samples: &[f32], row: usize| {
-        let bend = f64::from(samples[row]) - 2.0 * f64::from(samples[row - 1])
-            + f64::from(samples[row - 2]);
+fn choose_beside(samples: &[f32], before: Before<'_>, head: &mut Head) {
+    let n_samples = samples.len();
+    let stride = n_samples / CORRELATED + 1;
+    let bend = |samples: &[f32], rows: [usize; 3]| {
+        let [now, then, earlier] = rows.map(|row| f64::from(samples[row]));
+        let bend = now - 2.0 * then + earlier;
         if bend.abs() < f64::from(f32::MAX) { bend } else { 0.0 }
     };
     let mut best = [(CORRELATION_MIN, 0_u8); NEIGHBOURS];
-    for (channel, other) in before.chunks_exact(n_rows).enumerate() {
+    for (channel, other) in before.samples.chunks_exact(before.n_rows).enumerate() {
         let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
-        for row in (2..n_rows).step_by(stride) {
-            let (a, b) = (bend(samples, row), bend(other, row));
+        for sample in (2..n_samples).step_by(stride) {
+            let Some(rows) = before.rows(sample) else { continue };
+            let (a, b) = (bend(samples, [sample, sample - 1, sample - 2]), bend(other, rows));
             aa += a * a;
             ab += a * b;
             bb += b * b;
