@@ -255,7 +255,7 @@ fn record(own: &Path, uri: &DeviceUri, take: &Path, codec: Settings) -> anyhow::
 
 fn codec_args(codec: Settings) -> Vec<String> {
     match codec.kind {
-        ResamplerKind::Lossless => vec!["--lossless".to_owned()],
+        kind if kind.is_lossless() => vec![format!("--resampler={kind}")],
         kind => {
             vec![format!("--resampler={kind}"), format!("--tolerance={}mm", codec.tolerance.mm())]
         }
