@@ -12,6 +12,9 @@ const GAPS: usize = 32;
 /// Largest number of quanta that a gap in which a quantum is sought may have.
 const DIVISOR_MAX: usize = 12;
 
+/// Quanta of text with up to six decimals.
+const DECIMAL_QUANTA: [f64; 7] = [1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6];
+
 /// Samples from which the bits of a lattice are estimated.
 const ESTIMATE: usize = 2048;
 
@@ -49,6 +52,8 @@ pub(super) struct Fit {
     near: Vec<f64>,
     /// Gaps between neighbouring values, and their possible errors.
     gaps: Vec<(f64, f64)>,
+    /// The last quantum chosen since the key: channels of a group often share it.
+    quantum: Option<f64>,
 }
 
 impl Fit {
@@ -58,6 +63,11 @@ impl Fit {
         self.near.reserve(n_rows);
         self.gaps.reserve(n_rows);
         self.cells.palette.reserve(n_rows.min(PALETTE_MAX));
+    }
+
+    /// Forgets what was chosen.
+    pub(super) fn forget(&mut self) {
+        self.quantum = None;
     }
 
     /// Chooses for the samples of a block, given what the block before had.
@@ -91,6 +101,9 @@ impl Fit {
             self.cells.palette.extend_from_slice(&track.cells.palette);
         } else {
             self.choose_cells(samples.len(), change);
+        }
+        if let CellForm::Lattice { quantum, .. } = self.cells.form {
+            self.quantum = Some(quantum);
         }
         let is_stored = self.cells.form == CellForm::Stored;
         let corrects = !is_stored && !holds_all(&self.cells, samples, mode);
@@ -135,6 +148,12 @@ impl Fit {
             return;
         }
         let mut saved = f64::from(zeros);
+        if let Some((bits, lattice)) = self.lattice(change)
+            && bits > saved + 0.25
+        {
+            saved = bits;
+            self.cells.form = lattice;
+        }
         for decimals in [2, 3, 4, 5, 6] {
             let zeros = (2..20).rev().find(|&zeros| {
                 self.is_decimal(&Cells {
@@ -150,13 +169,6 @@ impl Fit {
                 self.cells.form = CellForm::Float { zeros };
                 self.cells.decimals = Some(decimals);
             }
-        }
-        if let Some((bits, lattice)) = self.lattice(change)
-            && bits > saved + 0.25
-        {
-            saved = bits;
-            self.cells.form = lattice;
-            self.cells.decimals = None;
         }
         if self.values.len() <= PALETTE_MAX.min(n_rows / 3)
             && self.palette_bits(n_rows, change) > saved + 0.25
@@ -227,6 +239,14 @@ impl Fit {
         self.gaps.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         self.gaps.truncate(GAPS);
         let mut best: Option<(f64, CellForm)> = None;
+        // Of few samples at large distances, the gaps do not show a quantum.
+        for quantum in DECIMAL_QUANTA.into_iter().chain(self.quantum) {
+            let lattice = CellForm::Lattice { quantum, offset: 0.0 };
+            let saved = self.saved_bits(lattice, change);
+            if best.is_none_or(|(most, _)| saved > most) {
+                best = Some((saved, lattice));
+            }
+        }
         let mut tried = [0.0_f64; 4];
         for n_tried in 0..tried.len() {
             let Some(quantum) = self.likely_quantum(&tried[..n_tried]) else { break };

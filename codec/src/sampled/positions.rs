@@ -249,6 +249,7 @@ impl Payload for Predictive {
 
     fn reset(&mut self) {
         self.group.forget();
+        self.fit.forget();
         self.forget_rows();
     }
 
