@@ -52,7 +52,9 @@ pub(super) struct Fit {
     near: Vec<f64>,
     /// Gaps between neighbouring values, and their possible errors.
     gaps: Vec<(f64, f64)>,
-    /// The last quantum chosen since the key: channels of a group often share it.
+    /// Whether the channels of a group are likely to have one quantum.
+    shares_quantum: bool,
+    /// If so, the last one chosen since the key.
     quantum: Option<f64>,
 }
 
@@ -63,6 +65,12 @@ impl Fit {
         self.near.reserve(n_rows);
         self.gaps.reserve(n_rows);
         self.cells.palette.reserve(n_rows.min(PALETTE_MAX));
+    }
+
+    /// For channels that are likely to have one quantum: on recorded positions 4 % fewer bytes of 16-bit integers. Analog
+    /// channels need up to 1 % more with it.
+    pub(super) fn with_shared_quantum() -> Self {
+        Self { shares_quantum: true, ..Self::default() }
     }
 
     /// Forgets what was chosen.
@@ -102,7 +110,9 @@ impl Fit {
         } else {
             self.choose_cells(samples.len(), change);
         }
-        if let CellForm::Lattice { quantum, .. } = self.cells.form {
+        if self.shares_quantum
+            && let CellForm::Lattice { quantum, .. } = self.cells.form
+        {
             self.quantum = Some(quantum);
         }
         let is_stored = self.cells.form == CellForm::Stored;
@@ -148,12 +158,6 @@ impl Fit {
             return;
         }
         let mut saved = f64::from(zeros);
-        if let Some((bits, lattice)) = self.lattice(change)
-            && bits > saved + 0.25
-        {
-            saved = bits;
-            self.cells.form = lattice;
-        }
         for decimals in [2, 3, 4, 5, 6] {
             let zeros = (2..20).rev().find(|&zeros| {
                 self.is_decimal(&Cells {
@@ -169,6 +173,13 @@ impl Fit {
                 self.cells.form = CellForm::Float { zeros };
                 self.cells.decimals = Some(decimals);
             }
+        }
+        if let Some((bits, lattice)) = self.lattice(change)
+            && bits > saved + 0.25
+        {
+            saved = bits;
+            self.cells.form = lattice;
+            self.cells.decimals = None;
         }
         if self.values.len() <= PALETTE_MAX.min(n_rows / 3)
             && self.palette_bits(n_rows, change) > saved + 0.25
@@ -193,10 +204,7 @@ impl Fit {
 
     /// Whether almost all values are those of cells that were rounded to decimals.
     fn is_decimal(&self, cells: &Cells) -> bool {
-        let misses = self.values.iter().filter(|&&value| {
-            let value = from_ordered(value);
-            cells.value(cells.nearest(value.into())).to_bits() != value.to_bits()
-        });
+        let misses = self.values.iter().filter(|&&value| !cells.has(value));
         let most = self.values.len() / 32;
         misses.take(most + 1).count() <= most
     }
@@ -240,8 +248,13 @@ impl Fit {
         self.gaps.truncate(GAPS);
         let mut best: Option<(f64, CellForm)> = None;
         // Of few samples at large distances, the gaps do not show a quantum.
-        for quantum in DECIMAL_QUANTA.into_iter().chain(self.quantum) {
+        let decimal = DECIMAL_QUANTA.map(|quantum| (quantum, true));
+        for (quantum, is_exact) in decimal.into_iter().chain(self.quantum.map(|q| (q, false))) {
             let lattice = CellForm::Lattice { quantum, offset: 0.0 };
+            let cells = Cells { form: lattice, ..Cells::default() };
+            if is_exact && !self.values.iter().all(|&value| cells.has(value)) {
+                continue;
+            }
             let saved = self.saved_bits(lattice, change);
             if best.is_none_or(|(most, _)| saved > most) {
                 best = Some((saved, lattice));
@@ -483,9 +496,7 @@ fn spacing(magnitude: f64) -> f64 {
 /// Whether every sample is the value of a cell, or the most frequent one.
 fn holds_all(cells: &Cells, samples: &[f32], mode: Option<u32>) -> bool {
     samples.iter().all(|&sample| {
-        Some(sample.to_bits()) == mode
-            || sample.is_finite()
-                && cells.value(cells.nearest(sample.into())).to_bits() == sample.to_bits()
+        Some(sample.to_bits()) == mode || sample.is_finite() && cells.has(ordered(sample))
     })
 }
 

@@ -210,9 +210,6 @@ impl SampledEncoder {
             )));
         }
         self.group.begin(n_channels, n_rows, key)?;
-        if key {
-            self.fit.forget();
-        }
         let start = out.len();
         if self.encode_coded(channels, n_rows, out) {
             self.group.is_in_step = true;

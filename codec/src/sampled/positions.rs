@@ -140,7 +140,7 @@ impl Predictive {
     pub(crate) fn new() -> Self {
         Self {
             group: Group::new(INDEX_BITS),
-            fit: Fit::default(),
+            fit: Fit::with_shared_quantum(),
             current: PresentSamples::default(),
             continues: [false; GROUP_CHANNELS],
             packed: Vec::new(),

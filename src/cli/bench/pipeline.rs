@@ -17,7 +17,7 @@ use mocapd_acquire::{
     ledger::LedgerDocument,
     pipeline::{NewTake, Pipeline, PipelineConfig},
 };
-use mocapd_codec::{ResamplerKind, Settings};
+use mocapd_codec::Settings;
 use mocapd_drivers::{
     device::{DeviceEvent, Frame, MarkerSample, Protocol},
     link::{DeviceLink, FrameForm, HostLink},
