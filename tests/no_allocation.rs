@@ -128,7 +128,12 @@ fn the_sample_path_does_not_allocate_after_the_start() {
     let motion = spec.generate().unwrap().motion;
     // The first stretch has 24 rows, the others 120; the 1st and the 20th are key stretches.
     let (warm_up, measured) = (wire(&motion, 0, 24 + 4 * 120), wire(&motion, 504, 504 + 20 * 120));
-    for kind in [ResamplerKind::Dense, ResamplerKind::Fast, ResamplerKind::Lossless] {
+    for kind in [
+        ResamplerKind::Dense,
+        ResamplerKind::Fast,
+        ResamplerKind::Lossless,
+        ResamplerKind::LosslessPredictive,
+    ] {
         let codec = Settings { kind, tolerance: Tolerance::from_mm(0.5).unwrap() };
         let channels = header::channels(&motion.info.markers);
         let config = PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels);

@@ -42,7 +42,7 @@ fn main() -> Result<(), CodecError> {
     let raw_bytes = 12 * samples;
     println!("{samples} samples of {N_MARKERS} markers, {raw_bytes} bytes as float32");
     println!("{:<20} {:>8} {:>8} {:>14}", "resampler", "bytes", "ratio", "max error, mm");
-    for name in ["dense", "fast", "lossless", "spline", "sync"] {
+    for name in ["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"] {
         let kind: ResamplerKind = name.parse()?;
         let settings = Settings { kind, tolerance: Tolerance::from_mm(TOLERANCE_MM)? };
         let blocks = encode(&settings, &markers)?;

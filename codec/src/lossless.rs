@@ -46,6 +46,7 @@ impl PayloadEncoder for Lossless {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
+        _exact: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
@@ -57,16 +58,6 @@ impl PayloadEncoder for Lossless {
             report.keep_all(*rows, kept_rows);
         }
         Ok(())
-    }
-
-    fn encode_exact(
-        &mut self,
-        channels: &[Rows<'_>],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-        kept_rows: &mut [bool],
-    ) -> Result<()> {
-        self.encode(channels, out, reports, kept_rows)
     }
 }
 

@@ -8,6 +8,7 @@ use crate::{
     fast::Fast,
     frame::{self, FramedDecoder, FramedEncoder, PayloadDecoder, PayloadEncoder},
     lossless::Lossless,
+    sampled::Predictive,
     spline::{self, Spline},
 };
 
@@ -21,8 +22,10 @@ pub enum ResamplerKind {
     Dense,
     /// The fastest: adaptive sampling with fixed code tables.
     Fast,
-    /// Bit-exact float32.
+    /// Bit-exact float32, as packed differences: fast enough for any recording.
     Lossless,
+    /// Bit-exact float32 in fewer bytes, predicted across time and markers: for imports.
+    LosslessPredictive,
     /// Asynchronous greedy cubic-spline knots (Shi et al. 2012). Offline only.
     Spline(SplineVariant),
     /// Synchronous sampling (Shi et al. 2012): one set of key times for all channels. Offline only.
@@ -39,7 +42,7 @@ impl ResamplerKind {
     /// Whether it is bit-exact, so that the tolerance has no meaning.
     #[must_use]
     pub fn is_lossless(self) -> bool {
-        self == Self::Lossless
+        matches!(self, Self::Lossless | Self::LosslessPredictive)
     }
 }
 
@@ -49,6 +52,7 @@ impl fmt::Display for ResamplerKind {
             Self::Dense => "dense",
             Self::Fast => "fast",
             Self::Lossless => "lossless",
+            Self::LosslessPredictive => "lossless:predictive",
             Self::Spline(SplineVariant::WorstSample) => "spline:worst-sample",
             Self::Spline(SplineVariant::Exhaustive) => "spline:exhaustive",
             Self::Sync(SplineVariant::WorstSample) => "sync:worst-sample",
@@ -65,13 +69,14 @@ impl FromStr for ResamplerKind {
             "dense" => Self::Dense,
             "fast" => Self::Fast,
             "lossless" => Self::Lossless,
+            "lossless:predictive" => Self::LosslessPredictive,
             "spline" | "spline:worst-sample" => Self::Spline(SplineVariant::WorstSample),
             "spline:exhaustive" => Self::Spline(SplineVariant::Exhaustive),
             "sync" | "sync:worst-sample" => Self::Sync(SplineVariant::WorstSample),
             "sync:exhaustive" => Self::Sync(SplineVariant::Exhaustive),
             _ => {
                 return Err(CodecError::InvalidArgument(format!(
-                    "unknown resampler '{name}': use dense, fast, lossless, \
+                    "unknown resampler '{name}': use dense, fast, lossless[:predictive], \
                      spline[:worst-sample|:exhaustive] or sync[:worst-sample|:exhaustive]"
                 )));
             }
@@ -100,6 +105,7 @@ impl Settings {
             ResamplerKind::Dense => self.framed(Dense::new),
             ResamplerKind::Fast => self.framed(Fast::new),
             ResamplerKind::Lossless => self.framed(|_| Lossless::default()),
+            ResamplerKind::LosslessPredictive => self.framed(|_| Predictive::new()),
             ResamplerKind::Spline(variant) => {
                 self.framed(|tolerance| Spline::asynchronous(tolerance, variant))
             }
@@ -134,6 +140,9 @@ impl Settings {
             ResamplerKind::Dense => Box::new(FramedDecoder::new(Dense::new(tolerance), tolerance)),
             ResamplerKind::Fast => Box::new(FramedDecoder::new(Fast::new(tolerance), tolerance)),
             ResamplerKind::Lossless => Box::new(FramedDecoder::new(Lossless::default(), tolerance)),
+            ResamplerKind::LosslessPredictive => {
+                Box::new(FramedDecoder::new(Predictive::new(), tolerance))
+            }
             ResamplerKind::Spline(variant) => {
                 Box::new(FramedDecoder::new(Spline::asynchronous(tolerance, variant), tolerance))
             }
@@ -164,6 +173,7 @@ impl Settings {
             ResamplerKind::Dense => frame::max_block_bytes::<Dense>,
             ResamplerKind::Fast => frame::max_block_bytes::<Fast>,
             ResamplerKind::Lossless => frame::max_block_bytes::<Lossless>,
+            ResamplerKind::LosslessPredictive => frame::max_block_bytes::<Predictive>,
         };
         most(n_channels, n_rows)
     }

@@ -18,8 +18,9 @@ def test_decompressed_samples_are_within_the_tolerance(resampler, tolerance_mm):
     assert error_mm(found, array) <= tolerance_mm
 
 
-def test_lossless_keeps_every_bit(motion):
-    data = mocapd.compress(motion, None, "lossless")
+@pytest.mark.parametrize("resampler", ["lossless", "lossless:predictive"])
+def test_lossless_keeps_every_bit(motion, resampler):
+    data = mocapd.compress(motion, None, resampler)
     np.testing.assert_array_equal(mocapd.decompress(data).view(np.uint32)[:, 0], motion.view(np.uint32)[:, 0])
     assert len(data) < motion.nbytes
 

@@ -1,6 +1,6 @@
 //! A take decoded into memory: its samples, and which of them are knots.
 
-use mocapd_codec::{ResamplerKind, Settings};
+use mocapd_codec::Settings;
 use mocapd_take::{
     TakeError, TakeEvent, TakeTraversal,
     damage::Problem,
@@ -120,7 +120,7 @@ impl DecodedTake {
     #[must_use]
     pub fn coding(&self) -> String {
         match self.settings {
-            Some(Settings { kind: ResamplerKind::Lossless, .. }) => "lossless".to_owned(),
+            Some(Settings { kind, .. }) if kind.is_lossless() => "lossless".to_owned(),
             Some(Settings { kind, tolerance }) => format!("{kind} at {} mm", tolerance.mm()),
             None => String::new(),
         }

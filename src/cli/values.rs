@@ -139,10 +139,11 @@ pub(crate) struct CodecArgs {
     /// Largest allowed distance between a sample and its reconstruction: 0.5mm, 100um, 2cm [default: 0.5mm]
     #[arg(long, value_name = "LENGTH", value_parser = tolerance, allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
-    /// Keep every bit, like --resampler lossless
+    /// Keep every bit: --resampler lossless:predictive for whole takes, which is smaller; --resampler lossless for
+    /// recordings, which is faster
     #[arg(long, conflicts_with_all = ["tolerance", "resampler"])]
     lossless: bool,
-    /// Resampler: dense, fast or lossless; for whole takes (import, bench codec) also
+    /// Resampler: dense, fast, lossless or lossless:predictive; for whole takes (import, bench codec) also
     /// spline[:worst-sample|:exhaustive] and sync[:worst-sample|:exhaustive]
     #[arg(long, value_name = "NAME", default_value = "dense", value_parser = str::parse::<ResamplerKind>)]
     resampler: ResamplerKind,
@@ -185,7 +186,12 @@ impl CodecArgs {
     /// # Errors
     /// A usage error if a tolerance is given for a lossless resampler.
     pub(crate) fn settings(&self) -> anyhow::Result<Settings> {
-        let kind = if self.lossless { ResamplerKind::Lossless } else { self.resampler };
+        self.settings_with(ResamplerKind::LosslessPredictive)
+    }
+
+    /// Settings in which `--lossless` stands for a resampler.
+    fn settings_with(&self, lossless: ResamplerKind) -> anyhow::Result<Settings> {
+        let kind = if self.lossless { lossless } else { self.resampler };
         if kind.is_lossless() && self.tolerance.is_some() {
             bail!(UsageError("a lossless take has no tolerance: omit --tolerance".to_owned()));
         }
@@ -198,7 +204,7 @@ impl CodecArgs {
     /// # Errors
     /// A usage error for a resampler that needs the whole take.
     pub(crate) fn live_settings(&self) -> anyhow::Result<Settings> {
-        let settings = self.settings()?;
+        let settings = self.settings_with(ResamplerKind::Lossless)?;
         if settings.kind.is_live() {
             return Ok(settings);
         }

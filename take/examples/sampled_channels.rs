@@ -9,13 +9,9 @@
 
 #![expect(clippy::print_stdout, reason = "a tool that prints its result")]
 
-use std::{
-    error::Error,
-    fs,
-    io::Write,
-    path::Path,
-    process::{Command, Stdio},
-};
+mod measure;
+
+use std::{fs, io::Write, path::Path};
 
 use flate2::{Compression, write::DeflateEncoder};
 use mocapd_codec::{
@@ -24,7 +20,7 @@ use mocapd_codec::{
 };
 use mocapd_take::interchange::Format;
 
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
+use self::measure::{Result, processor_s, xz};
 
 /// Bytes of the header of a block of columns (docs/foreign.md).
 const HEADER_BYTES: usize = 26;
@@ -146,24 +142,4 @@ fn columns(content: &[u8]) -> Option<(Vec<Vec<f32>>, usize)> {
         (0..n).map(sample).collect()
     };
     Some((planes.chunks_exact(width * n).take(n_signals).map(column).collect(), ratio))
-}
-
-/// Size of `xz -9`; 0 if there is no xz.
-fn xz(content: &[u8]) -> Result<usize> {
-    let mut command = Command::new("xz");
-    let spawned = command.args(["-9", "-c"]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
-    let Ok(mut child) = spawned else { return Ok(0) };
-    let mut input = child.stdin.take().ok_or("no pipe")?;
-    let content = content.to_vec();
-    let writer = std::thread::Builder::new().spawn(move || input.write_all(&content))?;
-    let bytes = child.wait_with_output()?.stdout.len();
-    writer.join().map_err(|_| "the writer failed")??;
-    Ok(bytes)
-}
-
-/// Processor time of this thread so far, in seconds.
-fn processor_s() -> Result<f64> {
-    let text = fs::read_to_string("/proc/thread-self/schedstat")?;
-    let ns: f64 = text.split(' ').next().unwrap_or_default().parse()?;
-    Ok(ns / 1e9)
 }

@@ -20,7 +20,7 @@ use mocapd_take::{
     traversal::Decode,
 };
 
-const LIVE: [&str; 3] = ["dense", "fast", "lossless"];
+const LIVE: [&str; 4] = ["dense", "fast", "lossless", "lossless:predictive"];
 
 /// Most rows between two stretches, from docs/take-format.md.
 const ROWS_PASSED_MAX: u64 = 1 << 32;

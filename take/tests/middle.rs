@@ -48,7 +48,7 @@ fn chunks(take: &[u8]) -> Vec<usize> {
 
 #[test]
 fn frames_from_any_row_on_are_those_from_the_start() {
-    for kind in ["dense", "fast", "lossless"] {
+    for kind in ["dense", "fast", "lossless", "lossless:predictive"] {
         let take = take::take(kind);
         let all = frames(&take, 0);
         assert!(all.len() > 1200, "{} frames", all.len());

@@ -160,7 +160,15 @@ fn imported(motion: &Motion, settings: &Settings) -> Vec<u8> {
 #[test]
 fn an_import_states_what_decoding_gives() {
     // Of several stretches of ten seconds, and of several groups; short takes for the offline kinds.
-    for kind in ["dense", "fast", "lossless", "spline", "spline:worst-sample", "sync"] {
+    for kind in [
+        "dense",
+        "fast",
+        "lossless",
+        "lossless:predictive",
+        "spline",
+        "spline:worst-sample",
+        "sync",
+    ] {
         let kind: ResamplerKind = kind.parse().unwrap();
         let settings = Settings { kind, tolerance: Tolerance::from_mm(1.0).unwrap() };
         let n_frames = if kind.is_live() { 700 } else { 300 };
@@ -190,7 +198,7 @@ fn an_import_states_what_decoding_gives() {
 /// Recordings with lost rows, and a marker that appears late.
 #[test]
 fn a_recording_states_what_decoding_gives() {
-    for kind in ["dense", "fast", "lossless"] {
+    for kind in ["dense", "fast", "lossless", "lossless:predictive"] {
         let found = check(&take::take(kind), kind);
         let late = found.channels.last().unwrap();
         assert!(late.samples < found.channels[0].samples && late.gaps > 1, "{late:?}");

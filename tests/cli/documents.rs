@@ -420,7 +420,7 @@ fn bench_codec() {
     let document = folder.run(&bench).with_code(0).json();
     check("`mocapd bench codec`", std::slice::from_ref(&document));
     let results = document["files"][0]["results"].as_array().unwrap();
-    assert_eq!(results.len(), 4 * 6 + 1, "six tolerances of every kind, and lossless");
+    assert_eq!(results.len(), 4 * 6 + 2, "six tolerances of every kind, and both lossless ones");
     for result in results {
         let [error_mm, tolerance_mm] =
             ["max_error_mm", "tolerance_mm"].map(|name| result[name].as_f64().unwrap());

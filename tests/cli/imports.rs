@@ -28,6 +28,25 @@ fn header(take: &[u8]) -> Header {
 }
 
 #[test]
+fn lossless_imports_are_predicted_and_give_back_every_bit() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(7, 60.0, 2.0));
+    let import = |take: &str, how: &[&str]| {
+        let import = [&["import", "jump.csv", "-o", take, "--json"], how].concat();
+        folder.run(&import).with_code(0).json()
+    };
+    let predicted = import("predicted.take", &["--lossless"]);
+    assert_eq!(predicted["resampler"], "lossless:predictive");
+    let packed = import("packed.take", &["--resampler", "lossless"]);
+    let bytes = |report: &Value| report["file_bytes"].as_u64().unwrap();
+    assert!(bytes(&predicted) < bytes(&packed), "{predicted} {packed}");
+    folder.run(&["diff", "predicted.take", "packed.take"]).with_code(0);
+    let again = ["import", "jump.csv", "-o", "again.take", "--lossless", "--threads", "1"];
+    folder.run(&again).with_code(0);
+    assert_eq!(folder.read("again.take").len() as u64, bytes(&predicted));
+}
+
+#[test]
 fn every_resampler_respects_its_bound_and_reports_its_results() {
     let folder = Folder::new();
     let motion = jump(7, 60.0, 2.0);
@@ -37,13 +56,14 @@ fn every_resampler_respects_its_bound_and_reports_its_results() {
         "dense",
         "fast",
         "lossless",
+        "lossless:predictive",
         "spline:worst-sample",
         "spline:exhaustive",
         "sync:worst-sample",
         "sync:exhaustive",
     ] {
         let take = format!("{}.take", resampler.replace(':', "-"));
-        let tolerance_mm = if resampler == "lossless" { 0.0 } else { 2.0 };
+        let tolerance_mm = if resampler.starts_with("lossless") { 0.0 } else { 2.0 };
         let mut import =
             vec!["import", "jump.csv", "-o", &take, "--json", "--resampler", resampler];
         if tolerance_mm > 0.0 {

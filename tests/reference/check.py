@@ -102,7 +102,7 @@ def check(mocapd, path, resampler, tolerance_mm):
             recorded, table = Path(folder) / "t.take", Path(folder) / "t.csv"
             if resampler:
                 command = [mocapd, "import", path, "-o", recorded, "--resampler", resampler]
-                tolerance = [] if resampler == "lossless" else ["--tolerance", f"{tolerance_mm}mm"]
+                tolerance = [] if resampler.startswith("lossless") else ["--tolerance", f"{tolerance_mm}mm"]
                 run(*command, *tolerance, "--drop-foreign", "--threads", "1")
             else:
                 recorded = path
@@ -179,7 +179,7 @@ def plan(files, arguments):
         wide = named or arguments.all or path in smallest
         for resampler in resamplers if wide else ["dense"]:
             wanted = tolerances if wide else [1.0]
-            jobs += [(path, resampler, mm) for mm in (wanted if resampler != "lossless" else [0.0])]
+            jobs += [(path, resampler, mm) for mm in (wanted if not resampler.startswith("lossless") else [0.0])]
         if path in smallest and not named:
             jobs += [(path, resampler, 5.0) for resampler in OFFLINE]
     return sorted(jobs, key=lambda job: -job[0].stat().st_size)

@@ -83,7 +83,7 @@ fn rows(frames: &mut dyn FrameSource) -> Vec<Vec<[u32; 3]>> {
 
 #[test]
 fn the_same_frames_for_any_number_of_threads() {
-    for kind in ["dense", "fast", "lossless"] {
+    for kind in ["dense", "fast", "lossless", "lossless:predictive"] {
         let folder = tempfile::tempdir().unwrap();
         let path = take(kind, folder.path());
         let mut frames = open(&path);

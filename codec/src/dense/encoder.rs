@@ -38,22 +38,16 @@ impl PayloadEncoder for Dense {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
+        exact: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
     ) -> Result<()> {
-        self.encode_planned(channels, out, (reports, kept_rows), None);
-        Ok(())
-    }
-
-    fn encode_exact(
-        &mut self,
-        channels: &[Rows<'_>],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-        kept_rows: &mut [bool],
-    ) -> Result<()> {
-        self.store_all(channels, out, reports, kept_rows);
+        if exact {
+            self.store_all(channels, out, reports, kept_rows);
+        } else {
+            self.encode_planned(channels, out, (reports, kept_rows), None);
+        }
         Ok(())
     }
 }
@@ -151,23 +145,17 @@ impl PayloadEncoder for PlanningEncoder {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
+        exact: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
     ) -> Result<()> {
+        if exact {
+            return self.group.encode(channels, exact, out, reports, kept_rows);
+        }
         let planner = self.planner.as_mut();
         self.group.encode_planned(channels, out, (reports, kept_rows), planner);
         Ok(())
-    }
-
-    fn encode_exact(
-        &mut self,
-        channels: &[Rows<'_>],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-        kept_rows: &mut [bool],
-    ) -> Result<()> {
-        self.group.encode_exact(channels, out, reports, kept_rows)
     }
 }
 
@@ -212,7 +200,7 @@ pub fn tally<'a>(
         encoder.reset();
         let mut out = Vec::new();
         let mut kept_rows = vec![false; last - first];
-        encoder.encode(&rows, &mut out, &mut reports, &mut kept_rows)?;
+        encoder.encode(&rows, false, &mut out, &mut reports, &mut kept_rows)?;
         bytes += out.len();
     }
     let mut tally = encoder.channels.model.tally;

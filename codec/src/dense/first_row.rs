@@ -11,10 +11,40 @@ use super::{
     },
     level_prediction::PAST_ROWS,
     model::{Model, ModelCoder},
-    points::Point,
+    points::{Grid, Point},
     track::Track,
 };
-use crate::{Result, bound::squared_distance, ensure};
+use crate::{Position, Result, bound::squared_distance, ensure};
+
+/// How a first row is coded: the index of its origin among the candidates, and the lattice steps from there.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct FirstRow {
+    pub(super) candidate: usize,
+    pub(super) steps: Point,
+}
+
+/// Chooses the origin of a first row with this position, and its steps from there; `step` is the size of a step in
+/// units.
+pub(super) fn choose(grid: Grid, position: Position, step: i64, origins: &[Point]) -> FirstRow {
+    let units = grid.units(position);
+    let steps_from = |from: &Point| -> Point {
+        std::array::from_fn(|axis| ((units[axis] - from[axis] as f64) / step as f64).round() as i64)
+    };
+    // In half bits: the exponent, as many mantissa bits, a sign, and the rank of the candidate.
+    let cost = |steps: &Point| -> u64 {
+        let axis = |step: &i64| {
+            let value = step.unsigned_abs() * 2 + 1;
+            u64::from(value.ilog2()) * 4 + (value >> (value.ilog2().max(1) - 1) & 1) * 2
+        };
+        steps.iter().map(axis).sum()
+    };
+    let ranked = origins.iter().enumerate().map(|(rank, from)| {
+        let start = FirstRow { candidate: rank, steps: steps_from(from) };
+        let rank_cost = if rank == 0 { 2 + origins.len() as u64 } else { rank as u64 };
+        (cost(&start.steps) + rank_cost, start)
+    });
+    ranked.min_by_key(|&(cost, start)| (cost, start.candidate)).unwrap_or_default().1
+}
 
 /// Ends of other channels' runs are candidates for fewer rows than this.
 const MAX_END_AGE_ROWS: u64 = 200;

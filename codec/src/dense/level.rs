@@ -16,7 +16,7 @@ use super::{
     track::{Steps, Track, update_activity},
 };
 use crate::{
-    Result,
+    Position, Result,
     coding::isa::{Isa, Kernel},
     ensure,
 };
@@ -38,13 +38,6 @@ pub(super) struct ResidualInputs {
     pub(super) last_level: bool,
 }
 
-/// How a first row is coded: the index of its origin among the candidates, and the lattice steps from there.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct FirstRow {
-    pub(super) candidate: usize,
-    pub(super) steps: Point,
-}
-
 /// The part of coding that differs between encoder and decoder. The default methods are a decoder's, whose choices are
 /// ignored.
 pub(super) trait RowCodec {
@@ -58,15 +51,9 @@ pub(super) trait RowCodec {
         [0; 3]
     }
 
-    /// Chooses the origin and the steps of a first row; `step` is the size of a step in units.
-    fn choose_first(
-        &mut self,
-        _channel: usize,
-        _row: usize,
-        _step: i64,
-        _origins: &[Point],
-    ) -> FirstRow {
-        FirstRow::default()
+    /// The position of a sample, from which the steps of a first row are chosen: only encoders have it.
+    fn position(&self, _channel: usize, _row: usize) -> Option<Position> {
+        None
     }
 
     /// Begins the rows of a level.

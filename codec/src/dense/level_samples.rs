@@ -5,7 +5,7 @@ use super::{
     candidates::{AXES, CELL_POINTS, LatticeCell, Reach},
     contexts::KINDS,
     distance_correction::BATCH_ROWS,
-    level::{FirstRow, ResidualInputs},
+    level::ResidualInputs,
     level_prediction::{Batch, LevelLayout, PADDED_ROWS, PAST_ROWS},
     points::{Grid, Lattice, Point, Points, lanes},
 };
@@ -159,36 +159,6 @@ impl LevelSamples {
             Lattice::Centred => cell.corners::<2>(&mut take),
         }
         found
-    }
-
-    /// Chooses the origin of a first row with this position, and its steps from there; `step` is the size of a step in
-    /// units.
-    pub(super) fn choose_first(
-        &self,
-        position: Position,
-        step: i64,
-        origins: &[Point],
-    ) -> FirstRow {
-        let units = self.grid.units(position);
-        let steps_from = |from: &Point| -> Point {
-            std::array::from_fn(|axis| {
-                ((units[axis] - from[axis] as f64) / step as f64).round() as i64
-            })
-        };
-        // In half bits: the exponent, as many mantissa bits, a sign, and the rank of the candidate.
-        let cost = |steps: &Point| -> u64 {
-            let axis = |step: &i64| {
-                let value = step.unsigned_abs() * 2 + 1;
-                u64::from(value.ilog2()) * 4 + (value >> (value.ilog2().max(1) - 1) & 1) * 2
-            };
-            steps.iter().map(axis).sum()
-        };
-        let ranked = origins.iter().enumerate().map(|(rank, from)| {
-            let start = FirstRow { candidate: rank, steps: steps_from(from) };
-            let rank_cost = if rank == 0 { 2 + origins.len() as u64 } else { rank as u64 };
-            (cost(&start.steps) + rank_cost, start)
-        });
-        ranked.min_by_key(|&(cost, start)| (cost, start.candidate)).unwrap_or_default().1
     }
 }
 

@@ -1,14 +1,14 @@
 //! The encoder of the rows of a block: planned and greedy choices, and the measured errors.
 
 use super::{
-    level::{FirstRow, ResidualInputs, RowCodec},
+    level::{ResidualInputs, RowCodec},
     level_prediction::{Batch, LevelLayout},
     level_samples::LevelSamples,
     planner::Planner,
     points::{Grid, Point, Points},
     walk::{Dense, SpanCodec, SpanPresence},
 };
-use crate::{BlockReport, GROUP_CHANNELS, Result, Rows, coding::range::RangeEncoder};
+use crate::{BlockReport, GROUP_CHANNELS, Position, Result, Rows, coding::range::RangeEncoder};
 
 /// The encoder of one block.
 pub(super) struct RowEncoder<'a, 'r> {
@@ -80,14 +80,8 @@ impl<'a> RowCodec for RowEncoder<'a, '_> {
         self.planned(&inputs).unwrap_or_else(|| self.samples.choose(&inputs))
     }
 
-    fn choose_first(
-        &mut self,
-        channel: usize,
-        row: usize,
-        step: i64,
-        origins: &[Point],
-    ) -> FirstRow {
-        self.samples.choose_first(self.channels[channel].positions()[row], step, origins)
+    fn position(&self, channel: usize, row: usize) -> Option<Position> {
+        Some(self.channels[channel].positions()[row])
     }
 
     #[inline(always)]

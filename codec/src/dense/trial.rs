@@ -3,12 +3,12 @@
 use super::{
     SPAN,
     cost::CostCounter,
-    level::{FirstRow, ResidualInputs, RowCodec},
+    level::{ResidualInputs, RowCodec},
     level_prediction::{Batch, LevelLayout},
     level_samples::{BallPoints, LevelSamples},
     points::{Grid, Point, Points},
 };
-use crate::Rows;
+use crate::{Position, Rows};
 
 /// The decided rows of one channel in a span, by slot, and their steps from the prediction.
 #[derive(Debug, Clone, Copy)]
@@ -97,14 +97,8 @@ impl RowCodec for Trial<'_> {
         self.greedy
     }
 
-    fn choose_first(
-        &mut self,
-        channel: usize,
-        row: usize,
-        step: i64,
-        origins: &[Point],
-    ) -> FirstRow {
-        self.samples.choose_first(self.channels[channel].positions()[row], step, origins)
+    fn position(&self, channel: usize, row: usize) -> Option<Position> {
+        Some(self.channels[channel].positions()[row])
     }
 
     #[inline(always)]

@@ -3,8 +3,8 @@
 use super::{
     LEVELS, SPAN,
     contexts::{FINE, INTERPOLATED, RAW},
-    first_row::{self, OriginCandidates},
-    level::{Channels, FirstRow, RowCodec},
+    first_row::{self, FirstRow, OriginCandidates},
+    level::{Channels, RowCodec},
     level_prediction::{DecodedRun, LevelLayout, PAST_ROWS},
     model::ModelCoder,
     points::{Fineness, Grid, Lattice, Point},
@@ -256,7 +256,9 @@ impl Dense {
         let origins = OriginCandidates::find(tracks, channel, at, self.first_row, present);
         let step = tracks[channel].fineness.step(Lattice::Cubic);
         let FirstRow { candidate, steps } =
-            codec.choose_first(channel, at - PAST_ROWS, step, origins.points());
+            codec.position(channel, at - PAST_ROWS).map_or_else(FirstRow::default, |position| {
+                first_row::choose(self.grid, position, step, origins.points())
+            });
         let candidate = origins.code(codec.coder(), model, candidate);
         if let Some(end) = origins.taken(candidate).and_then(|k| tracks[k].end.as_mut()) {
             end.taken = true;

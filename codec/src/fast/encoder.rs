@@ -195,22 +195,12 @@ impl PayloadEncoder for Fast {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
+        exact: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
     ) -> Result<()> {
-        self.write(channels, false, out, reports, kept_rows);
-        Ok(())
-    }
-
-    fn encode_exact(
-        &mut self,
-        channels: &[Rows<'_>],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-        kept_rows: &mut [bool],
-    ) -> Result<()> {
-        self.write(channels, true, out, reports, kept_rows);
+        self.write(channels, exact, out, reports, kept_rows);
         Ok(())
     }
 }

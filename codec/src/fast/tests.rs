@@ -54,7 +54,7 @@ impl Pair {
         let mut payload = vec![7; 3];
         let n_rows = group.iter().map(Vec::len).max().unwrap_or(0);
         let mut kept_rows = vec![false; n_rows];
-        self.encoder.encode(&rows, &mut payload, &mut reports, &mut kept_rows).unwrap();
+        self.encoder.encode(&rows, false, &mut payload, &mut reports, &mut kept_rows).unwrap();
         assert_eq!(payload[..3], [7; 3]);
         let payload = payload.split_off(3);
         assert!(payload.len() <= Fast::max_payload_bytes(group.len(), n_rows));

@@ -58,18 +58,12 @@ pub(crate) trait PayloadEncoder: Payload {
     /// is kept. Every reported error is within the tolerance: samples that cannot be coded within it are stored
     /// exactly. Except after [`reset`](Payload::reset), there are never fewer channels than in the payload before; new
     /// ones are appended.
+    ///
+    /// `exact` stores every sample exactly, in the payload of a key block.
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-        kept_rows: &mut [bool],
-    ) -> Result<()>;
-
-    /// Appends the payload of a key block, like [`encode`](Self::encode), in which every sample is stored exactly.
-    fn encode_exact(
-        &mut self,
-        channels: &[Rows<'_>],
+        exact: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
@@ -255,7 +249,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
                 "{error}: pass the result of Settings::plan for the same {n_rows} rows"
             ))
         })?;
-        self.state.payload.encode(channels, out, reports, &mut self.kept_rows)?;
+        self.state.payload.encode(channels, false, out, reports, &mut self.kept_rows)?;
         let max_error_mm = reports.iter().map(|report| report.max_error_mm).fold(0.0, f64::max);
         let step = bound::stated_step(max_error_mm, self.state.tolerance.mm());
         debug_assert!(step.is_some() && !(E::EXACT && step != Some(0)), "{max_error_mm} mm");
@@ -375,7 +369,7 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
             // No key times: a channel that is stored exactly needs none.
             let Self { state: FrameState { payload, .. }, kept_rows, .. } = self;
             let begun = payload.begin(&[], sampled[0].len());
-            let coded = begun.and_then(|()| payload.encode_exact(sampled, out, reports, kept_rows));
+            let coded = begun.and_then(|()| payload.encode(sampled, true, out, reports, kept_rows));
             coded.inspect_err(|_| {
                 out.truncate(start);
                 self.state.is_out_of_step = true;

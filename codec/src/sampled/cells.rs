@@ -138,6 +138,12 @@ impl Cells {
         cell.clamp(first, last)
     }
 
+    /// Whether a finite float32, as [`ordered`], is the value of a cell.
+    pub(super) fn has(&self, value: i32) -> bool {
+        let value = from_ordered(value);
+        self.value(self.nearest(value.into())).to_bits() == value.to_bits()
+    }
+
     /// The border between a cell and the next.
     #[inline(always)]
     pub(super) fn border(&self, cell: i64) -> f64 {

@@ -68,6 +68,8 @@ pub(super) struct HeadModel {
     logs: [Bit; 33],
     /// The quantum of the last lattice.
     quantum: f64,
+    /// Bits of the index of a channel.
+    index_bits: u32,
 }
 
 /// Indices of flags.
@@ -81,8 +83,14 @@ const HAS_OFFSET: usize = 14;
 const HAS_DECIMALS: usize = 15;
 
 impl HeadModel {
-    pub(super) fn new() -> Self {
-        Self { flags: [Bit::NEW; 16], logs: [Bit::NEW; 33], quantum: 1.0 }
+    /// `index_bits` are those of the index of a channel in its group.
+    pub(super) fn new(index_bits: u32) -> Self {
+        Self { flags: [Bit::NEW; 16], logs: [Bit::NEW; 33], quantum: 1.0, index_bits }
+    }
+
+    /// Forgets everything.
+    pub(super) fn reset(&mut self) {
+        *self = Self::new(self.index_bits);
     }
 
     /// Codes a head and its cells: `wanted` in the encoder, or what the decoder read. `state` is that of the block before,
@@ -106,7 +114,7 @@ impl HeadModel {
             known_head.n_beside = coder.plain(head.n_beside.into(), 3) as u8;
             ensure(usize::from(known_head.n_beside) <= NEIGHBOURS, "too many neighbours")?;
             for i in 0..usize::from(known_head.n_beside) {
-                known_head.beside[i] = coder.plain(head.beside[i].into(), 6) as u8;
+                known_head.beside[i] = coder.plain(head.beside[i].into(), self.index_bits) as u8;
             }
         }
         let is_partial = head.past != Past::All;

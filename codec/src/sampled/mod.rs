@@ -13,13 +13,17 @@ mod cells;
 mod distribution;
 mod fit;
 mod head;
+mod positions;
 mod predictor;
 #[cfg(test)]
 mod tests;
 mod walk;
 
+pub(crate) use positions::Predictive;
+
 use self::{
     cells::{Cells, PALETTE_MAX},
+    fit::Before,
     head::{Head, HeadModel},
     predictor::NEIGHBOURS,
     walk::{Beside, ChannelWalk, SampleModel, SampledChannelState},
@@ -35,6 +39,9 @@ use crate::{
 
 /// Added to the number of channels of a block whose samples are stored as they are.
 const RAW: u8 = 0x80;
+
+/// Bits of the index of a channel.
+const INDEX_BITS: u32 = GROUP_CHANNELS.ilog2();
 
 /// What encoder and decoder of a group have in common.
 #[derive(Debug)]
@@ -52,10 +59,10 @@ struct Group {
 }
 
 impl Group {
-    fn new() -> Self {
+    fn new(index_bits: u32) -> Self {
         Self {
             model: SampleModel::NEW,
-            heads: HeadModel::new(),
+            heads: HeadModel::new(index_bits),
             tracks: Vec::new(),
             n_channels: 0,
             samples: Vec::new(),
@@ -65,7 +72,6 @@ impl Group {
     }
 
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        let n_channels = n_channels.min(GROUP_CHANNELS);
         if self.tracks.len() < n_channels {
             self.tracks.resize_with(n_channels, SampledChannelState::new);
         }
@@ -79,7 +85,7 @@ impl Group {
     /// Forgets all blocks.
     fn forget(&mut self) {
         self.model = SampleModel::NEW;
-        self.heads = HeadModel::new();
+        self.heads.reset();
         self.tracks.iter_mut().for_each(SampledChannelState::reset);
     }
 
@@ -132,6 +138,8 @@ impl Group {
             previous,
             beside,
             samples: &mut rest[..n_rows],
+            behind_gaps: &[],
+            like: None,
         })
     }
 }
@@ -153,13 +161,13 @@ impl SampledEncoder {
     /// Starts with a key block.
     #[must_use]
     pub fn new() -> Self {
-        Self { group: Group::new(), fit: fit::Fit::default() }
+        Self { group: Group::new(INDEX_BITS), fit: fit::Fit::default() }
     }
 
     /// Allocates the memory for blocks of up to `n_channels` channels and `n_rows` rows, so that
     /// [`encode`](Self::encode) does not allocate if `out` has spare capacity for [`max_block_bytes`].
     pub fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.group.prepare(n_channels, n_rows);
+        self.group.prepare(n_channels.min(GROUP_CHANNELS), n_rows);
         self.fit.prepare(n_rows);
     }
 
@@ -225,7 +233,8 @@ impl SampledEncoder {
             let at = channel * n_rows;
             self.group.samples[at..at + n_rows].copy_from_slice(samples);
             let track = &self.group.tracks[channel];
-            let (head, cells) = self.fit.choose(track, samples, &self.group.samples[..at]);
+            let before = Before { samples: &self.group.samples[..at], n_rows, rows: None };
+            let (head, cells) = self.fit.choose(track, samples, before);
             let encoded = self.group.channel(&mut coder, (channel, n_rows), (head, cells));
             let is_same = is_same(&self.group.samples[at..at + n_rows], samples);
             debug_assert!(is_same && encoded.is_ok(), "{encoded:?} for {head:?} {cells:?}");
@@ -258,12 +267,12 @@ impl SampledDecoder {
     /// Starts with a key block.
     #[must_use]
     pub fn new() -> Self {
-        Self { group: Group::new() }
+        Self { group: Group::new(INDEX_BITS) }
     }
 
     /// Allocates the memory for blocks of up to `n_channels` channels and `n_rows` rows.
     pub fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.group.prepare(n_channels, n_rows);
+        self.group.prepare(n_channels.min(GROUP_CHANNELS), n_rows);
     }
 
     /// Decodes one block of `n_rows` rows. The result has one slice per channel, one after another:

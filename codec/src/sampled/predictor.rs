@@ -23,6 +23,10 @@ const VARIANCE: f64 = 1.0;
 /// grows without end.
 const VARIANCE_MAX: f64 = 1e9;
 
+/// Uncertainty of weights that are taken over from another channel, relative to what that channel learnt. On recorded
+/// positions 1 needs 0.5 % more bytes, and weights alone, with an initial variance of 1, 1 % more.
+const INHERITED_VARIANCE: f64 = 10.0;
+
 /// Inputs beyond this power are not learnt from.
 const POWER_MAX: f64 = 1e30;
 
@@ -42,6 +46,8 @@ pub(super) struct Predictor {
     /// First differences, newest first.
     changes: [f64; DIFFERENCES + LAGS - 1],
     mean: f64,
+    /// Values since the past began, up to the number of differences: those of higher orders are 0.
+    n_values: usize,
 }
 
 impl Predictor {
@@ -54,6 +60,7 @@ impl Predictor {
             differences: [0.0; DIFFERENCES],
             changes: [0.0; DIFFERENCES + LAGS - 1],
             mean: 0.0,
+            n_values: DIFFERENCES,
         };
         new.reset_inverse();
         new
@@ -62,11 +69,34 @@ impl Predictor {
     /// Forgets everything, and starts from a value.
     pub(super) fn start(&mut self, value: f64) {
         self.weights = [0.0; ORDER];
+        self.restart(value);
+        self.n_values = DIFFERENCES;
+        self.reset_inverse();
+    }
+
+    /// Starts from a value with what another channel learnt from its own past.
+    pub(super) fn start_like(&mut self, value: f64, other: &Self) {
+        self.start(value);
+        self.n_values = 1;
+        let own = DIFFERENCES + LAGS;
+        self.weights[..own].copy_from_slice(&other.weights[..own]);
+        for (i, (row, learnt)) in
+            self.inverse.iter_mut().zip(other.inverse.iter()).enumerate().take(own)
+        {
+            for (entry, learnt) in row.iter_mut().zip(learnt).take(own) {
+                *entry = learnt * INHERITED_VARIANCE;
+            }
+            self.largest = if row[i] > self.largest { row[i] } else { self.largest };
+        }
+    }
+
+    /// Begins a new past at a value: nothing before it is near in time. What was learnt stays.
+    pub(super) fn restart(&mut self, value: f64) {
         self.differences = [0.0; DIFFERENCES];
         self.differences[0] = value;
         self.changes = [0.0; DIFFERENCES + LAGS - 1];
         self.mean = value;
-        self.reset_inverse();
+        self.n_values = 1;
     }
 
     fn reset_inverse(&mut self) {
@@ -108,6 +138,10 @@ impl Predictor {
         for slot in &mut self.differences {
             let before = std::mem::replace(slot, difference);
             difference -= before;
+        }
+        self.n_values = (self.n_values + 1).min(DIFFERENCES);
+        for slot in &mut self.differences[self.n_values..] {
+            *slot = 0.0;
         }
         self.changes.copy_within(..DIFFERENCES + LAGS - 2, 1);
         self.changes[0] = self.differences[1];

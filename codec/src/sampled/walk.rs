@@ -45,6 +45,8 @@ pub(super) struct SampledChannelState {
     pub(super) cells: Cells,
     pub(super) predictor: Predictor,
     pub(super) distribution: Distribution,
+    /// The distribution of first samples behind gaps.
+    across_gaps: Distribution,
     /// The last two samples of the block before.
     pub(super) last: [f32; 2],
     /// The same before the current block, for the channels behind.
@@ -66,6 +68,7 @@ impl SampledChannelState {
             cells: Cells::default(),
             predictor: Predictor::new(),
             distribution: Distribution::new(),
+            across_gaps: Distribution::new(),
             last: [0.0; 2],
             last_before: [0.0; 2],
             is_started: false,
@@ -78,16 +81,29 @@ impl SampledChannelState {
         self.head = Head::default();
         self.cells.clear();
         self.is_started = false;
-        self.distribution = Distribution::new();
+        (self.distribution, self.across_gaps) = (Distribution::new(), Distribution::new());
         (self.last, self.last_before) = ([0.0; 2], [0.0; 2]);
         (self.events, self.parity) = (0, 0);
     }
 
-    fn start(&mut self, sample: f32) {
+    /// Starts with a sample, and with what a channel like this one learnt, if there is one.
+    fn start(&mut self, sample: f32, like: Option<&Self>) {
         self.is_started = true;
         self.parity = 1;
         self.last = [sample; 2];
-        self.predictor.start(unit(sample, self.head.per_unit()));
+        let value = unit(sample, self.head.per_unit());
+        if let Some(other) = like {
+            self.predictor.start_like(value, &other.predictor);
+            self.distribution = other.distribution.clone();
+            self.across_gaps = other.across_gaps.clone();
+        } else {
+            self.predictor.start(value);
+        }
+    }
+
+    /// Accounts for a block without a sample of this channel.
+    pub(super) fn skip(&mut self) {
+        self.last_before = self.last;
     }
 }
 
@@ -138,6 +154,10 @@ pub(super) struct ChannelWalk<'a, C> {
     pub(super) beside: [Beside<'a>; NEIGHBOURS],
     /// Encoded, or replaced by what was decoded.
     pub(super) samples: &'a mut [f32],
+    /// Indices of the samples behind gaps, ascending: nothing is predicted from what lies before a gap.
+    pub(super) behind_gaps: &'a [u32],
+    /// A channel from which this one takes over what was learnt, if this is its first block.
+    pub(super) like: Option<&'a SampledChannelState>,
 }
 
 /// How a sample was coded; the contexts of later samples depend on it.
@@ -160,13 +180,14 @@ impl<C: BinaryCoder> Kernel for ChannelWalk<'_, C> {
             && let Some(sample) = self.samples.first_mut()
         {
             *sample = f32::from_bits(self.coder.plain(sample.to_bits().into(), 32) as u32);
-            self.track.start(*sample);
+            self.track.start(*sample, self.like);
         }
         self.track.last_before = self.track.last;
         let [mut before, mut before2] = self.track.last;
         for row in first..self.samples.len() {
             let wanted = self.samples.get(row).copied().unwrap_or_default();
-            let sample = self.sample(row, wanted, [before, before2])?;
+            let is_behind_gap = self.is_behind_gap(row);
+            let sample = self.sample((row, is_behind_gap), wanted, [before, before2])?;
             if let Some(slot) = self.samples.get_mut(row) {
                 *slot = sample;
             }
@@ -192,12 +213,29 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
             *sample = f32::from_bits(self.coder.plain(sample.to_bits().into(), 32) as u32);
         }
         if let Some(&last) = self.samples.last() {
-            self.track.start(last);
+            self.track.start(last, None);
         }
     }
 
+    /// Whether a gap precedes a sample. Samples must be asked for in order.
     #[inline(always)]
-    fn sample(&mut self, row: usize, wanted: f32, past: [f32; 2]) -> Result<f32> {
+    fn is_behind_gap(&mut self, row: usize) -> bool {
+        while let Some((&next, rest)) = self.behind_gaps.split_first() {
+            if next as usize >= row {
+                return next as usize == row;
+            }
+            self.behind_gaps = rest;
+        }
+        false
+    }
+
+    #[inline(always)]
+    fn sample(
+        &mut self,
+        (row, is_behind_gap): (usize, bool),
+        wanted: f32,
+        past: [f32; 2],
+    ) -> Result<f32> {
         let parity = self.track.parity;
         self.track.parity ^= 1;
         let head = self.track.head;
@@ -239,7 +277,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
             }
             excluded[2] = Some(f32::from_bits(mode));
         }
-        self.cell_sample(row, wanted, excluded)
+        self.cell_sample((row, is_behind_gap), wanted, excluded)
     }
 
     /// The changes of the channels beside, at the row and the row before.
@@ -266,12 +304,17 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
     }
 
     #[inline(always)]
-    fn cell_sample(&mut self, row: usize, wanted: f32, excluded: [Option<f32>; 3]) -> Result<f32> {
+    fn cell_sample(
+        &mut self,
+        (row, is_behind_gap): (usize, bool),
+        wanted: f32,
+        excluded: [Option<f32>; 3],
+    ) -> Result<f32> {
         let changes = self.changes_beside(row);
         let track = &mut *self.track;
         let per_unit = track.head.per_unit();
         let predicted = track.predictor.predict(&changes);
-        let predicted = if predicted > -REACH && predicted < REACH {
+        let predicted = if predicted > -REACH && predicted < REACH && !is_behind_gap {
             predicted
         } else {
             track.predictor.last()
@@ -279,7 +322,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
         let scale = track.head.scale();
         let mut halving = Halving {
             cells: &track.cells,
-            distribution: &track.distribution,
+            distribution: if is_behind_gap { &track.across_gaps } else { &track.distribution },
             centre: predicted * scale,
             per_unit,
             excluded: [(0, 0.0); 3],
@@ -306,10 +349,16 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
         let high = if cell < track.cells.bounds().1 { track.cells.border(cell) } else { 1e39 };
         let value = if sample.is_finite() { unit(sample, per_unit) } else { predicted };
         let error = value - predicted;
-        track.distribution.learn(low * per_unit - predicted, high * per_unit - predicted, error);
-        track.predictor.learn(error);
-        if track.head.past != Past::Events {
-            track.predictor.push(value);
+        let (low, high) = (low * per_unit - predicted, high * per_unit - predicted);
+        if is_behind_gap {
+            track.across_gaps.learn(low, high, error);
+            track.predictor.restart(value);
+        } else {
+            track.distribution.learn(low, high, error);
+            track.predictor.learn(error);
+            if track.head.past != Past::Events {
+                track.predictor.push(value);
+            }
         }
         track.events <<= 2;
         track.events |= OTHER;

@@ -200,11 +200,16 @@ impl PayloadEncoder for Spline {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
+        exact: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
     ) -> Result<()> {
         for (rows, report) in channels.iter().zip(reports).filter(|(_, r)| r.samples > 0) {
+            if exact {
+                self.store(*rows, out, report, kept_rows);
+                continue;
+            }
             let start = out.len();
             out.push(CODED);
             let is_within = self.write(*rows, out, report, kept_rows)?;
@@ -214,19 +219,6 @@ impl PayloadEncoder for Spline {
                 out.truncate(start);
                 self.store(*rows, out, report, kept_rows);
             }
-        }
-        Ok(())
-    }
-
-    fn encode_exact(
-        &mut self,
-        channels: &[Rows<'_>],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-        kept_rows: &mut [bool],
-    ) -> Result<()> {
-        for (rows, report) in channels.iter().zip(reports).filter(|(_, r)| r.samples > 0) {
-            self.store(*rows, out, report, kept_rows);
         }
         Ok(())
     }

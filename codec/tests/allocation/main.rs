@@ -16,7 +16,7 @@ use mocapd_testkit::random::Random;
 
 use self::counting::most_bytes;
 
-const KINDS: [&str; 5] = ["dense", "fast", "lossless", "spline", "sync"];
+const KINDS: [&str; 6] = ["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"];
 
 fn settings(kind: &str) -> Settings {
     Settings { kind: kind.parse().unwrap(), tolerance: Tolerance::from_mm(0.5).unwrap() }
@@ -24,7 +24,7 @@ fn settings(kind: &str) -> Settings {
 
 /// Bytes that claim to be a key block of `n_channels` channels with samples.
 fn claim(kind: &str, n_channels: u8, filling: &[u8]) -> Vec<u8> {
-    let stated = if kind == "lossless" { 0 } else { 63 };
+    let stated = if kind.starts_with("lossless") { 0 } else { 63 };
     [&[0x40 | stated, n_channels][..], filling].concat()
 }
 

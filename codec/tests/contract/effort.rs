@@ -109,7 +109,7 @@ fn an_encoder_writes_the_same_again() {
         let alone = encode_with(settings, effort, std::slice::from_ref(stretch));
         assert_eq!(alone[0], *block);
     }
-    for kind in ["fast", "lossless"] {
+    for kind in ["fast", "lossless", "lossless:predictive"] {
         let settings = super::settings(kind, 1.0);
         assert_eq!(encode_with(settings, effort, &stretches), encode(settings, &stretches));
     }

@@ -31,7 +31,7 @@ const _: () = {
 
 #[test]
 fn an_encoder_that_moves_between_threads_writes_the_same_bytes() {
-    for kind in ["dense", "fast", "lossless"] {
+    for kind in ["dense", "fast", "lossless", "lossless:predictive"] {
         let settings = settings(kind, 0.5);
         let channels: Vec<_> = (0..3).map(|i| Channel::new("smooth", "gaps", i, 240)).collect();
         let stretches = cut(&channels, &[60; 4], 0);

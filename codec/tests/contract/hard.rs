@@ -5,7 +5,8 @@ use mocapd_codec::Position;
 use super::{Channel, cut, decode_and_check, encode, motions::Random, settings};
 
 /// All resamplers; the exhaustive variants write the same format.
-pub(crate) const KINDS: [&str; 5] = ["dense", "fast", "lossless", "spline", "sync"];
+pub(crate) const KINDS: [&str; 6] =
+    ["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"];
 
 /// From below the resolution of float32 at room scale to coarser than the motion of a joint.
 pub(crate) const TOLERANCES_MM: [f64; 3] = [0.003, 0.5, 20.0];

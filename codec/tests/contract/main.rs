@@ -12,6 +12,7 @@ mod hostile;
 mod mixtures;
 mod motions;
 mod order;
+mod predictive;
 mod presence;
 mod rates;
 mod round_trips;
@@ -23,10 +24,11 @@ use mocapd_codec::{
 };
 
 /// The names of all resamplers.
-const KINDS: [&str; 7] = [
+const KINDS: [&str; 8] = [
     "dense",
     "fast",
     "lossless",
+    "lossless:predictive",
     "spline:worst-sample",
     "spline:exhaustive",
     "sync:worst-sample",

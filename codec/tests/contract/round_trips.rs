@@ -45,7 +45,7 @@ proptest! {
 
     #[test]
     fn any_group(
-        kind in proptest::sample::select(vec!["dense", "fast", "lossless", "spline", "sync"]),
+        kind in proptest::sample::select(vec!["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"]),
         channels in proptest::collection::vec(
             (
                 proptest::sample::select(MOTIONS.to_vec()),
@@ -69,7 +69,7 @@ proptest! {
     /// Arbitrary bit patterns: finite samples keep the bound; the others are absent.
     #[test]
     fn any_bits(
-        kind in proptest::sample::select(vec!["dense", "fast", "lossless", "spline", "sync"]),
+        kind in proptest::sample::select(vec!["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"]),
         bits in proptest::collection::vec(any::<[[u32; 3]; 2]>(), 1..50),
     ) {
         let channels = (0..2).map(|i| {

@@ -4,7 +4,7 @@ use mocapd_codec::{BlockReport, CodecError};
 
 use super::{Channel, Stretch, check, cut, decode_and_check, encode, settings};
 
-const LIVE: [&str; 3] = ["dense", "fast", "lossless"];
+const LIVE: [&str; 4] = ["dense", "fast", "lossless", "lossless:predictive"];
 
 fn group(gaps: &str, key_every: usize) -> Vec<Stretch> {
     let channels: Vec<_> = (9..12).map(|seed| Channel::new("smooth", gaps, seed, 600)).collect();

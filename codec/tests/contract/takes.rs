@@ -33,6 +33,7 @@ fn real_jumps_keep_the_bound_and_compress() {
         ("dense", 0.1, 5.0),
         ("fast", 1.0, 12.0),
         ("lossless", 1.0, 1.5),
+        ("lossless:predictive", 1.0, 1.8),
         ("spline", 1.0, 3.0),
     ] {
         let settings = settings(kind, tolerance);

@@ -47,7 +47,7 @@ def _positions(array: npt.ArrayLike) -> npt.NDArray[np.float32]:
 
 
 def _tolerance(tolerance_mm: float | None, resampler: str) -> float | None:
-    if resampler == "lossless":
+    if resampler.partition(":")[0] == "lossless":
         return None
     if tolerance_mm is None or not tolerance_mm > 0:
         raise ValueError(
@@ -74,8 +74,8 @@ def compress(
         The largest allowed Euclidean distance in 3D between a sample and its reconstruction by :func:`decompress`.
         The encoder decodes and verifies every sample.
     resampler
-        ``dense`` (smallest), ``fast``, ``lossless`` (every bit; ignores the tolerance), or for short arrays one of
-        the published methods ``spline`` and ``sync``.
+        ``dense`` (smallest), ``fast``, ``lossless:predictive`` (every bit; ignores the tolerance), ``lossless`` (the
+        same, faster and larger), or for short arrays one of the published methods ``spline`` and ``sync``.
     threads
         Number of threads; by default one for each core, at most 8. The result does not depend on it.
 

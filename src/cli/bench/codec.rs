@@ -40,7 +40,8 @@ pub(crate) struct Args {
     /// With folders, also read the files in their subfolders
     #[arg(short, long)]
     recursive: bool,
-    /// A resampler; can be repeated [default: dense, fast, lossless, spline, sync]
+    /// A resampler; can be repeated [default: dense, fast, lossless, lossless:predictive,
+    /// spline, sync]
     #[arg(long = "resampler", value_name = "NAME", value_parser = str::parse::<ResamplerKind>)]
     resamplers: Vec<ResamplerKind>,
     /// A tolerance; can be repeated [default: 0.1 0.5 1 5 10 20 mm]
@@ -104,6 +105,7 @@ fn all_settings(args: &Args) -> anyhow::Result<Vec<(Settings, Effort)>> {
             ResamplerKind::Dense,
             ResamplerKind::Fast,
             ResamplerKind::Lossless,
+            ResamplerKind::LosslessPredictive,
             ResamplerKind::Spline(SplineVariant::WorstSample),
             ResamplerKind::Sync(SplineVariant::WorstSample),
         ];

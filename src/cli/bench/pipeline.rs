@@ -17,7 +17,7 @@ use mocapd_acquire::{
     ledger::LedgerDocument,
     pipeline::{NewTake, Pipeline, PipelineConfig},
 };
-use mocapd_codec::{ResamplerKind, Settings};
+use mocapd_codec::Settings;
 use mocapd_drivers::{
     device::{DeviceEvent, Frame, MarkerSample, Protocol},
     link::{DeviceLink, FrameForm, HostLink},
@@ -255,7 +255,7 @@ fn record(own: &Path, uri: &DeviceUri, take: &Path, codec: Settings) -> anyhow::
 
 fn codec_args(codec: Settings) -> Vec<String> {
     match codec.kind {
-        ResamplerKind::Lossless => vec!["--lossless".to_owned()],
+        kind if kind.is_lossless() => vec![format!("--resampler={kind}")],
         kind => {
             vec![format!("--resampler={kind}"), format!("--tolerance={}mm", codec.tolerance.mm())]
         }

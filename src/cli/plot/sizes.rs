@@ -104,7 +104,7 @@ fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
         let name = kind.to_string().replace(":worst-sample", "");
         lines.push(SizeLine { name, points, is_level: false });
     }
-    let lossless = file_bytes(path, &motion, ResamplerKind::Lossless, 1.0, &counter)?;
+    let lossless = file_bytes(path, &motion, ResamplerKind::LosslessPredictive, 1.0, &counter)?;
     lines.push(level("lossless", lossless));
     lines.push(level("float32", 12 * samples as u64));
     drop(progress);

@@ -352,7 +352,7 @@ fn check_part(take: &[u8], whole: &[RowContent], rows: Range<u64>) -> CutReport 
 
 #[test]
 fn every_range_of_a_recording_has_its_rows_times_and_events() {
-    for kind in ["dense", "fast", "lossless"] {
+    for kind in ["dense", "fast", "lossless", "lossless:predictive"] {
         let take = recording(kind, 900);
         let whole = rows_of(&take);
         assert!(whole.iter().filter(|row| row.lost.is_some()).count() > 50);
@@ -406,7 +406,7 @@ fn only_rows_before_the_first_key_and_of_the_last_stretch_are_stored_as_floats()
 
 #[test]
 fn every_range_of_an_import_has_its_rows() {
-    for kind in ["dense", "fast", "lossless", "spline", "sync"] {
+    for kind in ["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"] {
         let take = import(kind, 2300);
         let whole = rows_of(&take);
         for rows in [0..2300, 0..1, 17..400, 990..1010, 1000..2000, 999..2300, 2299..2300] {
@@ -428,7 +428,7 @@ fn every_range_of_an_import_has_its_rows() {
 #[test]
 fn parts_join_to_the_whole() {
     let mut random = Random::new(12);
-    for kind in ["dense", "fast", "lossless", "spline", "sync"] {
+    for kind in ["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"] {
         let is_live = settings(kind).kind.is_live();
         let takes = [Some(import(kind, 1500)), is_live.then(|| recording(kind, 900))];
         for take in takes.into_iter().flatten() {

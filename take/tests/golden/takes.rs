@@ -35,12 +35,18 @@ pub(crate) struct Written {
 }
 
 /// All golden takes, with as many markers as keep them small in total.
-pub(crate) const GOLDENS: [Golden; 7] = [
+pub(crate) const GOLDENS: [Golden; 8] = [
     Golden { name: "dense-0.1mm", resampler: "dense", tolerance_mm: 0.1, n_markers: 12 },
     Golden { name: "dense-1mm", resampler: "dense", tolerance_mm: 1.0, n_markers: 16 },
     Golden { name: "dense-20mm", resampler: "dense", tolerance_mm: 20.0, n_markers: MARKERS },
     Golden { name: "fast-1mm", resampler: "fast", tolerance_mm: 1.0, n_markers: 14 },
     Golden { name: "lossless", resampler: "lossless", tolerance_mm: 0.0, n_markers: 7 },
+    Golden {
+        name: "lossless-predictive",
+        resampler: "lossless:predictive",
+        tolerance_mm: 0.0,
+        n_markers: 7,
+    },
     Golden {
         name: "spline-1mm",
         resampler: "spline:worst-sample",

@@ -3,8 +3,16 @@
 use mocapd_codec::{Settings, Tolerance};
 
 /// The resamplers, selected by one byte.
-const KINDS: [&str; 7] =
-    ["dense", "fast", "lossless", "spline", "sync", "spline:exhaustive", "sync:exhaustive"];
+const KINDS: [&str; 8] = [
+    "dense",
+    "fast",
+    "lossless",
+    "spline",
+    "sync",
+    "spline:exhaustive",
+    "sync:exhaustive",
+    "lossless:predictive",
+];
 
 /// Reads numbers from the front, and zeros at the end, so that any bytes are valid input.
 #[derive(Debug, Clone, Copy)]

@@ -270,7 +270,7 @@ fn configs() -> Vec<Vec<u8>> {
 /// Takes: unchanged, and as chunks whose checksums the target computes.
 fn takes() -> Vec<Vec<u8>> {
     let mut seeds = Vec::new();
-    for kind in ["dense", "fast", "lossless", "spline", "sync"] {
+    for kind in ["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"] {
         for timed in [false, true] {
             let take = take(kind, timed);
             let mut chunks = vec![1];

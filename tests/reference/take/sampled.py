@@ -16,6 +16,7 @@ REACH = 1e12
 NEIGHBOURS, DIFFERENCES, LAGS = 4, 8, 4
 ORDER = DIFFERENCES + LAGS + 2 * NEIGHBOURS
 FORGETTING, VARIANCE, VARIANCE_MAX, POWER_MAX = 0.9985, 1.0, 1e9, 1e30
+INHERITED_VARIANCE = 10.0
 RATES = (1 / 8, 1 / 32, 1 / 256)
 # Average, width relative to it, degrees of freedom.
 SHAPES = ((0, 1.2, 16), (0, 0.7, 4), (1, 0.5, 16), (1, 1.25, 16), (1, 0.8, 2), (2, 0.3, 4), (2, 1.25, 16), (2, 2.5, 2))
@@ -136,7 +137,25 @@ class Predictor:
         self.differences = [value] + [0.0] * (DIFFERENCES - 1)
         self.changes = [0.0] * (DIFFERENCES + LAGS - 1)
         self.mean = value
+        self.n_values = DIFFERENCES
         self.reset_inverse()
+
+    def start_like(self, other):
+        """Takes over what another channel learnt from its own past."""
+        own = DIFFERENCES + LAGS
+        self.n_values = 1
+        self.weights[:own] = other.weights[:own]
+        for i in range(own):
+            for j in range(own):
+                self.inverse[i][j] = other.inverse[i][j] * INHERITED_VARIANCE
+            self.largest = max(self.largest, self.inverse[i][i])
+
+    def restart(self, value):
+        """A new past, behind a gap."""
+        self.differences = [value] + [0.0] * (DIFFERENCES - 1)
+        self.changes = [0.0] * (DIFFERENCES + LAGS - 1)
+        self.mean = value
+        self.n_values = 1
 
     def reset_inverse(self):
         self.largest = VARIANCE
@@ -154,6 +173,8 @@ class Predictor:
         for i in range(DIFFERENCES):
             before, self.differences[i] = self.differences[i], difference
             difference -= before
+        self.n_values = min(self.n_values + 1, DIFFERENCES)
+        self.differences[self.n_values :] = [0.0] * (DIFFERENCES - self.n_values)
         self.changes = [self.differences[1]] + self.changes[:-1]
         self.mean += (value - self.mean) * (1.0 / 256.0)
 
@@ -182,9 +203,9 @@ class Predictor:
 
 
 class Distribution:
-    def __init__(self):
-        self.averages = [1.0] * 3
-        self.weights = [1.0 / len(SHAPES)] * len(SHAPES)
+    def __init__(self, like=None):
+        self.averages = list(like.averages) if like else [1.0] * 3
+        self.weights = list(like.weights) if like else [1.0 / len(SHAPES)] * len(SHAPES)
         self.set_widths()
 
     def set_widths(self):
@@ -234,20 +255,24 @@ class Track:
 
     def __init__(self):
         self.cells = Cells()
-        self.distribution = Distribution()
+        self.distribution, self.across_gaps = Distribution(), Distribution()
         self.last = self.last_before = (0, 0)
         self.is_started = False
         self.events = self.parity = 0
         self.exponent, self.beside = 0, []
 
-    def start(self, bits):
+    def start(self, bits, like=None):
         self.is_started, self.parity, self.last = True, 1, (bits, bits)
         self.predictor = Predictor(unit(bits, 2.0**-self.exponent))
+        if like:
+            self.predictor.start_like(like.predictor)
+            self.distribution = Distribution(like.distribution)
+            self.across_gaps = Distribution(like.across_gaps)
 
 
 class Halving:
-    def __init__(self, coder, track, centre):
-        self.coder, self.cells, self.distribution = coder, track.cells, track.distribution
+    def __init__(self, coder, track, distribution, centre):
+        self.coder, self.cells, self.distribution = coder, track.cells, distribution
         self.centre, self.per_unit = centre, 2.0**-track.exponent
         self.excluded = []
 
@@ -327,11 +352,15 @@ class Halving:
 class SampledDecoder:
     """Decodes the blocks of a group, in order."""
 
-    def __init__(self):
+    # Whether contexts of events depend on the channel before.
+    has_previous = True
+
+    def __init__(self, channels_max=CHANNELS_MAX, index_bits=6):
         self.n_channels = None
+        self.channels_max, self.index_bits = channels_max, index_bits
 
     def reset(self):
-        self.tracks = [Track() for _ in range(CHANNELS_MAX)]
+        self.tracks = [Track() for _ in range(self.channels_max)]
         self.flags = [Bit() for _ in range(16)]
         self.logs = [Bit() for _ in range(33)]
         self.quantum = 1.0
@@ -351,17 +380,32 @@ class SampledDecoder:
                 raise Corrupt("samples as they are, of another number")
             words = struct.unpack(f"<{n_channels * n_rows}I", block[1:])
             return [list(words[i * n_rows : (i + 1) * n_rows]) for i in range(n_channels)]
-        self.coder = RangeDecoder(block[1:])
-        self.n_rows, self.done = n_rows, []
+        self.coder, self.done = RangeDecoder(block[1:]), []
         for channel in range(n_channels):
-            track = self.tracks[channel]
-            self.read_head(track)
-            if any(index >= channel for index in track.beside):
-                raise Corrupt("a neighbour that does not come before its channel")
             self.done.append([])
-            self.read_samples(channel, track)
+            self.read_channel(channel, range(n_rows), self.done[channel])
         self.coder.finish()
         return self.done
+
+    def read_channel(self, channel, rows, samples, behind_gaps=(), like=None):
+        """Appends the bits of the samples in these rows."""
+        track = self.tracks[channel]
+        self.read_head(track)
+        if any(index >= channel for index in track.beside):
+            raise Corrupt("a neighbour that does not come before its channel")
+        self.rows = rows
+        if track.cells.form[0] == "stored":
+            samples.extend(self.coder.plain(32) for _ in rows)
+            track.start(samples[-1])
+            return
+        if not track.is_started:
+            samples.append(self.coder.plain(32))
+            track.start(samples[0], like)
+        track.last_before = track.last
+        while len(samples) < len(rows):
+            sample = self.read_sample(channel, track, len(samples), len(samples) in behind_gaps)
+            samples.append(sample)
+            track.last = sample, track.last[0]
 
     def number(self):
         if self.coder.bit(self.flags[12]):
@@ -378,7 +422,7 @@ class SampledDecoder:
             n_beside = coder.plain(3)
             if track.exponent <= -127 or n_beside > NEIGHBOURS:
                 raise Corrupt("a unit out of range, or too many neighbours")
-            track.beside = [coder.plain(6) for _ in range(n_beside)]
+            track.beside = [coder.plain(self.index_bits) for _ in range(n_beside)]
         bits = [coder.bit(flags[1 + i]) for i in range(7)]
         track.repeats, track.has_lines = bits[0:2], bits[2:4]
         track.past = ("events" if bits[5] else "cells") if bits[4] else "all"
@@ -416,32 +460,17 @@ class SampledDecoder:
         return entries
 
     def at(self, channel, row, back):
-        """The sample of a channel that is done, `back` rows before a row."""
+        """What a channel that is done held at a sample, or `back` samples before."""
         if row >= back:
-            return self.done[channel][row - back]
+            return self.done[channel][self.rows[row - back]]
         return self.tracks[channel].last_before[min(back - row - 1, 1)]
 
-    def read_samples(self, channel, track):
-        samples = self.done[channel]
-        if track.cells.form[0] == "stored":
-            samples.extend(self.coder.plain(32) for _ in range(self.n_rows))
-            track.start(samples[-1])
-            return
-        if not track.is_started:
-            samples.append(self.coder.plain(32))
-            track.start(samples[0])
-        track.last_before = track.last
-        while len(samples) < self.n_rows:
-            sample = self.read_sample(channel, track, len(samples))
-            samples.append(sample)
-            track.last = sample, track.last[0]
-
-    def read_sample(self, channel, track, row):
+    def read_sample(self, channel, track, row, is_behind_gap):
         parity, per_unit = track.parity, 2.0**-track.exponent
         track.parity ^= 1
         context = (track.events & 63) * 2 + parity
         previous = 0
-        if channel and (track.repeats[parity] or track.mode is not None):
+        if self.has_previous and channel and (track.repeats[parity] or track.mode is not None):
             previous = 1 + (self.at(channel - 1, row, 0) == self.at(channel - 1, row, 1))
         excluded, events = [], []
         if track.has_lines[parity]:
@@ -459,9 +488,9 @@ class SampledDecoder:
                     track.predictor.push(unit(sample, per_unit))
                 return sample
             excluded.append(sample)
-        return self.read_cell(track, row, excluded)
+        return self.read_cell(track, row, excluded, is_behind_gap)
 
-    def read_cell(self, track, row, excluded):
+    def read_cell(self, track, row, excluded, is_behind_gap):
         per_unit = 2.0**-track.exponent
         beside = []
         for other in track.beside:
@@ -470,9 +499,10 @@ class SampledDecoder:
             beside += [now - then, then - before]
         beside += [0.0] * (2 * NEIGHBOURS - len(beside))
         predicted = track.predictor.predict(beside)
-        if not -REACH < predicted < REACH:
+        if is_behind_gap or not -REACH < predicted < REACH:
             predicted = track.predictor.differences[0]
-        halving = Halving(self.coder, track, predicted * 2.0**track.exponent)
+        distribution = track.across_gaps if is_behind_gap else track.distribution
+        halving = Halving(self.coder, track, distribution, predicted * 2.0**track.exponent)
         if not track.corrects:
             halving.exclude(excluded)
         cell = halving.code()
@@ -486,10 +516,13 @@ class SampledDecoder:
         low = track.cells.border(cell - 1) if cell > first else -1e39
         high = track.cells.border(cell) if cell < last else 1e39
         value = unit(bits, per_unit) if is_finite(bits) else predicted
-        track.distribution.learn(low * per_unit - predicted, high * per_unit - predicted, value - predicted)
-        track.predictor.learn(value - predicted)
-        if track.past != "events":
-            track.predictor.push(value)
+        distribution.learn(low * per_unit - predicted, high * per_unit - predicted, value - predicted)
+        if is_behind_gap:
+            track.predictor.restart(value)
+        else:
+            track.predictor.learn(value - predicted)
+            if track.past != "events":
+                track.predictor.push(value)
         track.events <<= 2
         return bits
 

@@ -8,6 +8,7 @@ from .errors import Corrupt
 from .fast import Fast
 from .frame import Group
 from .lossless import Lossless
+from .predictive import Predictive
 from .spline import Spline
 from .sync import Sync
 from .timeline import Times
@@ -15,7 +16,14 @@ from .timeline import Times
 GROUP = 64
 ROWS_MAX = {True: 1 << 17, False: 1 << 22}  # by whether the resampler is live
 LIVE = {"dense", "fast", "lossless"}
-PAYLOADS = {"dense": Dense, "fast": Fast, "lossless": Lossless, "spline": Spline, "sync": Sync}
+PAYLOADS = {
+    "dense": Dense,
+    "fast": Fast,
+    "lossless": Lossless,
+    "lossless:predictive": Predictive,
+    "spline": Spline,
+    "sync": Sync,
+}
 
 
 class Take:
@@ -37,9 +45,11 @@ class Take:
 class Stretches:
     def __init__(self, header, take):
         kind = header.resampler.split(":")[0]
-        if kind not in PAYLOADS:
-            raise Corrupt(f"no resampler is called {kind}")
-        self.make = PAYLOADS[kind]
+        # Variants of the others differ in their encoders only.
+        name = header.resampler if header.resampler in PAYLOADS else kind
+        if name not in PAYLOADS:
+            raise Corrupt(f"no resampler is called {name}")
+        self.make = PAYLOADS[name]
         self.rows_max = ROWS_MAX[kind in LIVE]
         self.tolerance_mm = header.tolerance_mm
         self.stretch_rows = header.stretch_rows
