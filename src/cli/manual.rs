@@ -22,15 +22,33 @@ Examples:
 
 The Debian package has installed the pages.";
 
+/// The exit codes of every command.
+const EXIT_STATUS: [(u8, &str); 5] = [
+    (0, "Done, and nothing was lost."),
+    (1, "Failed, with a message; of several files, at least one failed."),
+    (2, "Wrong usage, or a value that is refused."),
+    (
+        3,
+        "Done, but data was lost: the input or the result is damaged, incomplete or outside its bound.",
+    ),
+    (
+        130,
+        "Ended by Ctrl-C, without an incomplete output. Commands that record end their take in order instead, and exit \
+         with its code.",
+    ),
+];
+
 pub(crate) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
     print_exact(&manual::completions(args, Cli::command()))?;
     Ok(Outcome::Done)
 }
 
 pub(crate) fn pages(args: &ManArgs) -> anyhow::Result<Outcome> {
-    let page = manual::pages(args, Cli::command()).map_err(|error| match error.downcast_ref() {
-        Some(unknown @ UnknownCommand { .. }) => UsageError(unknown.to_string()).into(),
-        None => error,
+    let page = manual::pages(args, Cli::command(), &EXIT_STATUS).map_err(|error| {
+        match error.downcast_ref() {
+            Some(unknown @ UnknownCommand { .. }) => UsageError(unknown.to_string()).into(),
+            None => error,
+        }
     })?;
     print_exact(&page)?;
     Ok(Outcome::Done)

@@ -39,7 +39,8 @@ use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_cli::{
     manual::{CompletionsArgs, ManArgs},
-    stop, usage,
+    stop,
+    usage::{self, ParseError, Parsed},
 };
 
 pub(crate) use output::notify;
@@ -120,9 +121,12 @@ impl Command {
     }
 }
 
-/// Parses the arguments; prints help and version and exits if asked to.
-pub(crate) fn parse() -> anyhow::Result<Cli> {
-    usage::parse().map_err(|message| UsageError(message).into())
+/// Parses the arguments; prints help and version if asked to.
+pub(crate) fn parse() -> anyhow::Result<Parsed<Cli>> {
+    usage::parse().map_err(|error| match error {
+        ParseError::Usage(message) => UsageError(message).into(),
+        failed @ ParseError::Output(_) => failed.into(),
+    })
 }
 
 /// Runs the command that was given.

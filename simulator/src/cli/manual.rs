@@ -20,12 +20,19 @@ Examples:
 
 The Debian package has installed the pages.";
 
+/// The exit codes of every command.
+const EXIT_STATUS: [(u8, &str); 3] = [
+    (0, "Done; for serve also: ended by Ctrl-C."),
+    (1, "Failed, with a message."),
+    (2, "Wrong usage, or a value that is refused."),
+];
+
 pub(super) fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
     Ok(print_exact(&manual::completions(args, Cli::command()))?)
 }
 
 pub(super) fn pages(args: &ManArgs) -> Result<(), Failure> {
-    let page = manual::pages(args, Cli::command()).map_err(|error| {
+    let page = manual::pages(args, Cli::command(), &EXIT_STATUS).map_err(|error| {
         if error.is::<UnknownCommand>() { Failure::usage(error) } else { error.into() }
     })?;
     Ok(print_exact(&page)?)

@@ -9,7 +9,7 @@ mod serve;
 use clap::{Parser, Subcommand};
 use mocapd_cli::{
     manual::{CompletionsArgs, ManArgs},
-    usage,
+    usage::{self, ParseError, Parsed},
 };
 
 pub(crate) use output::notify;
@@ -73,9 +73,12 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
     }
 }
 
-/// Parses the arguments; prints help and version and exits if asked to.
-pub(crate) fn parse() -> Result<Cli, Failure> {
-    usage::parse().map_err(Failure::usage_message)
+/// Parses the arguments; prints help and version if asked to.
+pub(crate) fn parse() -> Result<Parsed<Cli>, Failure> {
+    usage::parse().map_err(|error| match error {
+        ParseError::Usage(message) => Failure::usage_message(message),
+        failed @ ParseError::Output(_) => failed.into(),
+    })
 }
 
 /// Runs the command that was given.

@@ -41,7 +41,7 @@ pub(crate) struct Args {
     #[arg(short, long)]
     recursive: bool,
     /// A resampler; can be repeated [default: dense, fast, lossless, spline, sync]
-    #[arg(long = "resampler", value_name = "NAME", value_parser = str::parse::<ResamplerKind>)]
+    #[arg(long = "resampler", value_name = "NAME", value_parser = values::resampler(), hide_possible_values = true)]
     resamplers: Vec<ResamplerKind>,
     /// A tolerance; can be repeated [default: 0.1 0.5 1 5 10 20 mm]
     #[arg(long = "tolerance", value_name = "LENGTH", value_parser = values::tolerance)]

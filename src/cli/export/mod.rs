@@ -38,7 +38,7 @@ use super::{
     },
     output::plain_path,
     paths,
-    values::{TimeOrFormat, bytes, count, split_to},
+    values::{TimeOrFormat, bytes, count, split_to, time_or_format},
 };
 
 /// Size of the output buffer: so large that the cost of system calls is negligible.
@@ -66,7 +66,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
     /// Export frames before this time; or, if the value is the name of a format, the same as --format: --to c3d
-    #[arg(long, value_name = "TIME|FORMAT", allow_hyphen_values = true)]
+    #[arg(long, value_name = "TIME|FORMAT", allow_hyphen_values = true, value_parser = time_or_format::<FormatName>(), hide_possible_values = true)]
     to: Vec<TimeOrFormat<FormatName>>,
     /// Print one JSON document, or one per line for several takes
     #[arg(long)]

@@ -24,7 +24,7 @@ use crate::cli::{
     motion_files::{Original, file_name, read_original, read_picture_source, write_new},
     output::plain_path,
     paths::{self, InputFormatName, ends_in},
-    values::{TimeOrFormat, split_to},
+    values::{TimeOrFormat, split_to, time_or_format},
 };
 
 #[derive(Debug, Subcommand)]
@@ -97,7 +97,7 @@ pub(crate) struct PictureArgs {
     output: Option<PathBuf>,
     /// Format of the plots: svg or png [default: by the extension of the output, else svg]; for a trajectory also, as a
     /// time, the end of the plot: plot frames before it
-    #[arg(long, value_name = "FORMAT|TIME", allow_hyphen_values = true)]
+    #[arg(long, value_name = "FORMAT|TIME", allow_hyphen_values = true, value_parser = time_or_format::<PictureFormat>(), hide_possible_values = true)]
     to: Vec<TimeOrFormat<PictureFormat>>,
     #[command(flatten)]
     input: InputArgs,
