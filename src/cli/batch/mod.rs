@@ -205,6 +205,10 @@ pub(crate) fn run(
         notify(message);
         table.add_failure();
     }
+    for (name, other) in &batch.inputs.repeated {
+        notify(&format!("{}: left out, it is {}", name.display(), other.display()));
+        table.add_repeated();
+    }
     let worker = || {
         |&index: &usize| {
             let job = Job {
