@@ -121,6 +121,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         outputs: &paths_of_outputs,
         json: args.json,
         text_to_stderr: true,
+        lines_to_stderr: false,
         threads: batch::thread_count(None),
         doing: "exporting",
         done: "exported",

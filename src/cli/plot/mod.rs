@@ -211,6 +211,7 @@ impl PictureArgs {
             outputs: &paths_of_outputs,
             json: self.json,
             text_to_stderr: true,
+            lines_to_stderr: false,
             threads: batch::thread_count(None),
             doing: "plotting",
             done: "plotted",
