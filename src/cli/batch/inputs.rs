@@ -29,7 +29,9 @@ pub(crate) enum FileKinds {
 
 impl FileKinds {
     fn includes(self, path: &Path) -> bool {
-        let is_motion_file = || Format::from_extension(path).is_some_and(Format::is_read);
+        let is_read = || Format::from_extension(path).is_some_and(Format::is_read);
+        // Files of analog channels and force plates beside an export have no markers.
+        let is_motion_file = || is_read() && !paths::is_sampled(path);
         match self {
             Self::Takes => paths::is_take(path),
             Self::MotionFiles => is_motion_file(),
@@ -230,7 +232,6 @@ impl Inputs {
             }
             Entry::Occupied(other) => self.repeated.push((path, other.get().clone())),
         }
-        n_found
     }
 }
 

@@ -1,6 +1,7 @@
 //! `plot`: plots of takes, as SVG or PNG.
 
 mod pose;
+mod sampled;
 mod sizes;
 mod trajectory;
 
@@ -35,6 +36,10 @@ pub(crate) enum Plot {
     Pose(pose::Args),
     /// Plot the size of the take against the tolerance, by resampler, one panel per take or file
     Sizes(sizes::Args),
+    /// Plot analog channels of an imported C3D file against time
+    Analog(sampled::AnalogArgs),
+    /// Plot force plates of an imported C3D file: forces and centres of pressure, beside the trajectory of a marker
+    Forces(sampled::ForcesArgs),
     /// Plot each marker's gaps, noise and, with --against, error
     Quality(PictureArgs),
 }
@@ -44,6 +49,8 @@ pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
         Plot::Trajectory(args) => trajectory::run(args),
         Plot::Pose(args) => pose::run(args),
         Plot::Sizes(args) => sizes::run(args),
+        Plot::Analog(args) => sampled::run_analog(args),
+        Plot::Forces(args) => sampled::run_forces(args),
         Plot::Quality(args) => draw_quality(args),
     }
 }

@@ -52,7 +52,7 @@ fn draw(args: &Args, picture: &Picture<'_>) -> anyhow::Result<String> {
 }
 
 /// The column of the marker with this label, or of the one with the longest path.
-fn marker(decoded: &DecodedTake, label: Option<&str>) -> anyhow::Result<usize> {
+pub(super) fn marker(decoded: &DecodedTake, label: Option<&str>) -> anyhow::Result<usize> {
     let markers = &decoded.motion.info.markers;
     if let Some(label) = label {
         // As in exports: if several markers share a label, the second is `LABEL#2`.

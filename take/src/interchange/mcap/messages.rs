@@ -34,6 +34,10 @@ impl Message {
         self
     }
 
+    pub(super) fn float(self, field: u32, value: f32) -> Self {
+        self.fixed32(field, value.to_bits())
+    }
+
     pub(super) fn double(mut self, field: u32, value: f64) -> Self {
         self.tag(field, 1);
         self.0.extend(value.to_le_bytes());
@@ -87,6 +91,17 @@ fn pose(at: [f64; 3]) -> Message {
 
 fn metres(position: Position) -> [f64; 3] {
     position.map(|mm| f64::from(mm) / MM_PER_METRE)
+}
+
+/// Numbers of the fields of a sample's values, after that of its time. Protocol Buffers reserve 19000 to 19999.
+pub(super) fn value_fields() -> impl Iterator<Item = u32> {
+    (2..19_000).chain(20_000..)
+}
+
+/// A sample of all channels of a table: its time, and a float in each of the [`value_fields`].
+pub(super) fn sampled(row: &[f32], time_ns: u64) -> Message {
+    let message = Message::default().message(1, &timestamp(time_ns));
+    value_fields().zip(row).fold(message, |message, (field, value)| message.float(field, *value))
 }
 
 /// The `foxglove.PointCloud` of the visible markers.

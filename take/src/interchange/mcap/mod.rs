@@ -1,12 +1,16 @@
 //! Export to MCAP with Foxglove's schemas, which Foxglove and other viewers display without configuration.
 //!
 //! Each frame is a point cloud in metres, with the marker's column as a field of each point. Labels are a scene of
-//! texts, the up axis is a transform at the start, and the take's header and ledger are metadata.
+//! texts, the up axis is a transform at the start, and the take's header and ledger are metadata. Analog samples and the
+//! loads of force plates are messages with a field for each channel, which viewers plot by its name.
 
 mod messages;
 mod schema;
 
-use std::{collections::BTreeMap, io::Write};
+use std::{
+    collections::{BTreeMap, HashSet},
+    io::Write,
+};
 
 use mcap::{
     McapError, WriteOptions, Writer,
@@ -15,7 +19,12 @@ use mcap::{
 };
 
 use self::{messages::Message, schema::descriptor_set};
-use super::{InterchangeError, Result, metadata::metadata, text::column_labels};
+use super::{
+    InterchangeError, Result,
+    metadata::metadata,
+    sampled_table::{SampledColumn, SampledKind, SampledTable},
+    text::column_labels,
+};
 use crate::motion::{FrameSource, GAP};
 
 /// Size of a chunk in bytes. One chunk at a time is in memory.
@@ -24,7 +33,7 @@ const CHUNK_BYTES: u64 = 1 << 20;
 /// Update rate of the labels: as texts they are larger than the points.
 const NAMES_HZ: f64 = 10.0;
 
-/// Writes the topics `/markers`, `/names` and `/tf`. A message has the time of its frame, counted from the start of the
+/// Writes the topics `/markers`, `/names` and `/tf`, and if there are such samples `/analog` and `/force_plates`. A message has the time of its frame, counted from the start of the
 /// recording, or from 1970 if that is unknown.
 pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
@@ -34,10 +43,11 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     // A part of a take keeps its times.
     let first_of_take = header.and_then(|h| h.source.as_ref()).map_or(1, |s| s.first_frame);
     let frames_before = header.map_or(0, |_| info.source.first_frame.saturating_sub(first_of_take));
-    let time_of = |index: u64| {
-        let elapsed_s = frames_before.saturating_add(index) as f64 / info.rate_hz;
-        start_unix_ns.saturating_add((elapsed_s * 1e9).round() as u64)
+    let time_between = |index: u64, samples: usize, of: usize| {
+        let frames = frames_before.saturating_add(index) as f64 + samples as f64 / of as f64;
+        start_unix_ns.saturating_add((frames / info.rate_hz * 1e9).round() as u64)
     };
+    let time_of = |index: u64| time_between(index, 0, 1);
     let start_ns = time_of(0);
     let options = WriteOptions::new()
         .compression(None)
@@ -53,6 +63,10 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     let cloud = file.channel("/markers", "foxglove.PointCloud")?;
     let scene = file.channel("/names", "foxglove.SceneUpdate")?;
     file.message(transform, start_ns, &messages::up_transform(info.up, start_ns))?;
+    let mut tables = Vec::new();
+    for table in SampledTable::all(&info)? {
+        tables.push((file.sampled_channel(&table)?, table));
+    }
     let labels = column_labels(&info);
     let label_interval = (info.rate_hz / NAMES_HZ).ceil().max(1.0) as u64;
     let mut row = vec![GAP; info.markers.len()];
@@ -62,6 +76,14 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         file.message(cloud, time_ns, &messages::cloud(&row, time_ns))?;
         if index.is_multiple_of(label_interval) {
             file.message(scene, time_ns, &messages::label_scene(&row, &labels, time_ns))?;
+        }
+        for (channel, table) in &mut tables {
+            let (width, ratio) = (table.columns().len().max(1), table.samples_per_frame());
+            for (sample, row) in table.next_frame()?.chunks_exact(width).enumerate() {
+                let time_ns = time_between(index, sample, ratio);
+                file.message(*channel, time_ns, &messages::sampled(row, time_ns))?;
+            }
+            frames.count_sampled(1);
         }
         index += 1;
     }
@@ -81,6 +103,25 @@ impl McapFile<'_> {
         self.writer.add_channel(schema, topic, "protobuf", &BTreeMap::new()).map_err(mcap_error)
     }
 
+    /// A channel for the samples of a table. Its metadata has the name and unit of each field's channel.
+    fn sampled_channel(&mut self, table: &SampledTable<'_>) -> Result<u16> {
+        let message = match table.kind() {
+            SampledKind::Analog => "mocapd.Analog",
+            SampledKind::ForcePlates => "mocapd.ForcePlates",
+        };
+        let fields = field_names(table.columns());
+        let schema = schema::sampled_descriptor(message, &fields);
+        let schema = self.writer.add_schema(message, "protobuf", &schema).map_err(mcap_error)?;
+        let describe = |(field, column): (&String, &SampledColumn)| {
+            let unit = Some(&column.unit).filter(|unit| !unit.is_empty());
+            let unit = unit.map_or_else(String::new, |unit| format!(" ({unit})"));
+            (field.clone(), format!("{}{unit}", column.name))
+        };
+        let metadata = fields.iter().zip(table.columns()).map(describe).collect();
+        let topic = format!("/{}", table.kind().name());
+        self.writer.add_channel(schema, &topic, "protobuf", &metadata).map_err(mcap_error)
+    }
+
     fn message(&mut self, channel_id: u16, time_ns: u64, message: &Message) -> Result<()> {
         let sequence = self.sequence;
         self.sequence = sequence.wrapping_add(1);
@@ -90,9 +131,58 @@ impl McapFile<'_> {
     }
 }
 
+/// Names for the Protocol Buffers fields of these columns: ASCII letters, digits and underscores, which also differ in
+/// their JSON form, without underscores and case.
+fn field_names(columns: &[SampledColumn]) -> Vec<String> {
+    let key = |name: &str| name.replace('_', "").to_ascii_lowercase();
+    let mut taken = HashSet::from([key("timestamp")]);
+    let unique = |column: &SampledColumn| {
+        let letter = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+        let mut name: String = column.name.chars().map(letter).collect();
+        if !name.starts_with(|c: char| c.is_ascii_alphabetic()) {
+            name.insert_str(0, "channel_");
+        }
+        let (given, mut number) = (name.clone(), 2);
+        while !taken.insert(key(&name)) {
+            name = format!("{given}_{number}");
+            number += 1;
+        }
+        name
+    };
+    columns.iter().map(unique).collect()
+}
+
 fn mcap_error(error: McapError) -> InterchangeError {
     match error {
         McapError::Io(error) => error.into(),
         error => std::io::Error::other(error).into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn field_names_are_identifiers_that_differ() {
+        let names = ["Fz1", "fz_1", "EMG left", "1", "", "\u{e9}", "timestamp", "fz_1_2", "a.x"];
+        let column = |name: &&str| SampledColumn {
+            name: (*name).to_owned(),
+            unit: String::new(),
+            description: String::new(),
+        };
+        let columns: Vec<_> = names.iter().map(column).collect();
+        let expected = [
+            "Fz1",
+            "fz_1_2",
+            "EMG_left",
+            "channel_1",
+            "channel_",
+            "channel___2",
+            "timestamp_2",
+            "fz_1_2_2",
+            "a_x",
+        ];
+        assert_eq!(field_names(&columns), expected);
     }
 }
