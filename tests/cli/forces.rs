@@ -249,3 +249,27 @@ fn plots_show_analog_channels_and_force_plates() {
         assert_mentions(&line, &["--drop-foreign"]);
     }
 }
+
+#[test]
+fn sizes_include_the_analog_channels() {
+    let folder = folder([0, 0]);
+    let bench = |file: &str| {
+        let args = ["bench", "codec", file, "--resampler", "fast", "--tolerance", "1mm", "--json"];
+        folder.run(&args).with_code(0).json()["files"][0].clone()
+    };
+    let (raw, take) = (bench("walk.c3d"), bench("walk.take"));
+    assert_eq!((&raw["analog_samples"], &take["analog_samples"]), (&600.into(), &600.into()));
+    assert_eq!(raw["analog_bytes"], take["analog_bytes"]);
+    // As much as an import is larger for them.
+    for (name, option) in [("all.take", None), ("bare.take", Some("--drop-foreign"))] {
+        let args = ["import", "walk.c3d", "-o", name, "--resampler", "fast", "--tolerance", "1mm"];
+        folder.run(&[&args[..], option.as_slice()].concat()).with_code(0);
+    }
+    let size = |name: &str| folder.path(name).metadata().unwrap().len();
+    let difference = size("all.take") - size("bare.take");
+    let stated = raw["analog_bytes"].as_u64().unwrap();
+    // The header of the one without them says that they were left out.
+    assert!(stated.abs_diff(difference) <= 64, "{stated} for {difference}");
+    folder.run(&["plot", "sizes", "walk.c3d", "--tolerances", "1mm", "-o", "s.svg"]).with_code(0);
+    assert_mentions(&folder.text("s.svg"), &["analog", "600 analog samples"]);
+}

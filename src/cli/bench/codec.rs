@@ -23,7 +23,7 @@ use serde::Serialize;
 
 use crate::cli::{
     batch::{self, FileKinds, Input},
-    motion_files::read_take,
+    motion_files::{AnalogSize, measure_analog, read_take},
     original::{header_of, read_motion},
     output::{notify, plain, print, print_json},
     paths, values,
@@ -70,9 +70,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         } else {
             read_motion(file)?
         };
-        motion.info.foreign.clear();
+        let analog = measure_analog(file, &mut motion)?;
         let input = BenchInput { file, motion: &motion };
-        let mut about = CodecFileReport::new(&input);
+        let mut about = CodecFileReport::new(&input, analog);
         if !args.json {
             print(&about.head())?;
         }
@@ -255,6 +255,9 @@ struct CodecFileReport {
     markers: usize,
     samples: u64,
     raw_bytes: u64,
+    /// Samples of the analog channels, and the bytes that every take needs for them beside those of its results.
+    analog_samples: u64,
+    analog_bytes: u64,
     results: Vec<Measured>,
 }
 
@@ -278,7 +281,7 @@ struct Measured {
 }
 
 impl CodecFileReport {
-    fn new(input: &BenchInput<'_>) -> Self {
+    fn new(input: &BenchInput<'_>, analog: Option<AnalogSize>) -> Self {
         let info = &input.motion.info;
         let samples = input.samples();
         Self {
@@ -288,14 +291,24 @@ impl CodecFileReport {
             markers: info.markers.len(),
             samples,
             raw_bytes: 12 * samples,
+            analog_samples: analog.map_or(0, |analog| analog.samples),
+            analog_bytes: analog.map_or(0, |analog| analog.bytes),
             results: Vec::new(),
         }
     }
 
     /// The heading of its table.
     fn head(&self) -> String {
+        let analog = match self.analog_samples {
+            0 => String::new(),
+            n => format!(
+                "analog: {n} samples, {} bytes in every take beside those below, {:.2} bits each\n",
+                self.analog_bytes,
+                8.0 * self.analog_bytes as f64 / n as f64
+            ),
+        };
         format!(
-            "{}: {} markers, {} frames at {}, {} bytes of float32\n\
+            "{}: {} markers, {} frames at {}, {} bytes of float32\n{analog}\
              {:20} {:>9} {:>10} {:>8} {:>7} {:>12} {:>10} {:>10}\n",
             plain(&self.file),
             self.markers,

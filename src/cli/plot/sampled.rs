@@ -1,20 +1,18 @@
 //! `plot analog` and `plot forces`: the sampled channels of an imported C3D file.
 
-use std::{io::BufReader, time::Duration};
+use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::files::{self, SparseFile};
 use mocapd_report::plot::{AnalogPlot, CHANNELS_MAX, ForcesPlot, analog, forces};
 use mocapd_service::units;
 use mocapd_take::{
-    TakeFrames,
-    foreign::analog::{AnalogSamples, is_needed},
-    motion::{FrameSource, MotionInfo, frame_at},
+    foreign::analog::AnalogSamples,
+    motion::{MotionInfo, frame_at},
 };
 
 use super::{Picture, PictureArgs, TimeSpan, pose::up, trajectory};
-use crate::cli::{paths::InputFormat, values::count};
+use crate::cli::{motion_files::read_analog_info, paths::InputFormat, values::count};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct AnalogArgs {
@@ -83,10 +81,7 @@ fn kept_info(picture: &Picture<'_>) -> anyhow::Result<MotionInfo> {
     if let InputFormat::MotionFile(_) = input.format()? {
         return Ok(picture.take.motion.info.clone());
     }
-    let file = BufReader::new(SparseFile::open(&input.path)?);
-    let frames = TakeFrames::open_with(file, is_needed, files::scratch)
-        .with_context(|| format!("cannot read {}", input.name.display()))?;
-    Ok(frames.info().clone())
+    read_analog_info(&input.path)
 }
 
 /// The frames of the plot.
