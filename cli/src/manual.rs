@@ -160,7 +160,7 @@ mod tests {
     #[test]
     fn a_page_has_the_name_and_the_options_of_its_command() {
         let text = printed(&[]).unwrap();
-        assert!(text.contains(".TH RIG 1 \"\" \"rig 1.2.3\" \"rig manual\""), "{text}");
+        assert!(text.contains(".TH RIG 1  \"rig 1.2.3\" \"rig manual\""), "{text}");
         let at =
             |text: &str, part: &str| text.find(part).unwrap_or_else(|| panic!("{part}: {text}"));
         assert!(at(&text, "Does things") < at(&text, ".SH SUBCOMMANDS"));
