@@ -4,8 +4,14 @@ mod cli;
 
 use std::process::ExitCode;
 
+use mocapd_cli::usage::Parsed;
+
 fn main() -> ExitCode {
-    let result = cli::parse().and_then(cli::run);
+    let result = match cli::parse() {
+        Ok(Parsed::Arguments(arguments)) => cli::run(arguments),
+        Ok(Parsed::Printed(code)) => return ExitCode::from(code),
+        Err(error) => Err(error),
+    };
     if let Err(error) = &result {
         cli::notify(&mocapd_cli::failure_message(error));
     }

@@ -9,6 +9,7 @@ use std::{
 use mocapd_codec::DecodedRows;
 use mocapd_take::{
     TakeError, TakeEvent, TakeMap, TakeTraversal,
+    motion::{FrameSource, GAP, is_gap},
     stretch::Span,
     timeline::{LossCauses, Timeline},
     traversal::Decode,
@@ -202,6 +203,46 @@ impl<R: Read + Seek> GapReader<R> {
         let markers = tracker.finish(take.n_rows)?;
         Ok(GapSummary { take, markers })
     }
+}
+
+/// Rows of a source that are handed on at once: their flags take 64 kB for 64 markers.
+const BLOCK_ROWS: usize = 1024;
+
+/// Passes each gap of frames that are no take to `each`, in the order of [`GapReader::read`]. `take` describes them; a
+/// sample that is missing counts as occluded. Stores the number of rows read so far in `counter`.
+///
+/// # Errors
+/// `Io`, and any error of `each`.
+pub fn gaps_of_frames(
+    frames: &mut dyn FrameSource,
+    mut take: TakeMap,
+    counter: &AtomicU64,
+    each: impl FnMut(&Gap) -> Result<(), TakeError>,
+) -> Result<GapSummary, TakeError> {
+    let n_markers = frames.info().markers.len();
+    let mut tracker = GapTracker::new(vec![0; n_markers], each);
+    let mut row = vec![GAP; n_markers];
+    let mut block = vec![DecodedRows::default(); n_markers];
+    loop {
+        block.iter_mut().for_each(|rows| rows.present.clear());
+        let mut n_rows = 0;
+        while n_rows < BLOCK_ROWS && frames.next_frame(&mut row)? {
+            for (rows, at) in block.iter_mut().zip(&row) {
+                rows.present.push(!is_gap(*at));
+            }
+            n_rows += 1;
+        }
+        if n_rows == 0 {
+            break;
+        }
+        let span =
+            Span { first_row: tracker.next_row, n_rows: n_rows as u32, key: true, number: 0 };
+        tracker.add_stretch(span, None, &block.iter().map(Some).collect::<Vec<_>>())?;
+        counter.store(tracker.next_row, Ordering::Relaxed);
+    }
+    take.n_rows = tracker.next_row;
+    let markers = tracker.finish(take.n_rows)?;
+    Ok(GapSummary { take, markers })
 }
 
 /// Follows the gaps of all markers from row to row.

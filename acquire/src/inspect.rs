@@ -1,14 +1,14 @@
 //! Summarises a take: the numbers of `info` and `verify`.
 
-use std::io::{Seek, SeekFrom};
+use std::io::{Read, Seek, SeekFrom};
 
 use mocapd_take::{
-    TakeError, TakeEvent, TakeMap, TakeTraversal,
+    TakeError, TakeEvent, TakeMap, TakeTraversal, chunk,
     index::{Footer, IndexEntry},
     reader::{TakeBytes, TakeInput},
-    record::{Channel, Header, Ledger, SummaryRecord},
+    record::{Channel, EndingKind, Header, Ledger, SummaryRecord},
     statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
-    stretch::Stretch,
+    stretch::{ROWS_MAX, Stretch},
     timeline::{LossCauses, Timeline},
     traversal::{Decode, LocatedEvent, Progress},
 };
@@ -66,11 +66,13 @@ impl Summary {
     /// `NotATake`, `Unsupported`, `Io`. Damage is a problem, not an error.
     pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
         let decoding = Self { tally: Some(TakeTally::default()), ..Self::default() };
-        let (mut summary, rows_damaged) = decoding.traverse(input, Decode::All)?;
+        let mut input = input.input();
+        let (mut summary, rows_damaged) = decoding.traverse(&mut input, Decode::All)?;
         let tally = summary.tally.take().unwrap_or_default();
         summary.statistics = tally.finish(summary.take.n_rows);
         if !summary.take.damaged {
             summary.compare_statistics();
+            summary.check_up_axis(&mut input)?;
         }
         summary.fill_channels(rows_damaged);
         Ok(summary)
@@ -153,6 +155,17 @@ impl Summary {
             ),
         };
         self.claims.report(sentence);
+    }
+
+    /// Checks that the header states an up axis that there is: readers take any other as unknown.
+    fn check_up_axis(&mut self, input: &mut (impl Read + Seek)) -> Result<(), TakeError> {
+        input.seek(SeekFrom::Start(chunk::MAGIC.len() as u64))?;
+        let mut header = Vec::new();
+        input.by_ref().take(self.bytes.header).read_to_end(&mut header)?;
+        if let Some(code) = Header::unknown_up_axis(&header) {
+            self.claims.report(format!("the header states the up axis {code}, expected 0 to 3"));
+        }
+        Ok(())
     }
 
     fn fill_channels(&mut self, rows_damaged: Vec<u64>) {
@@ -260,6 +273,7 @@ impl Summary {
                     stored: probes + points,
                 };
             }
+            TakeEvent::Header(header) => self.claims.header(header),
             TakeEvent::Summary(summary) if !is_damaged => {
                 self.claims.summary(summary, &progress.take.header, progress.channels());
             }
@@ -310,6 +324,7 @@ struct ClaimChecker {
     lost: u64,
     index_offset: u64,
     ledger_offset: u64,
+    n_summaries: u64,
     contradictions: Vec<String>,
 }
 
@@ -338,8 +353,32 @@ impl ClaimChecker {
         }
     }
 
-    /// Checks the copy of the header, whose channel table is the complete one.
+    fn header(&mut self, header: &Header) {
+        let rows = u64::from(header.stretch_rows);
+        if rows > ROWS_MAX {
+            self.report(format!(
+                "the header states stretches of {rows} frames, but the longest have {ROWS_MAX}"
+            ));
+        }
+    }
+
+    /// Checks that the summary is the only one and states no ending of a recording in an import, and its copy of the
+    /// header, whose channel table is the complete one.
     fn summary(&mut self, summary: &SummaryRecord, header: &Header, channels: &[Channel]) {
+        self.n_summaries += 1;
+        if self.n_summaries == 2 {
+            self.report("there is a second summary, but a take has one".to_owned());
+        }
+        // A part of an import was cut at a length, and one that was recovered had been cut off.
+        let of_imports = [EndingKind::Length, EndingKind::CutOff, EndingKind::Truncated];
+        if let (Some(_), Some(ending)) = (&header.source, &summary.ending)
+            && !of_imports.contains(&ending.kind)
+        {
+            self.report(format!(
+                "the summary states how a recording ended ({}), but the take was imported",
+                ending.kind
+            ));
+        }
         let Some(copy) = &summary.header else { return };
         let is_copy = copy.channels == channels
             && Header { channels: Vec::new(), ..(**copy).clone() }

@@ -1,21 +1,51 @@
 //! clap's error messages in one line.
 
+use std::io;
+
 use clap::{
     Parser,
     error::{Error, ErrorKind},
 };
 
-/// Parses the arguments of the program; prints help and version and exits if asked to.
+/// What the arguments ask for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Parsed<P> {
+    /// To run with these arguments.
+    Arguments(P),
+    /// Help or version, which were printed: the program ends with this exit code.
+    Printed(u8),
+}
+
+/// Why there are no arguments to work with.
+#[derive(Debug, thiserror::Error)]
+pub enum ParseError {
+    /// What is wrong with the arguments, in one line that ends with what to do.
+    #[error("{0}")]
+    Usage(String),
+    /// Help or version could not be printed.
+    #[error("cannot write to standard output: {0}")]
+    Output(#[from] io::Error),
+}
+
+/// Parses the arguments of the program; prints help and version if asked to.
 ///
 /// # Errors
-/// What is wrong with the arguments, in one line that ends with what to do.
-pub fn parse<P: Parser>() -> Result<P, String> {
-    P::try_parse().map_err(|error| match error.kind() {
+/// [`ParseError`].
+pub fn parse<P: Parser>() -> Result<Parsed<P>, ParseError> {
+    let error = match P::try_parse() {
+        Ok(arguments) => return Ok(Parsed::Arguments(arguments)),
+        Err(error) => error,
+    };
+    match error.kind() {
         ErrorKind::DisplayHelp
         | ErrorKind::DisplayVersion
-        | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => error.exit(),
-        _ => one_line(&error),
-    })
+        | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => match error.print() {
+            // A closed pipe (`| head`) is no error.
+            Err(failed) if failed.kind() != io::ErrorKind::BrokenPipe => Err(failed.into()),
+            _ => Ok(Parsed::Printed(error.exit_code() as u8)),
+        },
+        _ => Err(ParseError::Usage(one_line(&error))),
+    }
 }
 
 /// Joins the paragraphs of an error message of clap into one line that ends with what to do.

@@ -9,6 +9,7 @@ use mocapd_take::edit::{ConcatReport, Seam, SourceTake, check_joinable, concat};
 use serde::Serialize;
 
 use super::{
+    batch::{FileKinds, inputs},
     edited::{notify_left_out, open, read_sources, write},
     output::{notify, plain_path, print, print_json},
     paths,
@@ -22,9 +23,12 @@ use super::{
     take. An event marks the beginning of any other take."
 )]
 pub(crate) struct Args {
-    /// The takes, in order; they are not changed
+    /// The takes, in order, or folders, whose takes are in the order of their names; they are not changed
     #[arg(required = true, value_name = "TAKES")]
     takes: Vec<PathBuf>,
+    /// With folders, also join the takes in their subfolders
+    #[arg(short, long)]
+    recursive: bool,
     /// The take to write; it must not exist
     #[arg(short, long, value_name = "TAKE")]
     output: PathBuf,
@@ -59,23 +63,24 @@ struct JoinedTake {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    if args.takes.len() < 2 {
+    let takes = takes(args)?;
+    if takes.len() < 2 {
         bail!(UsageError("concat joins takes: name two or more".to_owned()));
     }
     paths::check_take_output(&args.output)?;
     let mut named = HashSet::new();
-    for take in &args.takes {
+    for take in &takes {
         if !named.insert(take.canonicalize().unwrap_or_else(|_| take.clone())) {
             notify(&format!("{} is named twice", take.display()));
         }
     }
-    let sources = read_sources(&args.takes)?;
+    let sources = read_sources(&takes)?;
     if let Err(mismatch) = check_joinable(&sources) {
-        let name = |i: usize| args.takes.get(i).map(|path| plain_path(path)).unwrap_or_default();
+        let name = |i: usize| takes.get(i).map(|path| plain_path(path)).unwrap_or_default();
         bail!("{} cannot follow {}: {mismatch}", name(mismatch.index), name(0));
     }
     let counted = Arc::default();
-    let open = |i: usize| match args.takes.get(i) {
+    let open = |i: usize| match takes.get(i) {
         Some(path) => open(path, &counted).map_err(io::Error::other),
         None => Err(io::ErrorKind::NotFound.into()),
     };
@@ -83,7 +88,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let written =
         write(&args.output, "joining", rows, |out, context| concat(&sources, open, out, context))?;
     notify_left_out(&args.output, &written.left_out);
-    let report = JoinedReport::new(args, &sources, written);
+    let report = JoinedReport::new(args, &takes, &sources, written);
+    for JoinedTake { take, frames_missing_before, .. } in
+        report.takes.iter().filter(|take| take.frames_missing_before > 0)
+    {
+        notify(&format!(
+            "{}: {} of the recording before {} are in none of the takes: they are gaps, as if the device had been away",
+            args.output.display(),
+            count(*frames_missing_before, "frame"),
+            take.display()
+        ));
+    }
     if args.json {
         print_json(&report)?;
     } else {
@@ -92,8 +107,23 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// The takes, those of folders in the order of their names. A take that is named itself may be named again.
+fn takes(args: &Args) -> anyhow::Result<Vec<PathBuf>> {
+    let mut takes = Vec::new();
+    for named in &args.takes {
+        if named.is_dir() {
+            let folder = [named.clone()];
+            let found = inputs::find_named(&folder, args.recursive, FileKinds::Takes)?;
+            takes.extend(found.all()?.iter().map(|input| input.path.clone()));
+        } else {
+            takes.push(named.clone());
+        }
+    }
+    Ok(takes)
+}
+
 impl JoinedReport {
-    fn new(args: &Args, sources: &[SourceTake], written: ConcatReport) -> Self {
+    fn new(args: &Args, takes: &[PathBuf], sources: &[SourceTake], written: ConcatReport) -> Self {
         let take = |(i, path): (usize, &PathBuf)| {
             let seam = i.checked_sub(1).and_then(|before| written.seams.get(before));
             let (follows, frames_missing_before) = match seam {
@@ -110,7 +140,7 @@ impl JoinedReport {
                 frames_missing_before,
             }
         };
-        let takes = args.takes.iter().enumerate().map(take).collect();
+        let takes = takes.iter().enumerate().map(take).collect();
         let rate_hz = sources.first().map_or(1.0, |source| source.map().header.rate_hz);
         Self {
             output: args.output.clone(),
@@ -139,7 +169,7 @@ impl JoinedReport {
             let relation = match *follows {
                 "frames missing" => {
                     format!(
-                        ", after {} that are in no take",
+                        ", after {} that are in none of the takes",
                         count(*frames_missing_before, "frame")
                     )
                 }

@@ -1,28 +1,31 @@
-//! `gaps`: the gaps of each marker, as a summary, and one by one as CSV.
+//! `gaps`: the gaps of each marker of takes and motion files, as a summary, and one by one as CSV.
 
 use std::{
     fmt::Write as _,
     io::{self, BufReader, BufWriter, Write as _},
     path::{Path, PathBuf},
-    sync::{Arc, atomic::AtomicU64},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
 
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     files::{NewFile, SparseFile},
-    gaps::{Gap, GapCause, GapReader, GapSummary, MarkerGaps},
+    gaps::{Gap, GapCause, GapReader, GapSummary, MarkerGaps, gaps_of_frames},
 };
 use mocapd_take::{
     TakeMap,
     interchange::{column_labels, csv_cell},
-    motion::MotionInfo,
+    motion::{FrameSource, Marker, MotionInfo},
+    record::{Channel, Header, ImportSource},
 };
 use serde::Serialize;
 
 use super::{
-    output::{Progress, notify, plain, plain_path, print, print_exact, print_json},
-    paths,
+    batch::{self, Batch, Figures, FileKinds, FileReport, InputArgs, Job},
+    motion_files::open_motion_input,
+    output::{plain, plain_path, print_exact},
+    paths::{self, InputFormat, InputFormatName},
     values::{LABEL_COLUMNS_MAX, count, thousands},
 };
 
@@ -33,12 +36,19 @@ const PRINTED_BYTES: usize = 1 << 16;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The take
-    take: PathBuf,
-    /// Write one row per gap to this CSV file, which must not exist; `-` for standard output
+    /// Takes, or .c3d, .trc, .tsv or .csv files, or folders with such files; `-` reads standard input, with --format
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    #[command(flatten)]
+    input: InputArgs,
+    /// Format of standard input
+    #[arg(long, value_name = "FORMAT")]
+    format: Option<InputFormatName>,
+    /// Write one row per gap to this CSV file, which must not exist; `-` for standard output. For several files it has a
+    /// column for the name of the file
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Print one JSON document
+    /// Print one JSON document, or one per line for several files
     #[arg(long)]
     json: bool,
 }
@@ -92,31 +102,94 @@ enum CsvOutput {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let mut csv = CsvOutput::create(args)?;
-    let name = args.take.display();
-    let reading = || format!("cannot read {name}");
-    let reader =
-        GapReader::open(BufReader::new(SparseFile::open(&args.take)?)).with_context(reading)?;
-    let rows = GapRows::new(reader.take());
-    let counter = Arc::new(AtomicU64::new(0));
-    let progress = Progress::follow("reading", &counter, reader.take().n_rows);
-    csv.put(CSV_HEADER)?;
-    let found = reader
-        .read(&counter, |gap| Ok(csv.put(&rows.row(gap)).map_err(io::Error::other)?))
-        .with_context(reading)?;
-    drop(progress);
-    let is_printed = matches!(csv, CsvOutput::Stdout(_));
-    csv.finish()?;
-    let report = GapsReport::new(&args.take, &found, &rows.labels);
-    if args.json {
-        print_json(&report)?;
-    } else if !is_printed {
-        print(&report.text(rows.first_frame))?;
+    let format = args.format.map(Into::into);
+    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, format)?;
+    let csv = CsvOutput::create(args)?;
+    let is_stdout = matches!(csv, CsvOutput::Stdout(_));
+    let name_column = if inputs.is_single { "" } else { "file," };
+    let csv = Mutex::new(csv);
+    lock(&csv).put(&format!("{name_column}{CSV_HEADER}"))?;
+    let mut batch = Batch::of_reports(&inputs, args.json, ["reading", "read"]);
+    if args.output.is_some() {
+        // The rows of a file follow those of the file before it.
+        batch.threads = 1;
     }
-    for problem in &report.problems {
-        notify(&format!("{name}: {problem}"));
+    batch.lines_to_stderr = is_stdout;
+    let outcome = batch::run(&batch, |job| {
+        let mut report = file_gaps(job, &csv)?;
+        if is_stdout && job.is_single {
+            report.text.clear();
+        }
+        Ok(report)
+    })?;
+    csv.into_inner().unwrap_or_else(PoisonError::into_inner).finish()?;
+    Ok(outcome)
+}
+
+fn lock(csv: &Mutex<CsvOutput>) -> MutexGuard<'_, CsvOutput> {
+    csv.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Reads the gaps of a file.
+fn file_gaps(job: &Job<'_>, csv: &Mutex<CsvOutput>) -> anyhow::Result<FileReport> {
+    let name = &job.input.name;
+    let reading = || format!("cannot read {}", name.display());
+    let put = |rows: &GapRows, gap: &Gap| {
+        let file = csv_cell(&name.to_string_lossy()).into_owned() + ",";
+        let file = if job.is_single { String::new() } else { file };
+        lock(csv).put(&format!("{file}{}", rows.row(gap))).map_err(io::Error::other)?;
+        Ok(())
+    };
+    let (found, rows, bytes_read) = match job.input.format()? {
+        InputFormat::Take => {
+            let file = SparseFile::open(&job.input.path)?;
+            let bytes_read = file.len_bytes().with_context(reading)?;
+            let reader = GapReader::open(BufReader::new(file)).with_context(reading)?;
+            let rows = GapRows::new(reader.take());
+            let phase = job.phase("reading", reader.take().n_rows);
+            let found = reader.read(&phase.counter, |gap| put(&rows, gap));
+            (found.with_context(reading)?, rows, bytes_read)
+        }
+        InputFormat::MotionFile(_) => {
+            let (mut motion, bytes_read) = open_motion_input(job)?;
+            let take = map_of(motion.info());
+            let rows = GapRows::new(&take);
+            let phase = job.phase("reading", take.n_rows);
+            let found = gaps_of_frames(&mut motion, take, &phase.counter, |gap| put(&rows, gap));
+            (found.with_context(reading)?, rows, bytes_read)
+        }
+    };
+    let report = GapsReport::new(name, &found, &rows.labels);
+    report.problems.iter().for_each(|problem| job.notify(problem));
+    Ok(FileReport {
+        data_lost: !report.problems.is_empty(),
+        text: report.text(rows.first_frame),
+        line: report.line(),
+        json: job.json(&report)?,
+        figures: Figures {
+            frames: report.frames,
+            seconds: report.seconds,
+            bytes_read,
+            ..Figures::default()
+        },
+        ..FileReport::default()
+    })
+}
+
+/// A motion file as the map of a take.
+fn map_of(info: &MotionInfo) -> TakeMap {
+    let source = ImportSource { first_frame: info.source.first_frame, ..ImportSource::default() };
+    let channel = |(column, marker): (usize, &Marker)| Channel {
+        marker_id: column as u16,
+        label: marker.label.clone(),
+        labelled: marker.labelled,
+    };
+    TakeMap {
+        header: Header { rate_hz: info.rate_hz, source: Some(source), ..Header::default() },
+        channels: info.markers.iter().enumerate().map(channel).collect(),
+        n_rows: info.n_frames,
+        ..TakeMap::default()
     }
-    Ok(Outcome::of(!report.problems.is_empty()))
 }
 
 impl CsvOutput {
@@ -230,6 +303,19 @@ impl GapsReport {
             markers: found.markers.iter().zip(labels).map(marker).collect(),
             problems: found.take.problems.iter().map(ToString::to_string).collect(),
         }
+    }
+
+    /// A line: its gaps.
+    fn line(&self) -> String {
+        format!(
+            "{}: {}, {} of {} missing, {} of {}\n",
+            plain_path(&self.take),
+            count(self.gaps, "gap"),
+            thousands(self.samples_missing),
+            count(self.samples.saturating_add(self.samples_missing), "sample"),
+            count(self.frames, "frame"),
+            count(self.markers.len() as u64, "marker"),
+        )
     }
 
     /// Totals, and a table of the markers. Frames are numbered from `first_frame`, as in exports.

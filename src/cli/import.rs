@@ -118,6 +118,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         outputs: &paths_of_outputs,
         json: args.json,
         text_to_stderr: destination == Destination::Stdout,
+        lines_to_stderr: false,
         threads: batch::thread_count(args.threads),
         doing: "importing",
         done: "imported",

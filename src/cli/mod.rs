@@ -38,7 +38,8 @@ use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_cli::{
     manual::{self, CompletionsArgs, ManArgs, UnknownCommand},
-    stop, usage,
+    stop,
+    usage::{self, ParseError, Parsed},
 };
 
 use output::print_exact;
@@ -121,9 +122,12 @@ impl Command {
     }
 }
 
-/// Parses the arguments; prints help and version and exits if asked to.
-pub(crate) fn parse() -> anyhow::Result<Cli> {
-    usage::parse().map_err(|message| UsageError(message).into())
+/// Parses the arguments; prints help and version if asked to.
+pub(crate) fn parse() -> anyhow::Result<Parsed<Cli>> {
+    usage::parse().map_err(|error| match error {
+        ParseError::Usage(message) => UsageError(message).into(),
+        failed @ ParseError::Output(_) => failed.into(),
+    })
 }
 
 /// Runs the command that was given.
@@ -173,15 +177,33 @@ Examples:
 
 The Debian package installs the pages.";
 
+/// The exit codes of every command.
+const EXIT_STATUS: [(u8, &str); 5] = [
+    (0, "Done, and nothing was lost."),
+    (1, "Failed, with a message; of several files, at least one failed."),
+    (2, "Wrong usage, or a value that is refused."),
+    (
+        3,
+        "Done, but data was lost: the input or the result is damaged, incomplete or outside its bound.",
+    ),
+    (
+        130,
+        "Ended by Ctrl-C, without an incomplete output. Commands that record end their take in order instead, and exit \
+         with its code.",
+    ),
+];
+
 pub(crate) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
     print_exact(&manual::completions(args, Cli::command()))?;
     Ok(Outcome::Done)
 }
 
 pub(crate) fn pages(args: &ManArgs) -> anyhow::Result<Outcome> {
-    let page = manual::pages(args, Cli::command()).map_err(|error| match error.downcast_ref() {
-        Some(unknown @ UnknownCommand { .. }) => UsageError(unknown.to_string()).into(),
-        None => error,
+    let page = manual::pages(args, Cli::command(), &EXIT_STATUS).map_err(|error| {
+        match error.downcast_ref() {
+            Some(unknown @ UnknownCommand { .. }) => UsageError(unknown.to_string()).into(),
+            None => error,
+        }
     })?;
     print_exact(&page)?;
     Ok(Outcome::Done)

@@ -1,11 +1,15 @@
 //! Reading takes and motion files whole into memory, for commands that analyse a motion, and writing their output.
 
-use std::{fs, io::BufReader, path::Path};
+use std::{fs, io::BufReader, path::Path, sync::atomic::AtomicU64};
 
 use anyhow::Context;
-use mocapd_acquire::files::{CountingFile, NewFile, SparseFile};
+use mocapd_acquire::{
+    files::{self, CountingFile, NewFile, SparseFile},
+    pipeline::offline,
+    threads,
+};
 use mocapd_body::skeleton::Skeleton;
-use mocapd_codec::Settings;
+use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_report::{
     decoded::DecodedTake,
     limbs::{Limb, limbs},
@@ -13,13 +17,14 @@ use mocapd_report::{
 use mocapd_service::subject;
 use mocapd_take::{
     TakeFrames,
+    foreign::analog::{AnalogSamples, is_needed},
     interchange::{MotionReader, ReadOptions},
-    motion::{FrameSource, Motion},
+    motion::{FrameSource, Motion, MotionInfo},
 };
 
 use super::{
     batch::Job,
-    original::{MotionSource, open_motion, read_motion, read_motion_with},
+    original::{MotionSource, header_of, open_motion, read_motion, read_motion_with},
     output::notify,
     paths::{self, InputFormat},
 };
@@ -83,6 +88,59 @@ pub(super) fn read_samples(path: &Path) -> anyhow::Result<(Motion, Option<Settin
         return Ok((take.motion, take.settings));
     }
     Ok((read_motion(path)?, None))
+}
+
+/// The analog samples of a file in a take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct AnalogSize {
+    /// Their number, of all channels.
+    pub(super) samples: u64,
+    /// Bytes that a take needs for them, with the parameters that describe them.
+    pub(super) bytes: u64,
+}
+
+/// Measures the analog samples of a take or a motion file; `None` if it has none. `motion` is what was read of it; its
+/// foreign parts are removed.
+///
+/// # Errors
+/// If a take cannot be read or written.
+pub(super) fn measure_analog(
+    path: &Path,
+    motion: &mut Motion,
+) -> anyhow::Result<Option<AnalogSize>> {
+    let mut foreign = std::mem::take(&mut motion.info.foreign);
+    if paths::is_take(path) {
+        foreign = read_analog_info(path)?.foreign;
+    }
+    foreign.retain(|part| is_needed(&part.kind));
+    let settings = Settings { kind: ResamplerKind::Fast, tolerance: Tolerance::from_mm(1.0)? };
+    let header = header_of(&motion.info, path, &settings);
+    let bytes_of = |motion: &Motion| -> anyhow::Result<u64> {
+        let workers = threads::default_workers();
+        let (written, _) =
+            offline::write_take(motion, &header, workers, &AtomicU64::new(0), std::io::sink())?;
+        Ok(written.file_bytes)
+    };
+    motion.info.foreign = foreign;
+    let samples = AnalogSamples::open(&motion.info)?.map(|samples| {
+        let per_frame = (samples.channels().len() * samples.samples_per_frame()) as u64;
+        samples.n_frames().saturating_mul(per_frame)
+    });
+    let with = samples.map(|_| bytes_of(motion)).transpose();
+    motion.info.foreign.clear();
+    let (Some(samples), Some(with)) = (samples, with?) else { return Ok(None) };
+    Ok(Some(AnalogSize { samples, bytes: with.saturating_sub(bytes_of(motion)?) }))
+}
+
+/// The description of a take with the parts that analog samples and force plates need.
+///
+/// # Errors
+/// If it cannot be read.
+pub(super) fn read_analog_info(take: &Path) -> anyhow::Result<MotionInfo> {
+    let file = BufReader::new(SparseFile::open(take)?);
+    let frames = TakeFrames::open_with(file, is_needed, files::scratch)
+        .with_context(|| format!("cannot read {}", take.display()))?;
+    Ok(frames.info().clone())
 }
 
 /// The motion of an original, and its settings if it is itself a take.

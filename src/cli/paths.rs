@@ -10,7 +10,7 @@ use std::{
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{FileError, NewFile, folder_of};
 use mocapd_drivers::plain_file::NotAFile;
-use mocapd_take::interchange::Format;
+use mocapd_take::interchange::{Format, SampledKind};
 
 /// The format of a file to read, by its extension.
 ///
@@ -132,6 +132,18 @@ pub(super) fn resolved(path: &Path) -> PathBuf {
         }
     }
     path.to_owned()
+}
+
+/// The file beside an export that has its analog channels or force plates: `run.analog.csv` beside `run.csv`.
+pub(super) fn sampled_path(output: &Path, kind: SampledKind) -> PathBuf {
+    let extension = output.extension().unwrap_or_default().to_string_lossy();
+    output.with_extension(format!("{}.{extension}", kind.name()))
+}
+
+/// Whether a path is one of [`sampled_path`].
+pub(super) fn is_sampled(path: &Path) -> bool {
+    let kind = path.file_stem().and_then(|stem| Path::new(stem).extension());
+    kind.is_some_and(|found| SampledKind::ALL.iter().any(|kind| found == kind.name()))
 }
 
 /// Whether two files are on the same file system.

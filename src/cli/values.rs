@@ -1,9 +1,12 @@
 //! Parsing of argument values that only the command line has, and formatting of numbers for people.
 
-use std::{str::FromStr, time::Duration};
+use std::{ffi::OsStr, str::FromStr, time::Duration};
 
 use anyhow::bail;
-use clap::{Args, ValueEnum};
+use clap::{
+    Args, ValueEnum,
+    builder::{PossibleValue, TypedValueParser},
+};
 use mocapd::outcome::UsageError;
 use mocapd_acquire::{
     inspect::size_ratio,
@@ -107,6 +110,45 @@ impl<F: ValueEnum> FromStr for TimeOrFormat<F> {
     }
 }
 
+/// A parser whose values are not a list, with those that shells complete.
+#[derive(Debug, Clone)]
+pub(crate) struct Completed<P> {
+    parser: P,
+    values: Vec<PossibleValue>,
+}
+
+impl<P: TypedValueParser> TypedValueParser for Completed<P> {
+    type Value = P::Value;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        argument: Option<&clap::Arg>,
+        value: &OsStr,
+    ) -> Result<Self::Value, clap::Error> {
+        self.parser.parse_ref(command, argument, value)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(self.values.iter().cloned()))
+    }
+}
+
+/// Parses a time or a format; shells complete the formats. The argument hides them in its help.
+pub(super) fn time_or_format<F>() -> Completed<impl TypedValueParser<Value = TimeOrFormat<F>>>
+where
+    F: ValueEnum + Send + Sync + 'static,
+{
+    let values = F::value_variants().iter().filter_map(F::to_possible_value).collect();
+    Completed { parser: str::parse::<TimeOrFormat<F>>, values }
+}
+
+/// Parses a resampler; shells complete their names without variants.
+pub(super) fn resampler() -> Completed<impl TypedValueParser<Value = ResamplerKind>> {
+    let names = ["dense", "fast", "lossless", "spline", "sync"];
+    Completed { parser: str::parse::<ResamplerKind>, values: names.map(PossibleValue::new).into() }
+}
+
 /// The time and the format among the values of `--to`.
 ///
 /// # Errors
@@ -145,7 +187,7 @@ pub(crate) struct CodecArgs {
     lossless: bool,
     /// Resampler: dense, fast, lossless or lossless:predictive; for whole takes (import, bench codec) also
     /// spline[:worst-sample|:exhaustive] and sync[:worst-sample|:exhaustive]
-    #[arg(long, value_name = "NAME", default_value = "dense", value_parser = str::parse::<ResamplerKind>)]
+    #[arg(long, value_name = "NAME", default_value = "dense", value_parser = resampler(), hide_possible_values = true)]
     resampler: ResamplerKind,
 }
 

@@ -174,6 +174,10 @@ pub trait FrameSource {
     fn is_lost(&self) -> bool {
         false
     }
+
+    /// Counts frames whose analog samples, or loads of force plates, were written beside the positions, for a display of
+    /// progress.
+    fn count_sampled(&self, _n_frames: u64) {}
 }
 
 impl<F: FrameSource + ?Sized> FrameSource for &mut F {
@@ -195,6 +199,10 @@ impl<F: FrameSource + ?Sized> FrameSource for &mut F {
 
     fn is_lost(&self) -> bool {
         (**self).is_lost()
+    }
+
+    fn count_sampled(&self, n_frames: u64) {
+        (**self).count_sampled(n_frames);
     }
 }
 

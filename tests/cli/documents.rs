@@ -501,10 +501,13 @@ fn motion_files_exports_plots_and_several_files() {
     let bytes = folder.read(take);
     folder.write("damaged.take", &bytes[..bytes.len() - 1]);
     folder.run(&["import", "marked.c3d", "-o", "marked.take"]).with_code(0);
+    folder.write("plate.c3d", super::forces::plate([0, 0]));
+    folder.run(&["import", "plate.c3d", "-o", "plate.take"]).with_code(0);
     let exports = [
         json(&["export", take, "-o", "jump.tsv"]),
         json(&["export", "marked.take", "-o", "turned.c3d", "--up", "y"]),
         json(&["export", "damaged.take", "-o", "damaged.csv"]),
+        json(&["export", "plate.take", "-o", "plate.csv"]),
     ];
     check("`mocapd export`", &exports);
     let plots = [

@@ -9,7 +9,7 @@ use crate::support::{
 /// A level plate of 400 x 600 mm whose z axis points down, its centre at 1000, 500, 0 mm. For 20 frames of five analog
 /// samples a force of 700 N at 100 mm beside the centre along the laboratory's x axis, drifted by 5 N; no force in the
 /// first ten frames. z is up.
-fn plate(zero: [u16; 2]) -> Vec<u8> {
+pub(super) fn plate(zero: [u16; 2]) -> Vec<u8> {
     let frames = (0..20).map(|frame| {
         // Along the plate's axes: x of the plate is y of the laboratory, y is x, z points down.
         let loaded = [0.0, 0.0, -695.0, -70_000.0, 0.0, 0.0];
@@ -93,4 +93,183 @@ fn a_mot_needs_plates_and_frames_without_load() {
     assert_mentions(&folder.refuses(&other, 2), &["--subtract-baseline", ".mot"]);
     folder.write("a.mot", "x");
     assert_mentions(&folder.refuses(&["import", "a.mot", "-o", "a.take"], 2), &["a.mot", ".c3d"]);
+}
+
+/// The cells of a CSV file: its column names, and its rows as numbers; an empty cell is NaN.
+fn table(text: &str) -> (Vec<&str>, Vec<Vec<f64>>) {
+    let mut lines = text.lines();
+    let names = lines.next().unwrap().split(',').collect();
+    let number = |cell: &str| if cell.is_empty() { f64::NAN } else { cell.parse().unwrap() };
+    (names, lines.map(|line| line.split(',').map(number).collect()).collect())
+}
+
+/// The loads of a row: force, moment, centre of pressure, free moment.
+fn assert_loads(row: &[f64], force_n: [f64; 3], cop_mm: Option<[f64; 3]>) {
+    assert_near(&row[..3], &force_n);
+    match cop_mm {
+        Some(cop_mm) => assert_near(&row[6..12], &[&cop_mm[..], &[0.0; 3]].concat()),
+        None => assert!(row[6..12].iter().all(|value| value.is_nan()), "{row:?}"),
+    }
+}
+
+#[test]
+fn a_csv_has_analog_channels_and_force_plates_beside_it() {
+    let folder = folder([0, 0]);
+    let ran = folder.run(&["export", "walk.take", "-o", "walk.csv", "--json"]).with_code(0);
+    let report = ran.json();
+    let beside = ["walk.analog.csv", "walk.force_plates.csv"];
+    assert_eq!(report["sampled_files"], serde_json::json!(beside));
+    let bytes: u64 = [&["walk.csv"], &beside[..]]
+        .concat()
+        .iter()
+        .map(|name| folder.path(name).metadata().unwrap().len())
+        .sum();
+    assert_eq!(report["output_bytes"], bytes);
+    let left_out = report["not_supported"].to_string();
+    assert!(!left_out.contains("c3d/analog"), "{left_out}");
+    assert!(left_out.contains("c3d/parameters"), "{left_out}");
+
+    let (analog, plates) = (folder.text(beside[0]), folder.text(beside[1]));
+    let (names, rows) = table(&analog);
+    assert_eq!(names, ["time_s", "A1 (N)", "A2 (N)", "A3 (N)", "A4 (Nmm)", "A5 (Nmm)", "A6 (Nmm)"]);
+    assert_eq!(rows.len(), 100);
+    assert_eq!(rows[0], [0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0]);
+    assert_eq!(rows[99], [0.198, 0.0, 0.0, -695.0, -70_000.0, 0.0, 0.0]);
+
+    let (names, rows) = table(&plates);
+    assert_eq!((names.len(), rows.len()), (13, 100));
+    assert_eq!(names[3], "force_plate_1.force_z_n");
+    assert_eq!(names[7..9], ["force_plate_1.cop_x_mm", "force_plate_1.cop_y_mm"]);
+    assert_loads(&rows[0][1..], [0.0, 0.0, -5.0], None);
+    let arm_mm = 1000.0 + 70_000.0 / 695.0;
+    assert_loads(&rows[99][1..], [0.0, 0.0, 695.0], Some([arm_mm, 500.0, 0.0]));
+
+    // A part, rotated: its first sample is at time 0.
+    let part = ["export", "walk.take", "-o", "part.csv", "--from", "0.15s", "--up", "y"];
+    folder.run(&part).with_code(0);
+    let text = folder.text("part.force_plates.csv");
+    let (_, rows) = table(&text);
+    assert_eq!((rows.len(), rows[0][0]), (25, 0.0));
+    assert_loads(&rows[0][1..], [0.0, 695.0, 0.0], Some([arm_mm, 0.0, -500.0]));
+}
+
+#[test]
+fn files_beside_an_output_are_written_with_it_or_not_at_all() {
+    let folder = folder([0, 0]);
+    folder.write("walk.force_plates.csv", "mine");
+    let line = folder.refuses(&["export", "walk.take", "-o", "walk.csv"], 1);
+    assert_mentions(&line, &["walk.force_plates.csv", "exists"]);
+    assert_eq!(folder.text("walk.force_plates.csv"), "mine");
+    for name in ["walk.csv", "walk.analog.csv"] {
+        assert!(!folder.path(name).exists(), "{name}");
+    }
+    // Standard output has the positions, and says what it has not.
+    let ran = folder.run(&["export", "walk.take", "-o", "-", "--to", "csv"]).with_code(0);
+    assert_eq!(ran.stdout.lines().count(), 21);
+    assert_mentions(&ran.stderr, &["analog channels", "force plates", "-o FILE"]);
+    // A second run changes nothing, and a folder of exports is imported without them.
+    for unchanged in [false, true] {
+        let args = ["export", "walk.take", "--to", "csv", "-o", "out/", "--json"];
+        assert_eq!(folder.run(&args).with_code(0).json()["unchanged"], unchanged);
+    }
+    assert!(folder.path("out/walk.analog.csv").exists());
+    folder.run(&["import", "out", "-o", "again/"]).with_code(0);
+    assert_eq!(std::fs::read_dir(folder.path("again")).unwrap().count(), 1);
+}
+
+#[test]
+fn names_that_spreadsheets_take_for_formulas_are_escaped_beside_the_output_too() {
+    let folder = Folder::new();
+    let frames = (0..3).map(|_| vec![1.0, 2.0, 3.0, 0.0, 7.0]).collect();
+    let mut file = C3dFile { order: Order::Intel, analog: (1, 1), ..C3dFile::new(1, frames) };
+    file.texts(1, "LABELS", &["head"]);
+    file.records.extend(file.group(2, "ANALOG"));
+    file.texts(2, "LABELS", &["=1+1"]);
+    folder.write("a.c3d", file.bytes());
+    folder.run(&["import", "a.c3d", "-o", "a.take"]).with_code(0);
+    folder.run(&["export", "a.take", "-o", "a.csv", "--for-spreadsheet"]).with_code(0);
+    assert!(folder.text("a.analog.csv").starts_with("time_s,'=1+1\n0,7\n"));
+}
+
+#[test]
+fn a_data_set_has_analog_channels_and_force_plates_as_continuous_recordings() {
+    let folder = folder([0, 0]);
+    let args = ["export", "walk.take", "-o", "study", "--to", "bids", "--task", "walk"];
+    folder.run(&args).with_code(0);
+    let stem = "study/sub-01/motion/sub-01_task-walk_tracksys-optical_recording-";
+    for (recording, n_columns, name, unit) in
+        [("analog", 6, "A4", "Nmm"), ("forceplates", 12, "force_plate_1.cop_x_mm", "mm")]
+    {
+        let document = folder.text(&format!("{stem}{recording}_physio.json"));
+        let document: serde_json::Value = serde_json::from_str(&document).unwrap();
+        assert_eq!(document["SamplingFrequency"], 500);
+        assert_eq!(document["StartTime"], 0);
+        assert_eq!(document["Columns"].as_array().unwrap().len(), n_columns);
+        assert_eq!(document[name]["Units"], unit);
+        let packed = folder.path(&format!("{stem}{recording}_physio.tsv.gz"));
+        assert_eq!(std::fs::read(&packed).unwrap()[4..8], [0; 4], "no date");
+        let unpacked = std::process::Command::new("gzip").arg("-dc").arg(&packed).output().unwrap();
+        let text = String::from_utf8(unpacked.stdout).unwrap();
+        assert_eq!(text.lines().count(), 100);
+        assert!(text.lines().all(|line| line.split('\t').count() == n_columns));
+        assert_eq!(text.lines().next().unwrap().contains("n/a"), recording == "forceplates");
+    }
+}
+
+#[test]
+fn plots_show_analog_channels_and_force_plates() {
+    let folder = folder([0, 0]);
+    for source in ["walk.take", "walk.c3d"] {
+        let name = format!("{source}.svg");
+        let plot = ["plot", "analog", source, "-o", &name, "--channels", "A4,3", "--from", "50ms"];
+        folder.run(&plot).with_code(0);
+        let svg = folder.text(&name);
+        assert_mentions(&svg, &["2 of 6 channels, 500 Hz", "A4 (Nmm)", "A3 (N)", "time (s)"]);
+        let name = format!("{source}.forces.svg");
+        folder.run(&["plot", "forces", source, "-o", &name, "--plates", "1"]).with_code(0);
+        let svg = folder.text(&name);
+        assert_mentions(
+            &svg,
+            &[
+                "1 of 1 plates",
+                "force 1 (N)",
+                "centre of pressure 1 (mm)",
+                "head z (mm)",
+                "from above",
+            ],
+        );
+    }
+    let line = folder.refuses(&["plot", "analog", "walk.take", "--channels", "EMG"], 2);
+    assert_mentions(&line, &["EMG", "A1, A2"]);
+    let line = folder.refuses(&["plot", "forces", "walk.take", "--plates", "2"], 1);
+    assert_mentions(&line, &["force plate 2", "it has 1"]);
+    folder.run(&["import", "walk.c3d", "-o", "bare.take", "--drop-foreign"]).with_code(0);
+    for plot in ["analog", "forces"] {
+        let line = folder.refuses(&["plot", plot, "bare.take", "-o", "none.svg"], 1);
+        assert_mentions(&line, &["--drop-foreign"]);
+    }
+}
+
+#[test]
+fn sizes_include_the_analog_channels() {
+    let folder = folder([0, 0]);
+    let bench = |file: &str| {
+        let args = ["bench", "codec", file, "--resampler", "fast", "--tolerance", "1mm", "--json"];
+        folder.run(&args).with_code(0).json()["files"][0].clone()
+    };
+    let (raw, take) = (bench("walk.c3d"), bench("walk.take"));
+    assert_eq!((&raw["analog_samples"], &take["analog_samples"]), (&600.into(), &600.into()));
+    assert_eq!(raw["analog_bytes"], take["analog_bytes"]);
+    // As much as an import is larger for them.
+    for (name, option) in [("all.take", None), ("bare.take", Some("--drop-foreign"))] {
+        let args = ["import", "walk.c3d", "-o", name, "--resampler", "fast", "--tolerance", "1mm"];
+        folder.run(&[&args[..], option.as_slice()].concat()).with_code(0);
+    }
+    let size = |name: &str| folder.path(name).metadata().unwrap().len();
+    let difference = size("all.take") - size("bare.take");
+    let stated = raw["analog_bytes"].as_u64().unwrap();
+    // The header of the one without them says that they were left out.
+    assert!(stated.abs_diff(difference) <= 64, "{stated} for {difference}");
+    folder.run(&["plot", "sizes", "walk.c3d", "--tolerances", "1mm", "-o", "s.svg"]).with_code(0);
+    assert_mentions(&folder.text("s.svg"), &["analog", "600 analog samples"]);
 }

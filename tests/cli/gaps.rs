@@ -122,3 +122,38 @@ fn lost_and_damaged_frames_have_their_causes() {
     let n = |name: &str| all[name].as_u64().unwrap();
     assert_eq!(n("samples") + n("samples_missing"), 15 * n("frames"));
 }
+
+#[test]
+fn many_files_are_one_table_with_their_names() {
+    let (folder, motion) = folder();
+    folder.write_motion("b.trc", &motion);
+    let one = folder.run(&["gaps", "jump.take", "-o", "-"]).with_code(0).stdout;
+    // A motion file has the gaps of its take.
+    let raw = folder.run(&["gaps", "jump.trc", "-o", "-"]).with_code(0).stdout;
+    assert_eq!(raw, one);
+    let expected = |name: &str| -> String {
+        one.lines().skip(1).map(|line| format!("{name},{line}\n")).collect()
+    };
+    let both = format!(
+        "file,{}\n{}{}",
+        one.lines().next().unwrap(),
+        expected("b.trc"),
+        expected("jump.take")
+    );
+    let args = ["gaps", "b.trc", "jump.take"];
+    let ran = folder.run(&[&args[..], &["-o", "all.csv"]].concat()).with_code(0);
+    assert_eq!(folder.text("all.csv"), both);
+    assert_mentions(&ran.stdout, &["b.trc: ", "jump.take: ", "gaps", "read"]);
+    let ran = folder.run(&[&args[..], &["-o", "-"]].concat()).with_code(0);
+    assert_eq!(ran.stdout, both, "nothing but the table");
+    let ran = folder.run(&[&args[..], &["--json"]].concat()).with_code(0);
+    let lines: Vec<serde_json::Value> =
+        ran.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!((lines.len(), &lines[0]["gaps"]), (2, &lines[1]["gaps"]));
+    // A broken file among them: the others are read.
+    std::fs::remove_file(folder.path("all.csv")).unwrap();
+    folder.write("c.take", "none");
+    let ran = folder.run(&["gaps", ".", "--json"]);
+    assert_eq!(ran.code, Some(1), "{}", ran.stderr);
+    assert_eq!(ran.stdout.lines().count(), 4, "b.trc, c.take, jump.take, jump.trc");
+}

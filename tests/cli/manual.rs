@@ -21,10 +21,13 @@ fn the_help_shows_both_with_examples() {
 fn a_page_is_printed_or_all_are_written() {
     let folder = Folder::new();
     let import = folder.run(&["man", "import"]).with_code(0).stdout;
-    assert_mentions(&import, &[".TH mocapd-import 1", "tolerance"]);
+    assert_mentions(
+        &import,
+        &[".TH MOCAPD-IMPORT 1", "mocapd manual", "tolerance", "EXIT STATUS", "fB130"],
+    );
     let pose = folder.run(&["man", "plot", "pose"]).with_code(0).stdout;
-    assert_mentions(&pose, &[".TH mocapd-plot-pose 1"]);
-    assert_mentions(&folder.run(&["man"]).with_code(0).stdout, &[".TH mocapd 1"]);
+    assert_mentions(&pose, &[".TH MOCAPD-PLOT-POSE 1"]);
+    assert_mentions(&folder.run(&["man"]).with_code(0).stdout, &[".TH MOCAPD 1"]);
 
     std::fs::create_dir(folder.path("man1")).unwrap();
     // As after an upgrade: a page is replaced.
@@ -55,7 +58,7 @@ fn bash_completes_commands_and_options() {
     let completed = |words: &str| {
         let script = format!(
             "source ./mocapd.bash; COMP_WORDS=({words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); \
-             _mocapd mocapd \"${{COMP_WORDS[COMP_CWORD]}}\"; echo \"${{COMPREPLY[@]}}\""
+             _mocapd mocapd \"${{COMP_WORDS[COMP_CWORD]}}\" \"${{COMP_WORDS[COMP_CWORD - 1]}}\"; echo \"${{COMPREPLY[@]}}\""
         );
         let mut bash = Command::new("bash");
         let output = bash.args(["-c", &script]).current_dir(folder.path("")).output().unwrap();
@@ -64,4 +67,20 @@ fn bash_completes_commands_and_options() {
     };
     assert_eq!(completed("mocapd imp"), "import");
     assert_eq!(completed("mocapd import --tol"), "--tolerance");
+    assert_eq!(completed("mocapd export a.take --to c"), "c3d csv");
+    assert_eq!(completed("mocapd plot pose a.take --to p"), "png");
+    assert_eq!(completed("mocapd import --resampler d"), "dense");
+    assert_eq!(completed("mocapd bench codec --resampler l"), "lossless");
+}
+
+#[test]
+fn a_full_disk_fails_help_and_version_too() {
+    for args in [&["--help"][..], &["--version"], &["import", "--help"], &["help", "export"]] {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut program = Command::new(env!("CARGO_BIN_EXE_mocapd"));
+        let output = program.args(args).stdout(full).output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{args:?}: {message}");
+        assert_mentions(&message, &["mocapd: cannot write to standard output", "free some space"]);
+    }
 }

@@ -218,3 +218,13 @@ fn an_interrupted_export_leaves_nothing() {
         }
     }
 }
+
+#[test]
+fn other_names_of_a_file_are_left_out_and_counted() {
+    let (folder, _) = files(1);
+    std::os::unix::fs::symlink("0.csv", folder.path("in/link.csv")).unwrap();
+    let ran = folder.run(&["import", "in", "in/0.csv", "-o", "out/"]).with_code(0);
+    assert_mentions(&ran.stderr, &["in/link.csv: left out, it is in/0.csv", "in/0.csv: left out"]);
+    assert_mentions(&ran.stdout, &["same file          2"]);
+    assert_eq!(fs::read_dir(folder.path("out")).unwrap().count(), 1);
+}

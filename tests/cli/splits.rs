@@ -148,9 +148,22 @@ fn every_frame_is_in_exactly_one_take() {
     assert!(infos.iter().all(|info| info["subject"]["name"] == "S01"), "{}", infos[1]);
     assert!(infos.is_sorted_by(|a, b| a["created"].as_str() < b["created"].as_str()));
     check_joined(&folder, &report, &frames, 0);
+    // A folder stands for its takes.
+    std::fs::create_dir(folder.path("parts")).unwrap();
+    for name in names {
+        std::fs::copy(folder.path(name), folder.path(&format!("parts/{name}"))).unwrap();
+    }
+    folder.run(&["concat", "parts", "-o", "folder.take"]).with_code(0);
+    folder.run(&[&["concat", "-o", "named.take"], &names[..]].concat()).with_code(0);
+    assert!(folder.read("folder.take") == folder.read("named.take"));
     // Without one in the middle, its frames are lost ones.
     let concat = ["concat", "a-001.take", "a-002.take", "a-004.take", "-o", "gap.take", "--json"];
-    let joined = folder.run(&concat).with_code(0).json();
+    let ran = folder.run(&concat).with_code(0);
+    assert_mentions(
+        &ran.stderr,
+        &["gap.take: 240 frames", "before a-004.take", "none of the takes"],
+    );
+    let joined = ran.json();
     assert_eq!(joined["takes"][2]["follows"], "frames missing");
     assert_eq!(
         (&joined["takes"][2]["frames_missing_before"], &joined["frames"]),

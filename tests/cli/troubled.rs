@@ -1,6 +1,12 @@
 //! Devices that stall, are reset, or lose their power while the line to them stays.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
 
 use mocapd_drivers::{
     device::{DeviceEvent, Protocol},
@@ -21,6 +27,10 @@ struct Troubled<D> {
     device: D,
     trouble: Option<Trouble<D>>,
     begun_ns: Option<u64>,
+    /// When the device last ran.
+    last_ns: Option<u64>,
+    /// How often the machine did not run the device for so long that it was silent once more.
+    starved: Arc<AtomicU64>,
 }
 
 enum Trouble<D> {
@@ -34,14 +44,29 @@ enum Trouble<D> {
 
 const AFTER_NS: u64 = 1_500_000_000;
 
+/// A device that is not run for this long is silent. An NDI host gives up after three polls of 100 ms each and the pauses
+/// between them: with stalls of 200 to 420 ms it went on, with 530 ms it set the system up again.
+const STARVED_NS: u64 = 250_000_000;
+
 impl<D> Troubled<D> {
-    fn new(device: D, trouble: Trouble<D>) -> Self {
-        Self { device, trouble: Some(trouble), begun_ns: None }
+    /// Also returns the count of its unplanned silences.
+    fn new(device: D, trouble: Trouble<D>) -> (Self, Arc<AtomicU64>) {
+        let starved = Arc::new(AtomicU64::new(0));
+        let (trouble, count) = (Some(trouble), Arc::clone(&starved));
+        (Self { device, trouble, begun_ns: None, last_ns: None, starved }, count)
+    }
+
+    /// The device runs: it is polled every 10 ms, so a longer pause is the machine's.
+    fn runs(&mut self, now_ns: u64) {
+        let last_ns = self.last_ns.replace(now_ns).filter(|_| self.begun_ns.is_some());
+        let is_starved = last_ns.is_some_and(|last_ns| now_ns - last_ns > STARVED_NS);
+        self.starved.fetch_add(u64::from(is_starved), Ordering::Relaxed);
     }
 }
 
 impl<D: LineDevice> LineDevice for Troubled<D> {
     fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
+        self.runs(now_ns);
         self.begun_ns.get_or_insert(now_ns);
         self.device.on_bytes(bytes, now_ns);
     }
@@ -51,10 +76,15 @@ impl<D: LineDevice> LineDevice for Troubled<D> {
     }
 
     fn poll(&mut self, now_ns: u64) -> u64 {
+        self.runs(now_ns);
         let is_time = self.begun_ns.is_some_and(|begun_ns| now_ns - begun_ns > AFTER_NS);
         match self.trouble.take_if(|_| is_time) {
             None => {}
-            Some(Trouble::Stalls(time)) => std::thread::sleep(time),
+            Some(Trouble::Stalls(time)) => {
+                std::thread::sleep(time);
+                // This silence is meant.
+                self.last_ns = None;
+            }
             Some(Trouble::IsReset) => self.device.on_break(now_ns),
             Some(Trouble::IsAnother(other)) => self.device = *other,
         }
@@ -115,10 +145,11 @@ fn recorded(device: &Simulated, driver: &str, seconds: f64) -> serde_json::Value
     info
 }
 
-/// The device was away, and an event states the missing frames. On a machine with other load it can be silent once more.
+/// The device was away once, and an event states the missing frames. A busy machine can silence it `starved` times more.
 #[track_caller]
-fn assert_away(info: &serde_json::Value) {
-    assert!(matches!(info["outages"]["count"].as_u64(), Some(1 | 2)), "{info}");
+fn assert_away(info: &serde_json::Value, starved: u64) {
+    let count = info["outages"]["count"].as_u64().unwrap();
+    assert!((1..=1 + starved).contains(&count), "{count}, starved {starved}: {}", info["events"]);
     let n_lost = info["outages"]["frames"].to_string();
     let mut events = info["events"].as_array().unwrap().iter();
     let is_told = |event: &serde_json::Value| {
@@ -140,9 +171,10 @@ fn an_ndi_system_that_stalls_or_is_reset_or_replaced_invents_no_frame() {
         Trouble::IsReset,
         Trouble::IsAnother(Box::new(system())),
     ] {
-        let device = Simulated::serve(Troubled::new(system(), trouble), None);
+        let (troubled, starved) = Troubled::new(system(), trouble);
+        let device = Simulated::serve(troubled, None);
         let info = recorded(&device, "?driver=ndi", 6.0);
-        assert_away(&info);
+        assert_away(&info, starved.load(Ordering::Relaxed));
     }
 }
 
@@ -157,9 +189,9 @@ fn a_device_that_loses_its_power_behind_a_line_that_stays_is_started_again() {
         };
         Device::new(jump(7, 120.0, 2.0), settings).unwrap()
     };
-    let troubled = Troubled::new(device(), Trouble::IsAnother(Box::new(device())));
+    let (troubled, starved) = Troubled::new(device(), Trouble::IsAnother(Box::new(device())));
     let device = Simulated::serve(troubled, None);
-    assert_away(&recorded(&device, "", 16.0));
+    assert_away(&recorded(&device, "", 16.0), starved.load(Ordering::Relaxed));
 }
 
 /// Frames lost on the line do not restart the device over and over: it is started rarely, and the take keeps
@@ -179,7 +211,7 @@ fn a_line_that_loses_every_frame_for_long_costs_those_frames_and_a_start() {
     let info = recorded(&device, "", 16.0);
     let starts = device.unplug().starts;
     assert_eq!(starts, 2, "{}", info["events"]);
-    assert_away(&info);
+    assert_away(&info, 0);
 }
 
 /// A device on a line that damages the end of its stream, and a number of its reports.

@@ -4,8 +4,8 @@ use mocapd_acquire::{health::TakeHealth, inspect::Summary};
 use mocapd_take::{
     chunk::{self, ChunkParse, MAGIC, types},
     index::Footer,
-    motion::Motion,
-    record::SummaryRecord,
+    motion::{Motion, UpAxis},
+    record::{EndingKind, Header, Record, SummaryRecord},
     statistics::TakeStatistics,
 };
 
@@ -159,4 +159,78 @@ fn verify_finds_forged_figures() {
         assert_alike(&forged, "header");
         assert_eq!(Summary::read_stated(&forged[..]).unwrap().contradictions().len(), 1);
     }
+}
+
+/// The take with these payloads in place of each chunk's.
+fn forged(take: &[u8], change: impl Fn(u8, &[u8]) -> Vec<Vec<u8>>) -> Vec<u8> {
+    let mut out = MAGIC.to_vec();
+    let (mut index_offset, mut ledger_offset) = (0, 0);
+    for (kind, place) in places(take) {
+        let ChunkParse::Whole { payload, .. } = chunk::parse(&take[place]) else { panic!() };
+        let payloads = match kind {
+            types::FOOTER => {
+                let footer = Footer::from_payload(payload, 0).unwrap();
+                vec![Footer { index_offset, ledger_offset, ..footer }.to_payload()]
+            }
+            _ => change(kind, payload),
+        };
+        match kind {
+            types::INDEX => index_offset = out.len() as u64,
+            types::LEDGER => ledger_offset = out.len() as u64,
+            _ => {}
+        }
+        for payload in payloads {
+            chunk::put(&mut out, kind, &payload).unwrap();
+        }
+    }
+    out
+}
+
+#[test]
+fn verify_finds_what_no_writer_writes() {
+    let folder = Folder::new();
+    folder.write_motion("a.csv", &jump(8, 60.0, 2.0));
+    folder.run(&["import", "a.csv", "-o", "import.take"]).with_code(0);
+    let import = folder.read("import.take");
+    let assert_found = |take: Vec<u8>, sentence: &str| {
+        folder.write("a.take", &take);
+        let ran = folder.run(&["verify", "a.take", "--json"]);
+        let report = ran.json();
+        let found = [&report["contradictions"], &report["problems"]];
+        assert!(found.iter().any(|all| all.to_string().contains(sentence)), "{report}");
+        assert_ne!(ran.code, Some(0), "{sentence}");
+    };
+    let same = |payload: &[u8]| vec![payload.to_vec()];
+    assert_eq!(forged(&import, |_, payload| same(payload)), import);
+    let twice = forged(&import, |kind, payload| {
+        if kind == types::SUMMARY { [same(payload), same(payload)].concat() } else { same(payload) }
+    });
+    assert_found(twice, "a second summary");
+    let ending = forged(&import, |kind, payload| {
+        if kind != types::SUMMARY {
+            return same(payload);
+        }
+        let mut summary = SummaryRecord::from_payload(payload, 0).unwrap();
+        summary.ending = Some(EndingKind::DeviceGone.into());
+        vec![summary.to_payload().unwrap()]
+    });
+    assert_found(ending, "but the take was imported");
+    let with_header = |change: &dyn Fn(Header) -> Vec<u8>| {
+        forged(&import, |kind, payload| {
+            if kind != types::HEADER {
+                return same(payload);
+            }
+            vec![change(Header::from_payload(payload, 0).unwrap())]
+        })
+    };
+    let up = with_header(&|header| {
+        let [unknown, up] = [UpAxis::Unknown, UpAxis::Z]
+            .map(|up_axis| Header { up_axis, ..header.clone() }.to_payload().unwrap());
+        let at = unknown.iter().zip(&up).position(|(a, b)| a != b).unwrap();
+        [&up[..at], &[9], &up[at + 1..]].concat()
+    });
+    assert_found(up, "up axis 9");
+    let rows =
+        with_header(&|header| Header { stretch_rows: 1 << 31, ..header }.to_payload().unwrap());
+    assert_found(rows, "stretches of 2147483648 frames");
 }

@@ -5,8 +5,10 @@
 
 mod pose;
 mod quality;
+mod sampled;
 mod sizes;
 mod study;
+mod trace;
 mod trajectory;
 
 use std::{ops::Range, sync::Arc};
@@ -27,6 +29,7 @@ use crate::ReportError;
 pub use self::{
     pose::{MOMENTS_MAX, PosePlot, pose},
     quality::{MarkerQuality, QualityPlot, quality},
+    sampled::{AnalogPlot, CHANNELS_MAX, ForcesPlot, PLATES_MAX, analog, forces},
     sizes::{SizeLine, SizePanel, sizes},
     study::by_phase,
     trajectory::{TrajectoryPlot, trajectory},

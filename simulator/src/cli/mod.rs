@@ -8,7 +8,7 @@ mod serve;
 use clap::{CommandFactory, Parser, Subcommand};
 use mocapd_cli::{
     manual::{self, CompletionsArgs, ManArgs, UnknownCommand},
-    usage,
+    usage::{self, ParseError, Parsed},
 };
 
 use output::print_exact;
@@ -74,9 +74,12 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
     }
 }
 
-/// Parses the arguments; prints help and version and exits if asked to.
-pub(crate) fn parse() -> Result<Cli, Failure> {
-    usage::parse().map_err(Failure::usage_message)
+/// Parses the arguments; prints help and version if asked to.
+pub(crate) fn parse() -> Result<Parsed<Cli>, Failure> {
+    usage::parse().map_err(|error| match error {
+        ParseError::Usage(message) => Failure::usage_message(message),
+        failed @ ParseError::Output(_) => failed.into(),
+    })
 }
 
 /// Runs the command that was given.
@@ -104,12 +107,19 @@ Examples:
 
 The Debian package installs the pages.";
 
+/// The exit codes of every command.
+const EXIT_STATUS: [(u8, &str); 3] = [
+    (0, "Done; for serve also: ended by Ctrl-C."),
+    (1, "Failed, with a message."),
+    (2, "Wrong usage, or a value that is refused."),
+];
+
 fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
     Ok(print_exact(&manual::completions(args, Cli::command()))?)
 }
 
 fn pages(args: &ManArgs) -> Result<(), Failure> {
-    let page = manual::pages(args, Cli::command()).map_err(|error| {
+    let page = manual::pages(args, Cli::command(), &EXIT_STATUS).map_err(|error| {
         if error.is::<UnknownCommand>() { Failure::usage(error) } else { error.into() }
     })?;
     Ok(print_exact(&page)?)

@@ -1,7 +1,7 @@
 //! The files that a command reads: files, folders and standard input, as given on the command line.
 
 use std::{
-    collections::HashSet,
+    collections::{HashMap, hash_map::Entry},
     fs::{self, File},
     io::{self, IsTerminal, Read},
     os::fd::AsRawFd,
@@ -29,7 +29,9 @@ pub(crate) enum FileKinds {
 
 impl FileKinds {
     fn includes(self, path: &Path) -> bool {
-        let is_motion_file = || Format::from_extension(path).is_some_and(Format::is_read);
+        let is_read = || Format::from_extension(path).is_some_and(Format::is_read);
+        // Files of analog channels and force plates beside an export have no markers.
+        let is_motion_file = || is_read() && !paths::is_sampled(path);
         match self {
             Self::Takes => paths::is_take(path),
             Self::MotionFiles => is_motion_file(),
@@ -101,6 +103,8 @@ pub(crate) struct Inputs {
     pub(crate) is_single: bool,
     /// Folders that cannot be read, one message each.
     pub(crate) unreadable: Vec<String>,
+    /// Names of files that are read under another name, as links are: the name that is left out, and that file.
+    pub(crate) repeated: Vec<(PathBuf, PathBuf)>,
 }
 
 /// Finds the files that `arguments` name, for a command that does not read standard input.
@@ -130,12 +134,13 @@ pub(crate) fn find(
     format: Option<InputFormat>,
 ) -> anyhow::Result<Inputs> {
     let is_single = matches!(arguments, [one] if !one.is_dir());
-    let mut inputs = Inputs { files: Vec::new(), is_single, unreadable: Vec::new() };
-    let mut seen = HashSet::new();
+    let (files, unreadable, repeated) = (Vec::new(), Vec::new(), Vec::new());
+    let mut inputs = Inputs { files, is_single, unreadable, repeated };
+    let mut seen = HashMap::new();
     for argument in arguments {
         if paths::is_dash(argument) {
             ensure!(
-                seen.insert(argument.clone()),
+                seen.insert(argument.clone(), argument.clone()).is_none(),
                 UsageError("standard input can only be read once: give `-` once".to_owned())
             );
             inputs.files.push(spool(format, kinds, args.max_input)?);
@@ -154,9 +159,9 @@ pub(crate) fn find(
         } else if is_single && argument.symlink_metadata().is_err() {
             // Before the output is looked at: what is missing is the input.
             return Err(FileError::NotFound(argument.clone()).into());
-        } else if seen.insert(argument.canonicalize().unwrap_or_else(|_| argument.clone())) {
+        } else {
             let name = argument.file_name().unwrap_or(argument.as_os_str());
-            inputs.files.push(Input::file(argument.clone(), PathBuf::from(name)));
+            inputs.add_file(argument.clone(), PathBuf::from(name), &mut seen);
         }
     }
     Ok(inputs)
@@ -181,7 +186,7 @@ impl Inputs {
         folder: &Path,
         recursive: bool,
         kinds: FileKinds,
-        seen: &mut HashSet<PathBuf>,
+        seen: &mut HashMap<PathBuf, PathBuf>,
     ) -> usize {
         let mut found = Vec::new();
         let mut folders = vec![folder.to_owned()];
@@ -211,12 +216,22 @@ impl Inputs {
         found.sort();
         let n_found = found.len();
         for path in found {
-            if seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
-                let relative = path.strip_prefix(folder).unwrap_or(&path).to_owned();
-                self.files.push(Input::file(path, relative));
-            }
+            let relative = path.strip_prefix(folder).unwrap_or(&path).to_owned();
+            self.add_file(path, relative, seen);
         }
         n_found
+    }
+
+    /// Adds a file, unless `seen` has it: its real path, with the name under which it is read.
+    fn add_file(&mut self, path: PathBuf, relative: PathBuf, seen: &mut HashMap<PathBuf, PathBuf>) {
+        let real = path.canonicalize().unwrap_or_else(|_| path.clone());
+        match seen.entry(real) {
+            Entry::Vacant(place) => {
+                place.insert(path.clone());
+                self.files.push(Input::file(path, relative));
+            }
+            Entry::Occupied(other) => self.repeated.push((path, other.get().clone())),
+        }
     }
 }
 
@@ -278,6 +293,7 @@ mod tests {
         assert_eq!(names(&flat), ["a.TAKE", "c.take"]);
         assert!(!flat.is_single);
         let deep = find(&[path("c.take"), folder.path().to_owned()], true).unwrap();
+        assert_eq!(deep.repeated, [(path("c.take"), path("c.take"))]);
         assert_eq!(names(&deep), ["c.take", "a.TAKE", "b/deep/y.take", "b/x.take"]);
         let one = find(&[path("n.txt")], false).unwrap();
         assert!(one.is_single, "a file is read whatever its extension");

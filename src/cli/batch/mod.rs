@@ -75,6 +75,8 @@ pub(crate) struct Batch<'a> {
     pub(crate) json: bool,
     /// Whether text reports go to standard error, because standard output carries the output file.
     pub(crate) text_to_stderr: bool,
+    /// Whether the lines and the table of several files go to standard error, because standard output has data.
+    pub(crate) lines_to_stderr: bool,
     /// Threads for all files together.
     pub(crate) threads: usize,
     /// What is done, for the progress display: `importing`.
@@ -97,6 +99,7 @@ impl<'a> Batch<'a> {
             outputs: &[],
             json,
             text_to_stderr: false,
+            lines_to_stderr: false,
             threads: thread_count(None),
             doing,
             done,
@@ -205,6 +208,10 @@ pub(crate) fn run(
         notify(message);
         table.add_failure();
     }
+    for (name, other) in &batch.inputs.repeated {
+        notify(&format!("{}: left out, it is {}", name.display(), other.display()));
+        table.add_repeated();
+    }
     let worker = || {
         |&index: &usize| {
             let job = Job {
@@ -231,7 +238,7 @@ pub(crate) fn run(
     })?;
     drop(display);
     if !batch.json {
-        print(&table.text(batch.done, batch.is_compression))?;
+        print_line(batch, &table.text(batch.done, batch.is_compression))?;
     }
     Ok(table.outcome())
 }
@@ -311,7 +318,15 @@ fn print_result(
             notify(why);
         }
     }
-    if batch.json { print_json_text(&report.json) } else { print(&report.line) }
+    if batch.json { print_json_text(&report.json) } else { print_line(batch, &report.line) }
+}
+
+fn print_line(batch: &Batch<'_>, line: &str) -> anyhow::Result<()> {
+    if batch.lines_to_stderr {
+        eprint(line);
+        return Ok(());
+    }
+    print(line)
 }
 
 /// The progress of all files together.

@@ -21,6 +21,8 @@ pub(super) struct Table {
     unchanged: Row,
     lossy: Row,
     failed: Row,
+    /// Other names of files that were read.
+    repeated: Row,
 }
 
 impl Table {
@@ -40,6 +42,11 @@ impl Table {
         self.failed.files += 1;
     }
 
+    /// Counts another name of a file, such as a link to it, which is left out.
+    pub(super) fn add_repeated(&mut self) {
+        self.repeated.files += 1;
+    }
+
     /// The outcome of all files together: the worst of them.
     pub(super) fn outcome(&self) -> Outcome {
         if self.failed.files > 0 { Outcome::Failed } else { Outcome::of(self.lossy.files > 0) }
@@ -53,6 +60,7 @@ impl Table {
             ("unchanged", &self.unchanged),
             ("data lost", &self.lossy),
             ("failed", &self.failed),
+            ("same file", &self.repeated),
         ];
         let writes = rows.iter().any(|(_, row)| row.sums.bytes_written > 0);
         let mut out =
@@ -112,6 +120,8 @@ mod tests {
         table.add(&report(false, true));
         table.add(&report(true, false));
         assert_eq!(table.outcome(), Outcome::DataLost);
+        table.add_repeated();
+        assert_eq!(table.outcome(), Outcome::DataLost);
         table.add_failure();
         assert_eq!(table.outcome(), Outcome::Failed);
         assert_eq!(
@@ -120,7 +130,8 @@ mod tests {
              imported           3         1 800        30.0 s   108.0 kB    3 600 B    30.0\n\
              unchanged          1           600        10.0 s    36.0 kB    1 200 B    30.0\n\
              data lost          1           600        10.0 s    36.0 kB    1 200 B    30.0\n\
-             failed             1\n"
+             failed             1\n\
+             same file          1\n"
         );
     }
 }

@@ -23,7 +23,7 @@ use serde::Serialize;
 
 use crate::cli::{
     batch::{self, FileKinds, Input},
-    motion_files::read_take,
+    motion_files::{AnalogSize, measure_analog, read_take},
     original::{header_of, read_motion},
     output::{notify, plain, print, print_json},
     paths, values,
@@ -42,7 +42,7 @@ pub(crate) struct Args {
     recursive: bool,
     /// A resampler; can be repeated [default: dense, fast, lossless, lossless:predictive,
     /// spline, sync]
-    #[arg(long = "resampler", value_name = "NAME", value_parser = str::parse::<ResamplerKind>)]
+    #[arg(long = "resampler", value_name = "NAME", value_parser = values::resampler(), hide_possible_values = true)]
     resamplers: Vec<ResamplerKind>,
     /// A tolerance; can be repeated [default: 0.1 0.5 1 5 10 20 mm]
     #[arg(long = "tolerance", value_name = "LENGTH", value_parser = values::tolerance)]
@@ -71,9 +71,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         } else {
             read_motion(file)?
         };
-        motion.info.foreign.clear();
+        let analog = measure_analog(file, &mut motion)?;
         let input = BenchInput { file, motion: &motion };
-        let mut about = CodecFileReport::new(&input);
+        let mut about = CodecFileReport::new(&input, analog);
         if !args.json {
             print(&about.head())?;
         }
@@ -257,6 +257,9 @@ struct CodecFileReport {
     markers: usize,
     samples: u64,
     raw_bytes: u64,
+    /// Samples of the analog channels, and the bytes that every take needs for them beside those of its results.
+    analog_samples: u64,
+    analog_bytes: u64,
     results: Vec<Measured>,
 }
 
@@ -280,7 +283,7 @@ struct Measured {
 }
 
 impl CodecFileReport {
-    fn new(input: &BenchInput<'_>) -> Self {
+    fn new(input: &BenchInput<'_>, analog: Option<AnalogSize>) -> Self {
         let info = &input.motion.info;
         let samples = input.samples();
         Self {
@@ -290,14 +293,24 @@ impl CodecFileReport {
             markers: info.markers.len(),
             samples,
             raw_bytes: 12 * samples,
+            analog_samples: analog.map_or(0, |analog| analog.samples),
+            analog_bytes: analog.map_or(0, |analog| analog.bytes),
             results: Vec::new(),
         }
     }
 
     /// The heading of its table.
     fn head(&self) -> String {
+        let analog = match self.analog_samples {
+            0 => String::new(),
+            n => format!(
+                "analog: {n} samples, {} bytes in every take beside those below, {:.2} bits each\n",
+                self.analog_bytes,
+                8.0 * self.analog_bytes as f64 / n as f64
+            ),
+        };
         format!(
-            "{}: {} markers, {} frames at {}, {} bytes of float32\n\
+            "{}: {} markers, {} frames at {}, {} bytes of float32\n{analog}\
              {:20} {:>9} {:>10} {:>8} {:>7} {:>12} {:>10} {:>10}\n",
             plain(&self.file),
             self.markers,

@@ -89,6 +89,10 @@ impl FrameSource for CroppedFrames<'_> {
     fn take(&self) -> Option<&TakeMap> {
         self.frames.take()
     }
+
+    fn count_sampled(&self, n_frames: u64) {
+        self.counter.fetch_add(n_frames, Ordering::Relaxed);
+    }
 }
 
 #[cfg(test)]

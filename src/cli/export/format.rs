@@ -171,13 +171,18 @@ pub(super) struct EscapedLabels<'a> {
     info: MotionInfo,
 }
 
+/// Puts an apostrophe before a label that would begin a formula.
+pub(super) fn escape(label: &mut String) {
+    if label.starts_with(FORMULAS) {
+        label.insert(0, '\'');
+    }
+}
+
 impl<'a> EscapedLabels<'a> {
     pub(super) fn new(frames: &'a mut dyn FrameSource) -> Self {
         let mut info = frames.info().clone();
         for marker in &mut info.markers {
-            if marker.label.starts_with(FORMULAS) {
-                marker.label.insert(0, '\'');
-            }
+            escape(&mut marker.label);
         }
         Self { frames, info }
     }
@@ -198,5 +203,9 @@ impl FrameSource for EscapedLabels<'_> {
 
     fn take(&self) -> Option<&TakeMap> {
         self.frames.take()
+    }
+
+    fn count_sampled(&self, n_frames: u64) {
+        self.frames.count_sampled(n_frames);
     }
 }

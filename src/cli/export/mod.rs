@@ -4,6 +4,7 @@ mod crop;
 mod format;
 
 use std::{
+    fs,
     io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write},
     ops::Range,
     path::{Path, PathBuf},
@@ -36,7 +37,7 @@ use super::{
     },
     output::plain_path,
     paths,
-    values::{TimeOrFormat, bytes, count, split_to},
+    values::{TimeOrFormat, bytes, count, split_to, time_or_format},
 };
 
 /// Size of the output buffer: so large that the cost of system calls is negligible.
@@ -64,7 +65,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
     /// Export frames before this time; or, if the value is the name of a format, the same as --format: --to c3d
-    #[arg(long, value_name = "TIME|FORMAT", allow_hyphen_values = true)]
+    #[arg(long, value_name = "TIME|FORMAT", allow_hyphen_values = true, value_parser = time_or_format::<FormatName>(), hide_possible_values = true)]
     to: Vec<TimeOrFormat<FormatName>>,
     /// Print one JSON document, or one per line for several takes
     #[arg(long)]
@@ -119,6 +120,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         outputs: &paths_of_outputs,
         json: args.json,
         text_to_stderr: true,
+        lines_to_stderr: false,
         threads: batch::thread_count(None),
         doing: "exporting",
         done: "exported",
@@ -156,7 +158,9 @@ struct ExportReport {
     take: PathBuf,
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     output: PathBuf,
-    /// Whether the output existed with the same content.
+    /// Files of analog channels and force plates beside the output.
+    sampled_files: Vec<String>,
+    /// Whether the output, and the files beside it, existed with the same content.
     unchanged: bool,
     frames: u64,
     seconds: f64,
@@ -175,12 +179,9 @@ struct ExportReport {
 /// What one attempt to write an output came to.
 struct Attempt {
     frames: u64,
-    kept: Kept,
-    bytes: u64,
+    written: Written,
     not_supported: Vec<String>,
     not_rotated: Vec<String>,
-    /// Remarks on the content of the output.
-    remarks: Vec<String>,
 }
 
 /// What became of an output.
@@ -188,6 +189,9 @@ struct Written {
     kept: Kept,
     /// Its size; 0 for a folder.
     bytes: u64,
+    /// Files of analog channels and force plates beside it.
+    sampled_files: Vec<PathBuf>,
+    /// Remarks on its content.
     remarks: Vec<String>,
 }
 
@@ -229,8 +233,8 @@ impl ExportPlan<'_> {
                 self.attempt(&mut frames, &range, job, output)?
             }
         };
-        attempt.remarks.extend(remark_on_axes(format, of_take, args.up));
-        attempt.remarks.iter().for_each(|remark| job.notify_of(output, remark));
+        attempt.written.remarks.extend(remark_on_axes(format, of_take, args.up));
+        attempt.written.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
         Ok(FileReport {
@@ -257,12 +261,20 @@ impl ExportPlan<'_> {
         job: &Job<'_>,
         output: &Path,
     ) -> anyhow::Result<Attempt> {
-        let phase = job.phase("exporting", range.end - range.start);
+        let n_frames = range.end - range.start;
+        // A pass over the frames, and one for each table of sampled channels.
+        let n_passes = 1 + self.format.sampled_tables(source.info())?.len() as u64;
+        let phase = job.phase("exporting", n_frames.saturating_mul(n_passes));
         let mut cropped = CroppedFrames::new(source, range, Arc::clone(&phase.counter));
-        let n_frames = cropped.info().n_frames;
         let is_turned = self.format == Format::Mot && cropped.info().up != UpAxis::Unknown;
         let up = self.args.up.or(is_turned.then_some(UpAxis::Y));
-        let not_supported = self.format.leaves_out(cropped.info(), up.is_some());
+        let mut not_supported = self.format.leaves_out(cropped.info(), up.is_some());
+        if paths::is_dash(output) && self.format.has_sampled_files() {
+            let tables = self.format.sampled_tables(cropped.info())?;
+            not_supported.extend(tables.iter().map(|table| {
+                format!("{} (a file of its own: give -o FILE)", table.kind().description())
+            }));
+        }
         let mut not_rotated = Vec::new();
         let mut rotated;
         let frames: &mut dyn FrameSource = match up {
@@ -281,8 +293,7 @@ impl ExportPlan<'_> {
         } else {
             self.write(frames, job, output)?
         };
-        let Written { kept, bytes, remarks } = written;
-        Ok(Attempt { frames: n_frames, kept, bytes, not_supported, not_rotated, remarks })
+        Ok(Attempt { frames: n_frames, written, not_supported, not_rotated })
     }
 
     /// Writes an output whole or not at all.
@@ -295,23 +306,94 @@ impl ExportPlan<'_> {
         if self.format == Format::Bids {
             let _one_at_a_time = self.dataset.lock();
             write_folder(frames, &self.args.format.names(&job.input.relative)?, output)?;
-            return Ok(Written { kept: Kept::New, bytes: 0, remarks: Vec::new() });
+            let (sampled_files, remarks) = (Vec::new(), self.remarks(frames)?);
+            return Ok(Written { kept: Kept::New, bytes: 0, sampled_files, remarks });
         }
         let writing = || format!("cannot write {}", output.display());
-        let ((bytes, remarks), kept) = outputs::write_whole(output, self.is_folder, |out| {
-            let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut *out);
-            let remarks = if self.format == Format::Mot {
-                mot::write(frames, &mut buffered, self.args.format.baseline())
-                    .with_context(writing)?
-            } else {
-                write_frames(frames, self.format, &mut buffered).with_context(writing)?;
-                Vec::new()
-            };
-            buffered.flush().with_context(writing)?;
-            drop(buffered);
-            Ok((out.seek(SeekFrom::End(0))?, remarks))
-        })?;
-        Ok(Written { kept, bytes, remarks })
+        // The files beside the output get their names before it: where it is, they are.
+        let mut sampled = SampledFiles::default();
+        let ((bytes, mut remarks), mut kept) =
+            outputs::write_whole(output, self.is_folder, |out| {
+                let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut *out);
+                let remarks = if self.format == Format::Mot {
+                    mot::write(frames, &mut buffered, self.args.format.baseline())
+                        .with_context(writing)?
+                } else {
+                    write_frames(frames, self.format, &mut buffered).with_context(writing)?;
+                    Vec::new()
+                };
+                buffered.flush().with_context(writing)?;
+                drop(buffered);
+                if self.format.has_sampled_files() && !paths::is_dash(output) {
+                    sampled.write(self, frames, output)?;
+                }
+                Ok((out.seek(SeekFrom::End(0))?, remarks))
+            })?;
+        remarks.extend(self.remarks(frames)?);
+        if sampled.kept.iter().any(|(_, kept)| *kept == Kept::New) {
+            kept = Kept::New;
+        }
+        let bytes = bytes + sampled.bytes;
+        let sampled_files = std::mem::take(&mut sampled.kept).into_iter().map(|(path, _)| path);
+        Ok(Written { kept, bytes, sampled_files: sampled_files.collect(), remarks })
+    }
+
+    /// Remarks on the analog channels and force plates of an output.
+    fn remarks(&self, frames: &dyn FrameSource) -> anyhow::Result<Vec<String>> {
+        let mut remarks: Vec<String> = Vec::new();
+        for table in self.format.sampled_tables(frames.info())? {
+            for warning in table.warnings() {
+                if !remarks.contains(warning) {
+                    remarks.push(warning.clone());
+                }
+            }
+        }
+        Ok(remarks)
+    }
+}
+
+/// The files of analog channels and force plates beside an output. Those that are new are removed on drop.
+#[derive(Default)]
+struct SampledFiles {
+    kept: Vec<(PathBuf, Kept)>,
+    bytes: u64,
+}
+
+impl SampledFiles {
+    fn write(
+        &mut self,
+        plan: &ExportPlan<'_>,
+        frames: &dyn FrameSource,
+        output: &Path,
+    ) -> anyhow::Result<()> {
+        for mut table in plan.format.sampled_tables(frames.info())? {
+            if plan.args.format.for_spreadsheet {
+                table.rename(format::escape);
+            }
+            let path = paths::sampled_path(output, table.kind());
+            let writing = || format!("cannot write {}", path.display());
+            let (bytes, kept) = outputs::write_whole(&path, plan.is_folder, |out| {
+                let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut *out);
+                plan.format
+                    .write_sampled(&mut table, frames, &mut buffered)
+                    .with_context(writing)?;
+                buffered.flush().with_context(writing)?;
+                drop(buffered);
+                Ok(out.seek(SeekFrom::End(0))?)
+            })?;
+            self.bytes += bytes;
+            self.kept.push((path, kept));
+        }
+        Ok(())
+    }
+}
+
+impl Drop for SampledFiles {
+    fn drop(&mut self) {
+        for (path, _) in self.kept.iter().filter(|(_, kept)| *kept == Kept::New) {
+            // The output itself failed, with a message of its own.
+            let _removed = fs::remove_file(path);
+        }
     }
 }
 
@@ -339,12 +421,18 @@ impl ExportReport {
         Self {
             take: job.input.name.clone(),
             output: output.to_owned(),
-            unchanged: attempt.kept == Kept::Unchanged,
+            sampled_files: attempt
+                .written
+                .sampled_files
+                .iter()
+                .map(|path| path.to_string_lossy().into_owned())
+                .collect(),
+            unchanged: attempt.written.kept == Kept::Unchanged,
             frames: attempt.frames,
             seconds: attempt.frames as f64 / info.rate_hz,
             markers: info.markers.len(),
             rate_hz: info.rate_hz,
-            output_bytes: attempt.bytes,
+            output_bytes: attempt.written.bytes,
             frames_lost: take.ledger.as_ref().map_or(0, Ledger::frames_lost),
             not_supported: attempt.not_supported,
             not_rotated: attempt.not_rotated,
@@ -380,9 +468,13 @@ impl ExportReport {
         } else {
             String::new()
         };
+        let names = std::iter::once(plain_path(&self.output));
+        let names: Vec<String> = names
+            .chain(self.sampled_files.iter().map(|name| plain_path(Path::new(name))))
+            .collect();
         format!(
             "{}: {} of {}{size}{}\n",
-            plain_path(&self.output),
+            names.join(", "),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),
             if self.unchanged { "; unchanged" } else { "" },

@@ -53,7 +53,7 @@ pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
         line("lost", &lost);
     }
     // Frames are numbered as in the imported file, and as in exports.
-    let first_frame = report.source.as_ref().map_or(0, |source| source.file.first_frame);
+    let first_frame = report.source.as_ref().map_or(1, |source| source.file.first_frame);
     for event in &report.events {
         let frame = thousands(first_frame.saturating_add(event.frame));
         let time_s = event.frame as f64 / report.rate_hz;

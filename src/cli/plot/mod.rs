@@ -2,6 +2,7 @@
 //! against time; `plot quality` each marker's gaps, noise and error.
 
 mod pose;
+mod sampled;
 mod sizes;
 
 use std::{
@@ -27,7 +28,7 @@ use crate::cli::{
     motion_files::{Original, file_name, read_original, read_picture_source, write_new},
     output::plain_path,
     paths::{self, InputFormatName, ends_in},
-    values::{TimeOrFormat, split_to},
+    values::{TimeOrFormat, split_to, time_or_format},
 };
 use pose::up;
 
@@ -39,6 +40,10 @@ pub(crate) enum Plot {
     Pose(pose::Args),
     /// Plot the size of the take against the tolerance, by resampler, one panel per take or file
     Sizes(sizes::Args),
+    /// Plot analog channels of an imported C3D file against time
+    Analog(sampled::AnalogArgs),
+    /// Plot force plates of an imported C3D file: forces and centres of pressure, beside the trajectory of a marker
+    Forces(sampled::ForcesArgs),
     /// Plot each marker's gaps, noise and, with --against, error
     Quality(PictureArgs),
 }
@@ -48,6 +53,8 @@ pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
         Plot::Trajectory(args) => draw_trajectory(args),
         Plot::Pose(args) => pose::run(args),
         Plot::Sizes(args) => sizes::run(args),
+        Plot::Analog(args) => sampled::run_analog(args),
+        Plot::Forces(args) => sampled::run_forces(args),
         Plot::Quality(args) => draw_quality(args),
     }
 }
@@ -101,7 +108,7 @@ pub(crate) struct PictureArgs {
     output: Option<PathBuf>,
     /// Format of the plots: svg or png [default: by the extension of the output, else svg]; or, for `plot trajectory`
     /// only, a time: plot frames before it
-    #[arg(long, value_name = "FORMAT|TIME", allow_hyphen_values = true)]
+    #[arg(long, value_name = "FORMAT|TIME", allow_hyphen_values = true, value_parser = time_or_format::<PictureFormat>(), hide_possible_values = true)]
     to: Vec<TimeOrFormat<PictureFormat>>,
     #[command(flatten)]
     input: InputArgs,
@@ -215,6 +222,7 @@ impl PictureArgs {
             outputs: &paths_of_outputs,
             json: self.json,
             text_to_stderr: true,
+            lines_to_stderr: false,
             threads: batch::thread_count(None),
             doing: "plotting",
             done: "plotted",

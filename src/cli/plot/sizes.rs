@@ -16,7 +16,7 @@ use mocapd_take::motion::{Motion, is_gap};
 
 use crate::cli::{
     batch::{self, FileKinds},
-    motion_files::{file_name, read_samples},
+    motion_files::{AnalogSize, file_name, measure_analog, read_samples},
     original::header_of,
     output::Progress,
     plot,
@@ -67,9 +67,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
     let (mut motion, source) = read_samples(path)?;
-    // Foreign data and documents would add the same bytes to every size.
-    motion.info.foreign.clear();
+    // Foreign data and documents would add the same bytes to every size; those of analog samples are a line of their own.
     motion.info.subject = None;
+    let analog = measure_analog(path, &mut motion)?;
     let n_frames = motion.n_frames();
     let samples = motion.positions_mm.iter().filter(|&&at| !is_gap(at)).count();
     let mut caption = format!(
@@ -78,6 +78,9 @@ fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
         count(n_frames as u64, "frame"),
         rate(motion.info.rate_hz)
     );
+    if let Some(AnalogSize { samples, .. }) = analog {
+        caption += &format!(", {}", count(samples, "analog sample"));
+    }
     if let Some(source) = source.filter(|source| !source.kind.is_lossless()) {
         caption += &format!("; source already coded at {} mm", source.tolerance.mm());
     }
@@ -107,6 +110,7 @@ fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
     let lossless = file_bytes(path, &motion, ResamplerKind::LosslessPredictive, 1.0, &counter)?;
     lines.push(level("lossless", lossless));
     lines.push(level("float32", 12 * samples as u64));
+    lines.extend(analog.map(|analog| level("analog", analog.bytes)));
     drop(progress);
     Ok(SizePanel { name: file_name(path), caption, lines })
 }

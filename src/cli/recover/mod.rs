@@ -56,6 +56,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         outputs: &paths_of_outputs,
         json: args.json,
         text_to_stderr: destination == Destination::Stdout,
+        lines_to_stderr: false,
         threads: batch::thread_count(None),
         doing: "recovering",
         done: "recovered",

@@ -8,16 +8,22 @@
 //!                                                 _channels.json
 //!                                                 _events.tsv   if there are events
 //!                                                 _events.json
+//!                                                 _recording-analog_physio.tsv.gz       analog channels, no header
+//!                                                 _recording-analog_physio.json
+//!                                                 _recording-forceplates_physio.tsv.gz  loads of force plates
+//!                                                 _recording-forceplates_physio.json
 //! sub-01/ses-2/motion/sub-01_ses-2_task-walk_tracksys-optical_run-1_motion.tsv  with a session and a run
 //! ```
 
 use std::io::{self, Write};
 
+use flate2::{Compression, write::GzEncoder};
 use serde::Serializer;
 use serde_json::{Value, json};
 
 use super::{
     InterchangeError, Result, check_frame_count, put_position,
+    sampled_table::{SampledKind, SampledTable},
     text::{column_labels, without_tabs},
     unsupported, write_frames,
 };
@@ -29,8 +35,22 @@ const BIDS_VERSION: &str = "1.10.0";
 const MISSING: &str = "n/a";
 
 /// The parts of the names of a recording's files.
-const SUFFIXES: [&str; 6] =
-    ["motion.tsv", "motion.json", "channels.tsv", "channels.json", "events.tsv", "events.json"];
+const SUFFIXES: [&str; 10] = [
+    "motion.tsv",
+    "motion.json",
+    "channels.tsv",
+    "channels.json",
+    "events.tsv",
+    "events.json",
+    "recording-analog_physio.tsv.gz",
+    "recording-analog_physio.json",
+    "recording-forceplates_physio.tsv.gz",
+    "recording-forceplates_physio.json",
+];
+
+/// Members of the document of a continuous recording that are not columns.
+const RECORDING_MEMBERS: [&str; 5] =
+    ["TaskName", "PhysioType", "SamplingFrequency", "StartTime", "Columns"];
 
 /// The labels in the names of a recording's files: ASCII letters and digits.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -204,6 +224,7 @@ pub fn write(
         put(&names.path("events.tsv"), events_tsv(&info).as_bytes())?;
         put(&names.path("events.json"), &events_json()?)?;
     }
+    write_sampled(&info, frames, names, folder)?;
     let mut out = folder.file(&names.path("motion.tsv"))?;
     // BIDS wants no column names in this file: channels.tsv has them.
     let n_written = write_frames(frames, &mut *out, Vec::new(), |line, _, row| {
@@ -215,6 +236,59 @@ pub fn write(
         Ok(())
     })?;
     Ok(check_frame_count(info.n_frames, n_written)?)
+}
+
+/// Writes analog channels and the loads of force plates as continuous recordings: a gzipped table, which has no line of
+/// names, and its document ("Physiological and other continuous recordings").
+fn write_sampled(
+    info: &MotionInfo,
+    frames: &dyn FrameSource,
+    names: &BidsLabels,
+    folder: &mut dyn DatasetFolder,
+) -> Result<()> {
+    for mut table in SampledTable::all(info)? {
+        table.rename(|name| {
+            if RECORDING_MEMBERS.contains(&name.as_str()) {
+                name.push_str(" channel");
+            }
+        });
+        let recording = match table.kind() {
+            SampledKind::Analog => "analog",
+            // Labels are letters and digits.
+            SampledKind::ForcePlates => "forceplates",
+        };
+        let path = |ending: &str| names.path(&format!("recording-{recording}_physio.{ending}"));
+        let mut file = folder.file(&path("json"))?;
+        file.write_all(&sampled_json(names, &table)?)?;
+        file.flush()?;
+        drop(file);
+        // Without a date, so that the bytes are always the same.
+        let mut out = GzEncoder::new(folder.file(&path("tsv.gz"))?, Compression::default());
+        table.write_text(frames, &mut out, (MISSING, b'\t'), |_, _| Ok(()))?;
+        out.finish()?.flush()?;
+    }
+    Ok(())
+}
+
+/// The document of a continuous recording.
+fn sampled_json(labels: &BidsLabels, table: &SampledTable<'_>) -> io::Result<Vec<u8>> {
+    let names: Vec<&str> = table.columns().iter().map(|column| column.name.as_str()).collect();
+    let values = [
+        labels.task().into(),
+        "generic".into(),
+        number(table.rate_hz()),
+        // The motion starts at the same time.
+        0.into(),
+        json!(names),
+    ];
+    let common = RECORDING_MEMBERS.into_iter().zip(values);
+    let columns = table.columns().iter().map(|column| {
+        let about = [("Description", &column.description), ("Units", &column.unit)];
+        let about = about.into_iter().filter(|(_, text)| !text.is_empty());
+        let about = about.map(|(key, text)| (key.to_owned(), json!(text))).collect();
+        (column.name.as_str(), Value::Object(about))
+    });
+    json(common.chain(columns))
 }
 
 /// The table of the columns of motion.tsv.
@@ -247,7 +321,7 @@ fn cell(text: &str) -> String {
 }
 
 /// A JSON document with these members, in this order.
-fn json(members: impl IntoIterator<Item = (&'static str, Value)>) -> io::Result<Vec<u8>> {
+fn json(members: impl IntoIterator<Item = (impl serde::Serialize, Value)>) -> io::Result<Vec<u8>> {
     let mut document = Vec::new();
     serde_json::Serializer::pretty(&mut document).collect_map(members)?;
     document.push(b'\n');

@@ -1,6 +1,7 @@
 //! Import and export of the field's file formats: C3D, TRC, QTM TSV and CSV in both directions; `NumPy` archives, XDF
 //! and BIDS for export, and with the feature `full` also Parquet and MCAP; `OpenSim`'s `.mot` for the export of force
-//! plates.
+//! plates. Analog channels and force plates of a C3D file are part of exports to C3D, NPZ, XDF, BIDS and MCAP, and files
+//! beside those to CSV and Parquet ([`Format::write_sampled`]).
 //!
 //! An importer turns a file into frames in millimetres, one after another ([`MotionReader`]) or all of them as a
 //! [`Motion`]: it multiplies each coordinate as stored or printed by one factor in f64 and rounds once to f32. It reads
@@ -37,6 +38,7 @@ mod parquet;
 mod rotated;
 mod rotation;
 mod row_timing;
+mod sampled_table;
 mod source_file;
 mod table;
 mod text;
@@ -52,6 +54,7 @@ pub use csv::quote as csv_cell;
 pub use motion_reader::{MotionReader, ReaderSettings};
 pub use rotated::RotatedFrames;
 pub use rotation::Direction;
+pub use sampled_table::{SampledColumn, SampledKind, SampledTable};
 pub use text::column_labels;
 pub use units::LengthUnit;
 
@@ -95,6 +98,19 @@ struct Capabilities {
     up_axis: bool,
     /// Most events that fit.
     events_max: usize,
+    /// Where analog channels and force plates of an imported C3D file are.
+    sampled: SampledPlace,
+}
+
+/// Where an export has analog channels and force plates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum SampledPlace {
+    /// Among the foreign parts that it restores, or nowhere.
+    Restored,
+    /// In the file.
+    Inside,
+    /// In files of their own.
+    Beside,
 }
 
 type Result<T, E = InterchangeError> = std::result::Result<T, E>;
@@ -198,6 +214,11 @@ impl Format {
 
     /// What files of this format can hold. The match has no default arm, so that a new format must be added to it.
     fn capabilities(self) -> Capabilities {
+        let sampled = match self {
+            Self::C3d | Self::Trc | Self::Tsv | Self::Mot => SampledPlace::Restored,
+            Self::Mcap | Self::Npz | Self::Xdf | Self::Bids => SampledPlace::Inside,
+            Self::Csv | Self::CsvLong | Self::Parquet | Self::ParquetWide => SampledPlace::Beside,
+        };
         let (foreign, up_axis, events_max) = match self {
             Self::C3d => (Some("c3d/"), true, c3d::EVENTS_MAX),
             Self::Trc => (Some("trc/"), false, 0),
@@ -208,24 +229,57 @@ impl Format {
                 (None, true, usize::MAX)
             }
         };
-        Capabilities { foreign, up_axis, events_max }
+        Capabilities { foreign, up_axis, events_max, sampled }
     }
 
     /// Whether an export to this format needs foreign parts of a kind: those that an import of it kept, or the analog
-    /// samples of force plates.
+    /// samples.
     #[must_use]
     pub fn restores(self, kind: &str) -> bool {
-        if self == Self::Mot {
-            return foreign::analog::is_needed(kind);
-        }
+        let holds_sampled =
+            self == Self::Mot || self.capabilities().sampled != SampledPlace::Restored;
+        (holds_sampled && foreign::analog::is_needed(kind)) || self.is_restored(kind)
+    }
+
+    fn is_restored(self, kind: &str) -> bool {
         self.capabilities().foreign.is_some_and(|format| kind.starts_with(format))
+    }
+
+    /// Whether analog channels and force plates are files beside the export, by [`write_sampled`](Self::write_sampled).
+    #[must_use]
+    pub fn has_sampled_files(self) -> bool {
+        self.capabilities().sampled == SampledPlace::Beside
+    }
+
+    /// The tables of analog channels and force plates in an export of `info`, or beside it. C3D and `.mot` have them in
+    /// forms of their own.
+    ///
+    /// # Errors
+    /// Those of the scratch file that the samples may be in.
+    pub fn sampled_tables(self, info: &MotionInfo) -> io::Result<Vec<SampledTable<'_>>> {
+        match self.capabilities().sampled {
+            SampledPlace::Restored => Ok(Vec::new()),
+            SampledPlace::Inside | SampledPlace::Beside => SampledTable::all(info),
+        }
+    }
+
+    /// Whether an export has the analog samples of a foreign part of this kind, or what it needs of their parameters.
+    fn holds(self, kind: &str, info: &MotionInfo) -> bool {
+        match self.capabilities().sampled {
+            SampledPlace::Restored if self == Self::Mot => foreign::analog::is_needed(kind),
+            SampledPlace::Restored => self.is_restored(kind),
+            SampledPlace::Inside | SampledPlace::Beside => {
+                let has_table = || SampledTable::all(info).is_ok_and(|tables| !tables.is_empty());
+                self.is_restored(kind) || (kind == c3d::ANALOG && has_table())
+            }
+        }
     }
 
     /// What an export of `info` to this format leaves out, as text for the user. The up axis is not listed if
     /// `up_is_chosen`: the caller chose it for this export and knows it.
     #[must_use]
     pub fn leaves_out(self, info: &MotionInfo, up_is_chosen: bool) -> Vec<String> {
-        let others = info.foreign.iter().filter(|part| !self.restores(&part.kind));
+        let others = info.foreign.iter().filter(|part| !self.holds(&part.kind, info));
         let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
         let documents = info.subject.iter().flat_map(|subject| &subject.documents);
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));
@@ -234,10 +288,33 @@ impl Format {
         }
         if self == Self::Mot {
             left_out.extend(mot::left_out(info));
+        } else if self.capabilities().sampled != SampledPlace::Restored {
+            left_out.extend(mot::unusable_plates(info));
         }
         let events = info.events.len().saturating_sub(self.capabilities().events_max);
         left_out.extend((events > 0).then(|| counted(events as u64, "event")));
         left_out
+    }
+
+    /// Writes a table of analog channels or force plates as a file of its own, beside an export of `frames`.
+    ///
+    /// # Errors
+    /// `Unsupported` for a format without such files ([`has_sampled_files`](Self::has_sampled_files)); `Io` if reading or
+    /// writing fails.
+    pub fn write_sampled(
+        self,
+        table: &mut SampledTable<'_>,
+        frames: &dyn FrameSource,
+        out: &mut dyn Write,
+    ) -> Result<()> {
+        match self {
+            Self::Csv | Self::CsvLong => table.write_csv(frames, out),
+            #[cfg(feature = "full")]
+            Self::Parquet | Self::ParquetWide => parquet::write_sampled(table, frames, out),
+            _ => unsupported(
+                "analog channels and force plates are files of their own beside csv and parquet only",
+            ),
+        }
     }
 
     /// Writes all frames of a source in bounded memory. `frames.info().source.first_frame` is the number of the first

@@ -149,10 +149,15 @@ pub(super) fn left_out(info: &MotionInfo) -> Vec<String> {
     if let Some(others) = n_channels.checked_sub(n_used).filter(|&others| others > 0) {
         left_out.push(counted(others as u64, "other analog channel"));
     }
+    left_out.extend(unusable_plates(info));
+    left_out
+}
+
+/// The plates that cannot be used, as text for the user.
+pub(super) fn unusable_plates(info: &MotionInfo) -> Vec<String> {
+    let plates = ForcePlates::of(info).ok().flatten().unwrap_or_default();
     let unusable = plates.unusable.iter();
-    left_out
-        .extend(unusable.map(|plate| format!("force plate {} ({})", plate.number, plate.reason)));
-    left_out
+    unusable.map(|plate| format!("force plate {} ({})", plate.number, plate.reason)).collect()
 }
 
 /// The error for a take without usable plates.

@@ -11,11 +11,25 @@
 //! | `event_frame`, `event_time_s`, `event_kind`, `event_label` | events | i64, f64, text, text | the events; frames count from 0 |
 //! | `time_s` | frames | f64 | seconds from the first frame |
 //! | `positions_mm` | frames, markers, 3 | f32 | NaN where a sample is missing |
+//! | `analog_rate_hz`, `analog_time_s` | , samples | f64 | of an imported C3D file: analog samples a second, and seconds from the first frame |
+//! | `analog_labels`, `analog_units` | channels | text | the channels' names, made unique, and their units |
+//! | `analog` | samples, channels | f32 | the values; NaN where a sample is missing |
+//! | `force_plate_numbers` | plates | i64 | the numbers of the force plates that can be used |
+//! | `force_plate_corners_mm` | plates, 4, 3 | f64 | their corners |
+//! | `force_plates` | samples, plates, 4, 3 | f32 | force (N), moment about the centre of the surface (N m), centre of pressure (mm; NaN without load) and free moment (N m) |
 
 use std::io::{BufWriter, Seek, Write};
 
-use super::{InterchangeError, Result, check_frame_count, write_frames, zip::Archive};
-use crate::motion::{FrameSource, GAP, MotionEvent, MotionInfo, is_gap};
+use super::{
+    InterchangeError, Result, check_frame_count,
+    sampled_table::{SampledColumn, SampledKind, SampledTable},
+    write_frames,
+    zip::Archive,
+};
+use crate::{
+    foreign::force_plates::ForcePlate,
+    motion::{FrameSource, GAP, MotionEvent, MotionInfo, is_gap},
+};
 
 /// The length of a `.npy` header is a multiple of this number of bytes, so that elements are aligned.
 const ALIGNMENT: usize = 64;
@@ -42,15 +56,10 @@ fn write_to(frames: &mut dyn FrameSource, out: &mut &mut dyn WriteSeek) -> Resul
     let mut archive = Archive::new(out)?;
     write_metadata(&info, &mut archive)?;
     write_events(&info, &mut archive)?;
-    let header = npy_header(F64, &[info.n_frames]);
-    let n_bytes = array_bytes(&header, &[info.n_frames, 8]);
-    archive.stream("time_s.npy", n_bytes, |out| {
-        let mut out = BufWriter::new(out);
-        out.write_all(&header)?;
-        let times_s = (0..info.n_frames).map(|index| index as f64 / info.rate_hz);
-        times_s.map(f64::to_le_bytes).try_for_each(|time| out.write_all(&time))?;
-        out.flush()
-    })?;
+    for mut table in SampledTable::all(&info)? {
+        write_table(&mut table, frames, &mut archive)?;
+    }
+    write_times("time_s.npy", info.n_frames, info.rate_hz, &mut archive)?;
     let shape = [info.n_frames, info.markers.len() as u64, 3];
     let header = npy_header(F32, &shape);
     let n_bytes = array_bytes(&header, &[&shape[..], &[4]].concat());
@@ -65,6 +74,69 @@ fn write_to(frames: &mut dyn FrameSource, out: &mut &mut dyn WriteSeek) -> Resul
         check_frame_count(info.n_frames, n_written)
     })?;
     Ok(archive.finish()?)
+}
+
+/// Writes the times of `n` samples from the first on, in seconds.
+fn write_times(
+    name: &str,
+    n: u64,
+    rate_hz: f64,
+    archive: &mut Archive<'_, impl Write + Seek>,
+) -> Result<()> {
+    let header = npy_header(F64, &[n]);
+    let n_bytes = array_bytes(&header, &[n, 8]);
+    Ok(archive.stream(name, n_bytes, |out| {
+        let mut out = BufWriter::new(out);
+        out.write_all(&header)?;
+        let times_s = (0..n).map(|index| index as f64 / rate_hz);
+        times_s.map(f64::to_le_bytes).try_for_each(|time| out.write_all(&time))?;
+        out.flush()
+    })?)
+}
+
+/// Writes the arrays of the analog channels, or of the force plates.
+fn write_table(
+    table: &mut SampledTable<'_>,
+    frames: &dyn FrameSource,
+    archive: &mut Archive<'_, impl Write + Seek>,
+) -> Result<()> {
+    let (n_rows, n_columns) = (table.n_rows(), table.columns().len() as u64);
+    let shape = match table.kind() {
+        SampledKind::Analog => {
+            let rate = [npy_header(F64, &[]), table.rate_hz().to_le_bytes().to_vec()].concat();
+            archive.put("analog_rate_hz.npy", &rate)?;
+            let texts = |of: fn(&SampledColumn) -> &str| {
+                text_array(&table.columns().iter().map(of).collect::<Vec<_>>())
+            };
+            archive.put("analog_labels.npy", &texts(|column| &column.name)?)?;
+            archive.put("analog_units.npy", &texts(|column| &column.unit)?)?;
+            write_times("analog_time_s.npy", n_rows, table.rate_hz(), archive)?;
+            vec![n_rows, n_columns]
+        }
+        SampledKind::ForcePlates => {
+            let n_plates = table.plates().len() as u64;
+            let mut numbers = npy_header(I64, &[n_plates]);
+            let number = |plate: &ForcePlate| (plate.number as u64).to_le_bytes();
+            numbers.extend(table.plates().iter().flat_map(number));
+            archive.put("force_plate_numbers.npy", &numbers)?;
+            let mut corners = npy_header(F64, &[n_plates, 4, 3]);
+            let plates = table.plates().iter();
+            let values = plates.flat_map(|plate| plate.geometry.corners_mm()).flatten();
+            corners.extend(values.flat_map(f64::to_le_bytes));
+            archive.put("force_plate_corners_mm.npy", &corners)?;
+            vec![n_rows, n_plates, 4, 3]
+        }
+    };
+    let header = npy_header(F32, &shape);
+    let n_bytes = array_bytes(&header, &[n_rows, n_columns, 4]);
+    Ok(archive.stream(&format!("{}.npy", table.kind().name()), n_bytes, |out| {
+        let mut out = BufWriter::new(out);
+        out.write_all(&header)?;
+        table.for_each_row(frames, |_, row| {
+            row.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
+        })?;
+        out.flush()
+    })?)
 }
 
 /// The size of a `.npy` file with this header, in bytes; its data has as many bytes as the product of `factors`.

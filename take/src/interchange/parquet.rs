@@ -1,4 +1,5 @@
-//! Export to Apache Parquet, with one row a sample (long) or one row a frame (wide).
+//! Export to Apache Parquet, with one row a sample (long) or one row a frame (wide); analog channels and the loads of
+//! force plates are files of their own.
 
 use std::{io::Write, sync::Arc};
 
@@ -14,7 +15,11 @@ use parquet::{
     schema::types::{ColumnPath, Type},
 };
 
-use super::{InterchangeError, Result, metadata::metadata, text::column_labels};
+use serde_json::json;
+
+use super::{
+    InterchangeError, Result, metadata::metadata, sampled_table::SampledTable, text::column_labels,
+};
 use crate::motion::{FrameSource, GAP, Position, is_gap};
 
 /// Rows of a long row group: 8 MB in memory.
@@ -143,6 +148,58 @@ pub(super) fn write_wide(frames: &mut dyn FrameSource, out: &mut dyn Write) -> R
     }
 }
 
+/// Writes a table of sampled channels with one row for each sample: its time, and its values, null where one is missing.
+pub(super) fn write_sampled(
+    table: &mut SampledTable<'_>,
+    frames: &dyn FrameSource,
+    out: &mut dyn Write,
+) -> Result<()> {
+    let (rate_hz, n_columns) = (table.rate_hz(), table.columns().len());
+    let described: Vec<_> = table
+        .columns()
+        .iter()
+        .map(|of| json!({ "name": of.name, "unit": of.unit, "description": of.description }))
+        .collect();
+    let own = [
+        ("mocapd.sampled_rate_hz", rate_hz.to_string()),
+        ("mocapd.columns", json!(described).to_string()),
+    ];
+    let names: Vec<String> = table.columns().iter().map(|column| column.name.clone()).collect();
+    let mut columns = vec![("time_s", ColumnType::Double)];
+    columns.extend(names.iter().map(|name| (name.as_str(), ColumnType::Float { nullable: true })));
+    let mut file = ParquetFile::with_metadata(frames, table.kind().name(), &own, &columns, out)?;
+    let group_rows = (WIDE_GROUP_VALUES / n_columns.max(1)).clamp(1, WIDE_GROUP_ROWS_MAX) as u64;
+    let mut values: Vec<f32> = Vec::new();
+    let mut first = 0;
+    let mut flush = |values: &mut Vec<f32>, end: u64| -> std::io::Result<()> {
+        let times_s: Vec<f64> = (first..end).map(|index| index as f64 / rate_hz).collect();
+        file.group(|group| {
+            group.column::<DoubleType>(&times_s, None)?;
+            for column in 0..n_columns {
+                let of_column = || values.iter().skip(column).step_by(n_columns).copied();
+                let present: Vec<i16> = of_column().map(|v| i16::from(!v.is_nan())).collect();
+                let there: Vec<f32> = of_column().filter(|v| !v.is_nan()).collect();
+                group.column::<FloatType>(&there, Some(&present))?;
+            }
+            Ok(())
+        })
+        .map_err(std::io::Error::other)?;
+        first = end;
+        values.clear();
+        Ok(())
+    };
+    let mut n_rows = 0;
+    table.for_each_row(frames, |index, row| {
+        values.extend_from_slice(row);
+        n_rows = index + 1;
+        if n_rows.is_multiple_of(group_rows) { flush(&mut values, n_rows) } else { Ok(()) }
+    })?;
+    if !values.is_empty() {
+        flush(&mut values, n_rows)?;
+    }
+    file.finish()
+}
+
 /// The type of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ColumnType {
@@ -170,12 +227,24 @@ impl<'a> ParquetFile<'a> {
         columns: &[(&str, ColumnType)],
         out: &'a mut dyn Write,
     ) -> Result<Self> {
+        let units = [("mocapd.units", "positions mm, time_s s".to_owned())];
+        Self::with_metadata(frames, layout, &units, columns, out)
+    }
+
+    /// Begins a file with `own` in its metadata, too.
+    fn with_metadata(
+        frames: &dyn FrameSource,
+        layout: &str,
+        own: &[(&str, String)],
+        columns: &[(&str, ColumnType)],
+        out: &'a mut dyn Write,
+    ) -> Result<Self> {
         let fields = columns.iter().map(|(name, kind)| field(name, *kind).map(Arc::new));
         let fields = fields.collect::<Result<_, _>>().map_err(parquet_error)?;
         let schema = Type::group_type_builder("mocapd").with_fields(fields).build();
         let mut metadata = metadata(frames);
         metadata.push(("mocapd.layout".to_owned(), layout.to_owned()));
-        metadata.push(("mocapd.units".to_owned(), "positions mm, time_s s".to_owned()));
+        metadata.extend(own.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
         let metadata = metadata.into_iter().map(|(key, value)| KeyValue::new(key, value)).collect();
         let mut properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)

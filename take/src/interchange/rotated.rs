@@ -66,4 +66,8 @@ impl FrameSource for RotatedFrames<'_> {
     fn is_lost(&self) -> bool {
         self.frames.is_lost()
     }
+
+    fn count_sampled(&self, n_frames: u64) {
+        self.frames.count_sampled(n_frames);
+    }
 }

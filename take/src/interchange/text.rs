@@ -132,21 +132,27 @@ pub(super) fn kept_header(info: &MotionInfo, kind: &str) -> std::io::Result<Vec<
 /// A unique name for each column: the marker's label, with `#2`, `#3`... appended if an earlier column has that name.
 #[must_use]
 pub fn column_labels(info: &MotionInfo) -> Vec<String> {
+    unique_names(info.markers.iter().enumerate().map(|(column, marker)| {
+        let empty = marker.label.trim().is_empty();
+        if empty { Channel::unlabelled_name(column) } else { marker.label.clone() }
+    }))
+}
+
+/// The names with `#2`, `#3`... appended to those that repeat.
+pub(super) fn unique_names(names: impl Iterator<Item = String>) -> Vec<String> {
     let mut taken = HashSet::new();
     let mut next_number = HashMap::new();
-    let mut names = Vec::with_capacity(info.markers.len());
-    for (column, marker) in info.markers.iter().enumerate() {
-        let empty = marker.label.trim().is_empty();
-        let label = if empty { Channel::unlabelled_name(column) } else { marker.label.clone() };
-        let mut name = label.clone();
+    let mut unique = Vec::new();
+    for given in names {
+        let mut name = given.clone();
         while !taken.insert(name.clone()) {
-            let number = next_number.entry(label.clone()).or_insert(2u32);
-            name = format!("{label}#{number}");
+            let number = next_number.entry(given.clone()).or_insert(2u32);
+            name = format!("{given}#{number}");
             *number += 1;
         }
-        names.push(name);
+        unique.push(name);
     }
-    names
+    unique
 }
 
 /// A text without tabs and line ends, which would shift the cells after it.

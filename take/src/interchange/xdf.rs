@@ -1,9 +1,14 @@
 //! XDF, the recording format of Lab Streaming Layer (github.com/sccn/xdf, version 1.0): interleaved chunks of streams,
-//! each with an XML header. Positions are a stream of the type `MoCap`, events one of the type `Markers`.
+//! each with an XML header. Positions are a stream of the type `MoCap`, events one of the type `Markers`, analog channels
+//! one of the type `Analog`, the loads of force plates one of the type `Force`.
 
 use std::io::{self, Write};
 
-use super::{Result, check_frame_count, text::column_labels};
+use super::{
+    Result, check_frame_count,
+    sampled_table::{SampledKind, SampledTable},
+    text::column_labels,
+};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
 /// Chunk tags.
@@ -16,6 +21,8 @@ const STREAM_FOOTER: u16 = 6;
 /// Stream ids.
 const MOTION: u32 = 1;
 const EVENTS: u32 = 2;
+const ANALOG: u32 = 3;
+const FORCE_PLATES: u32 = 4;
 
 /// A chunk of samples is written once it has this many bytes.
 const CHUNK_BYTES: usize = 1 << 16;
@@ -30,6 +37,10 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     if !info.events.is_empty() {
         write_events(&info, out)?;
     }
+    let mut streams = SampledStream::all(&info)?;
+    for stream in &streams {
+        stream.write_header(out)?;
+    }
     let mut samples = SampleChunk::new(MOTION);
     let mut row = vec![GAP; info.markers.len()];
     let mut n_written = 0u64;
@@ -41,13 +52,66 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         }
         n_written += 1;
         samples.flush_if_full(out)?;
+        for stream in &mut streams {
+            stream.write_frame(out)?;
+            frames.count_sampled(1);
+        }
     }
     check_frame_count(info.n_frames, n_written)?;
     samples.flush(out)?;
+    for stream in &mut streams {
+        stream.finish(out)?;
+    }
     let last = n_written.saturating_sub(1) as f64 / info.rate_hz;
     let footer = footer(0.0, last, n_written, Some(info.rate_hz));
     put_chunk(out, STREAM_FOOTER, &[&MOTION.to_le_bytes(), footer.as_bytes()])?;
     Ok(out.flush()?)
+}
+
+/// A stream of analog channels, or of the loads of force plates.
+struct SampledStream<'a> {
+    table: SampledTable<'a>,
+    samples: SampleChunk,
+    n_written: u64,
+}
+
+impl<'a> SampledStream<'a> {
+    fn all(info: &'a MotionInfo) -> io::Result<Vec<Self>> {
+        let stream = |table: SampledTable<'a>| {
+            let id = match table.kind() {
+                SampledKind::Analog => ANALOG,
+                SampledKind::ForcePlates => FORCE_PLATES,
+            };
+            Self { table, samples: SampleChunk::new(id), n_written: 0 }
+        };
+        Ok(SampledTable::all(info)?.into_iter().map(stream).collect())
+    }
+
+    fn write_header(&self, out: &mut dyn Write) -> io::Result<()> {
+        let header = sampled_header(&self.table);
+        let id = self.samples.stream;
+        put_chunk(out, STREAM_HEADER, &[&id.to_le_bytes(), header.as_bytes()])?;
+        put_zero_clock_offset(out, id)
+    }
+
+    /// Writes the samples of the next frame.
+    fn write_frame(&mut self, out: &mut dyn Write) -> io::Result<()> {
+        let (width, rate_hz) = (self.table.columns().len().max(1), self.table.rate_hz());
+        for row in self.table.next_frame()?.chunks_exact(width) {
+            let values = self.samples.push(self.n_written as f64 / rate_hz);
+            values.extend(row.iter().flat_map(|value| value.to_le_bytes()));
+            self.n_written += 1;
+        }
+        self.samples.flush_if_full(out)
+    }
+
+    fn finish(&mut self, out: &mut dyn Write) -> io::Result<()> {
+        self.samples.flush(out)?;
+        let rate_hz = self.table.rate_hz();
+        let last = self.n_written.saturating_sub(1) as f64 / rate_hz;
+        let footer = footer(0.0, last, self.n_written, Some(rate_hz));
+        put_chunk(out, STREAM_FOOTER, &[&self.samples.stream.to_le_bytes(), footer.as_bytes()])
+    }
 }
 
 fn write_events(info: &MotionInfo, out: &mut dyn Write) -> io::Result<()> {
@@ -173,6 +237,31 @@ fn motion_header(info: &MotionInfo) -> String {
          <name>mocapd</name><markers>{markers}</markers></setup></desc></info>",
         3 * labels.len(),
         info.rate_hz
+    )
+}
+
+/// The header of a stream of sampled channels.
+fn sampled_header(table: &SampledTable<'_>) -> String {
+    let (name, kind) = match table.kind() {
+        SampledKind::Analog => ("mocapd analog", "Analog"),
+        SampledKind::ForcePlates => ("mocapd force plates", "Force"),
+    };
+    let channels: String = table
+        .columns()
+        .iter()
+        .map(|column| {
+            let [label, unit] = [&column.name, &column.unit].map(|text| escaped(text));
+            format!(
+                "<channel><label>{label}</label><type>{kind}</type><unit>{unit}</unit></channel>"
+            )
+        })
+        .collect();
+    format!(
+        "<?xml version=\"1.0\"?><info><name>{name}</name><type>{kind}</type><channel_count>{}</channel_count>\
+         <nominal_srate>{}</nominal_srate><channel_format>float32</channel_format><source_id>{name}</source_id>\
+         <version>1.1</version><created_at>0</created_at><desc><channels>{channels}</channels></desc></info>",
+        table.columns().len(),
+        table.rate_hz()
     )
 }
 

@@ -10,10 +10,10 @@ use mocapd_codec::{BLOCK_VERSION, CodecError, Effort, ResamplerKind, Settings, T
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{LIMIT_BYTES, Record, Subject};
+use super::{CONFIG, LIMIT_BYTES, Record, Subject};
 use crate::{
     TakeError,
-    chunk::types,
+    chunk::{self, ChunkParse, types},
     stretch::CHANNELS_MAX,
     up_axis::UpAxis,
     varint::{self, Cursor},
@@ -124,6 +124,18 @@ const SOURCE_BYTES: &str = "source_bytes";
 const EFFORT: &str = "effort";
 
 impl Header {
+    /// The code of the up axis in this HEADER chunk, if no axis has it.
+    #[must_use]
+    pub fn unknown_up_axis(header_chunk: &[u8]) -> Option<u8> {
+        /// The fields up to the axis.
+        type FieldsToUpAxis = (String, [u8; 16], i64, String, u16, f64, f64, u8);
+        let ChunkParse::Whole { payload, .. } = chunk::split(header_chunk) else { return None };
+        let (_, body) = payload.split_first_chunk::<2>()?;
+        let (fields, _) = bincode::decode_from_slice::<FieldsToUpAxis, _>(body, CONFIG).ok()?;
+        let code = fields.7;
+        (UpAxis::from_code(code).code() != code).then_some(code)
+    }
+
     /// Sets the effort of the encoder.
     pub fn set_effort(&mut self, effort: Effort) {
         self.settings.retain(|(key, _)| key != EFFORT);

@@ -57,7 +57,7 @@ fn a_data_set_appears_whole_or_not_at_all() {
         names(&dataset),
         ["README.md", DESCRIPTION, "participants.json", PARTICIPANTS, "sub-01"]
     );
-    assert_eq!(names(&dataset.join("sub-01/motion")).len(), 6);
+    assert_eq!(names(&dataset.join("sub-01/motion")).len(), 10);
     for path in labels("01", None).paths() {
         assert_eq!(fs::read_to_string(dataset.join(&path)).unwrap(), path);
     }
@@ -79,7 +79,7 @@ fn recordings_are_added_and_the_data_set_keeps_its_files() {
     assert_eq!(participants(&dataset), "participant_id\tage\nsub-01\t40\nsub-02\tn/a\n");
     assert_eq!(fs::read_to_string(dataset.join(DESCRIPTION)).unwrap(), description);
     assert_eq!(fs::read_to_string(dataset.join("README.md")).unwrap(), "mine");
-    assert_eq!(names(&dataset.join("sub-02/motion")).len(), 12);
+    assert_eq!(names(&dataset.join("sub-02/motion")).len(), 20);
     assert_eq!(names(&dataset).len(), 6);
     // A data set of another program, without a table of its own.
     fs::remove_file(dataset.join(PARTICIPANTS)).unwrap();
@@ -151,7 +151,7 @@ fn many_add_to_one_new_data_set_at_once() {
     let wanted: Vec<String> = subjects.iter().map(|subject| format!("sub-{subject}")).collect();
     assert_eq!(rows, wanted);
     for subject in subjects {
-        assert_eq!(names(&dataset.join(format!("sub-{subject}/motion"))).len(), 6);
+        assert_eq!(names(&dataset.join(format!("sub-{subject}/motion"))).len(), 10);
     }
     assert_eq!(names(&dataset).len(), 4 + 16, "no hidden folders");
 }

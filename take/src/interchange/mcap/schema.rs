@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use super::Message;
+use super::messages::{Message, value_fields};
 
 /// A field: name, number and type.
 type Field = (&'static str, u32, FieldType);
@@ -117,6 +117,26 @@ pub(super) fn descriptor_set(name: &'static str) -> Vec<u8> {
         }
     }
     files.iter().rev().fold(Message::default(), |set, file| set.message(1, file)).0
+}
+
+/// The `FileDescriptorSet` of the samples of a table: a time, and a float for each of these fields.
+pub(super) fn sampled_descriptor(full_name: &str, fields: &[String]) -> Vec<u8> {
+    const TIMESTAMP_TYPE: &str = "google.protobuf.Timestamp";
+    let (package, name) = full_name.rsplit_once('.').unwrap_or(("", full_name));
+    let field = field_descriptor(&("timestamp", 1, TIMESTAMP));
+    let mut message = Message::default().text(1, name).message(2, &field);
+    for (number, field) in value_fields().zip(fields) {
+        // Optional, of the type float.
+        let field = Message::default().text(1, field).int(3, number.into()).int(4, 1).int(5, 2);
+        message = message.message(2, &field);
+    }
+    let file = Message::default()
+        .text(1, &path(full_name))
+        .text(2, package)
+        .text(3, &path(TIMESTAMP_TYPE))
+        .message(4, &message)
+        .text(12, "proto3");
+    [descriptor_set(TIMESTAMP_TYPE), Message::default().message(1, &file).0].concat()
 }
 
 /// The message types of a message's fields.

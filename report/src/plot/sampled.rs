@@ -1,0 +1,444 @@
+//! The sampled channels of an imported C3D file against time: analog channels, and the loads of force plates beside the
+//! trajectory of a marker.
+
+use std::ops::Range;
+
+use mocapd_take::{
+    foreign::{
+        analog::AnalogSamples,
+        force_plates::{Baseline, ForcePlate, PlateLoads},
+    },
+    motion::{Motion, MotionInfo},
+};
+use plotters::prelude::*;
+
+use super::{
+    Area, Axes, BLUE, BODY, DIM, DrawResult, GREEN, INK, ORANGE, PURPLE, SMALL, TITLE, VERMILION,
+    centred, left_aligned, panel, range, sheet, shortened, text, trace::Trace,
+};
+use crate::{
+    ReportError,
+    column::{Column, runs},
+    up::Up,
+};
+
+/// Most panels of analog channels on a sheet.
+pub const CHANNELS_MAX: usize = 12;
+/// Most force plates on a sheet, each with two panels.
+pub const PLATES_MAX: usize = 4;
+
+const WIDTH: u32 = 1280;
+const HEAD: i32 = 74;
+/// Height of a panel, and of the axis of times below the last.
+const PANEL: u32 = 128;
+const TIME_AXIS: u32 = 42;
+/// Width of the view from above.
+const LEFT: i32 = 480;
+
+/// Colours of plates in the view from above.
+const PLATE_COLOURS: [RGBColor; PLATES_MAX] = [BLUE, VERMILION, GREEN, PURPLE];
+
+/// The contents of a plot of analog channels.
+#[derive(Debug, Clone, Copy)]
+pub struct AnalogPlot<'a> {
+    /// The take's name, for the title.
+    pub name: &'a str,
+    /// The take with its foreign parts.
+    pub info: &'a MotionInfo,
+    /// Indices of the channels, at most [`CHANNELS_MAX`].
+    pub channels: &'a [usize],
+    /// The first frame and one past the last, from 0.
+    pub rows: (u64, u64),
+}
+
+/// The contents of a plot of force plates.
+#[derive(Debug, Clone, Copy)]
+pub struct ForcesPlot<'a> {
+    /// The take's name, for the title.
+    pub name: &'a str,
+    /// The take with its foreign parts.
+    pub info: &'a MotionInfo,
+    /// Its samples.
+    pub motion: &'a Motion,
+    /// Numbers of the plates, at most [`PLATES_MAX`]; empty for the first ones.
+    pub plates: &'a [usize],
+    /// The column of the marker whose trajectory is drawn, too.
+    pub marker: usize,
+    /// The first frame and one past the last, from 0.
+    pub rows: (u64, u64),
+    /// The up direction.
+    pub up: Up,
+}
+
+/// Draws analog channels as SVG.
+///
+/// # Errors
+/// `Nothing` for a take without analog channels, `InvalidArgument` for too many of them.
+pub fn analog(plot: &AnalogPlot<'_>) -> Result<String, ReportError> {
+    if plot.channels.len() > CHANNELS_MAX {
+        return Err(ReportError::InvalidArgument(format!(
+            "{} channels are too many to plot: give up to {CHANNELS_MAX} with --channels",
+            plot.channels.len()
+        )));
+    }
+    let part = part(plot.info, plot.rows);
+    let Some(mut samples) = AnalogSamples::open(&part)? else {
+        return Err(no_samples("analog channels"));
+    };
+    let n_channels = samples.channels().len();
+    let mut traces: Vec<Trace> =
+        plot.channels.iter().map(|_| new_trace(&part, plot.rows, &samples)).collect();
+    let mut block = Vec::new();
+    while samples.next_block(&mut block).map_err(mocapd_take::TakeError::from)? > 0 {
+        for row in block.chunks_exact(n_channels.max(1)) {
+            for (trace, &channel) in traces.iter_mut().zip(plot.channels) {
+                trace.push(row.get(channel).copied().unwrap_or(f64::NAN));
+            }
+        }
+    }
+    traces.iter_mut().for_each(Trace::end);
+    let height = HEAD as u32 + PANEL * traces.len() as u32 + TIME_AXIS;
+    sheet((WIDTH, height), |area| {
+        let title = format!("Analog channels of {}", shortened(plot.name, 70));
+        text(area, &title, (24, 26), left_aligned(TITLE, INK))?;
+        let caption =
+            format!("{} of {n_channels} channels, {} Hz", traces.len(), rounded(samples.rate_hz()));
+        text(area, &caption, (24, 52), left_aligned(BODY, DIM))?;
+        let (_, body) = area.split_vertically(HEAD);
+        let panels = Panels::new(&body, traces.len(), span_s(&traces));
+        for (i, (trace, &channel)) in traces.iter().zip(plot.channels).enumerate() {
+            let channel = &samples.channels()[channel];
+            let unit = Some(channel.unit.trim()).filter(|unit| !unit.is_empty());
+            let unit = unit.map_or_else(String::new, |unit| format!(" ({})", shortened(unit, 20)));
+            let title = format!("{}{unit}", shortened(&channel.name, 60));
+            panels.draw(i, &title, &[(trace, BLUE, Dash::Solid)])?;
+        }
+        Ok(())
+    })
+}
+
+/// The loads of a plate against time, and its centre of pressure from above.
+struct PlateTraces {
+    plate: ForcePlate,
+    force_n: [Trace; 3],
+    cop_mm: [Trace; 3],
+    path: Vec<[f64; 3]>,
+}
+
+/// Most points of a centre of pressure in the view from above.
+const PATH_POINTS: u64 = 4000;
+
+/// Draws the loads of force plates as SVG: force and centre of pressure against time, above the height of a marker; and
+/// from above the plates, the centres of pressure and the path of the marker.
+///
+/// # Errors
+/// `Nothing` for a take without force plates, `InvalidArgument` for unknown ones or too many.
+pub fn forces(plot: &ForcesPlot<'_>) -> Result<String, ReportError> {
+    let part = part(plot.info, plot.rows);
+    let Some(loads) = PlateLoads::open(&part, Baseline::AsStored)? else {
+        return Err(no_samples("force plates"));
+    };
+    let n_plates = loads.plates().plates.len();
+    let caption = format!(
+        "reactions on the subject, {} Hz; centre of pressure from {} N on",
+        rounded(loads.rate_hz()),
+        mocapd_take::foreign::force_plates::LOADED_N
+    );
+    let traces = plate_traces(plot, &part, loads)?;
+    let marker = marker_traces(plot);
+    let n_panels = 2 * traces.len() + 1;
+    let height = (HEAD as u32 + PANEL * n_panels as u32 + TIME_AXIS).max(640);
+    sheet((WIDTH, height), |area| {
+        let title = format!("Force plates of {}", shortened(plot.name, 60));
+        text(area, &title, (24, 26), left_aligned(TITLE, INK))?;
+        let of = format!("{} of {n_plates} plates: {caption}", traces.len());
+        text(area, &of, (24, 52), left_aligned(BODY, DIM))?;
+        let (head, body) = area.split_vertically(HEAD);
+        legend(&head)?;
+        let (left, right) = body.split_horizontally(LEFT);
+        from_above(&left, plot, &traces)?;
+        let times = traces.first().map_or(0.0..1.0, |of| span_s(&of.force_n));
+        let panels = Panels::new(&right, n_panels, times);
+        for (i, of) in traces.iter().enumerate() {
+            let force = of.force_n.iter().zip(STYLES).map(|(t, (colour, dash))| (t, colour, dash));
+            panels.draw(
+                2 * i,
+                &format!("force {} (N)", of.plate.number),
+                &force.collect::<Vec<_>>(),
+            )?;
+            // The third coordinate is that of the surface.
+            let along = of.cop_mm.iter().zip(STYLES).enumerate();
+            let along = along.filter(|(axis, _)| *axis != plot.up.axis);
+            let cop: Vec<_> = along.map(|(_, (t, (colour, dash)))| (t, colour, dash)).collect();
+            panels.draw(
+                2 * i + 1,
+                &format!("centre of pressure {} (mm)", of.plate.number),
+                &cop,
+            )?;
+        }
+        let label = &plot.motion.info.markers.get(plot.marker);
+        let label = label.map_or("marker", |marker| marker.label.as_str());
+        let up = ["x", "y", "z"][plot.up.axis];
+        let title = format!("{} {up} (mm)", shortened(label, 40));
+        let (colour, dash) = STYLES[plot.up.axis];
+        panels.draw(n_panels - 1, &title, &[(&marker, colour, dash)])
+    })
+}
+
+/// Colour and dashes of the x, y and z axis.
+const STYLES: [(RGBColor, Dash); 3] =
+    [(BLUE, Dash::Long), (ORANGE, Dash::Short), (VERMILION, Dash::Solid)];
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Dash {
+    Solid,
+    Long,
+    Short,
+}
+
+impl Dash {
+    /// Lengths of a dash and of the space after it, pixels.
+    fn lengths(self) -> Option<(i32, i32)> {
+        match self {
+            Self::Solid => None,
+            Self::Long => Some((9, 4)),
+            Self::Short => Some((3, 3)),
+        }
+    }
+}
+
+/// The frames `rows` of a take.
+fn part(info: &MotionInfo, rows: (u64, u64)) -> MotionInfo {
+    let mut part = info.clone();
+    part.cut(rows.0, rows.1.min(info.n_frames));
+    part
+}
+
+fn no_samples(what: &str) -> ReportError {
+    ReportError::Nothing(format!(
+        "the take has no {what}: they are those of an imported C3D file (imported without --drop-foreign)"
+    ))
+}
+
+fn new_trace(part: &MotionInfo, rows: (u64, u64), samples: &AnalogSamples<'_>) -> Trace {
+    let n = part.n_frames.saturating_mul(samples.samples_per_frame() as u64);
+    Trace::new(rows.0 as f64 / part.rate_hz, samples.rate_hz(), n)
+}
+
+fn plate_traces(
+    plot: &ForcesPlot<'_>,
+    part: &MotionInfo,
+    mut loads: PlateLoads<'_>,
+) -> Result<Vec<PlateTraces>, ReportError> {
+    let all = loads.plates().plates.clone();
+    let numbers: Vec<usize> = match plot.plates {
+        [] => all.iter().map(|plate| plate.number).take(PLATES_MAX).collect(),
+        some => some.to_vec(),
+    };
+    if numbers.is_empty() {
+        let unusable = loads.plates().unusable.iter();
+        let reasons: Vec<String> =
+            unusable.map(|p| format!("{}: {}", p.number, p.reason)).collect();
+        return Err(ReportError::Nothing(format!(
+            "no force plate can be used: {}",
+            reasons.join("; ")
+        )));
+    }
+    if numbers.len() > PLATES_MAX {
+        return Err(ReportError::InvalidArgument(format!(
+            "{} force plates are too many to plot: give up to {PLATES_MAX} with --plates",
+            numbers.len()
+        )));
+    }
+    let (ratio, rate_hz) = (loads.samples_per_frame(), loads.rate_hz());
+    let n = part.n_frames.saturating_mul(ratio as u64);
+    let trace = || Trace::new(plot.rows.0 as f64 / part.rate_hz, rate_hz, n);
+    let mut found: Vec<(usize, PlateTraces)> = Vec::new();
+    for number in numbers {
+        let index = all.iter().position(|plate| plate.number == number);
+        let Some((index, plate)) = index.and_then(|index| Some((index, all.get(index)?))) else {
+            let known: Vec<String> = all.iter().map(|plate| plate.number.to_string()).collect();
+            return Err(ReportError::InvalidArgument(format!(
+                "the take has no usable force plate {number}: it has {}",
+                known.join(", ")
+            )));
+        };
+        let [force_n, cop_mm] = [(); 2].map(|()| [(); 3].map(|()| trace()));
+        let path = Vec::new();
+        found.push((index, PlateTraces { plate: plate.clone(), force_n, cop_mm, path }));
+    }
+    let step = n.div_ceil(PATH_POINTS).max(1);
+    let mut block = Vec::new();
+    let mut row = 0_u64;
+    while loads.next_block(&mut block).map_err(mocapd_take::TakeError::from)? > 0 {
+        for of_row in block.chunks_exact(all.len().max(1)) {
+            for (index, of) in &mut found {
+                let Some(load) = of_row.get(*index) else { continue };
+                of.force_n.iter_mut().zip(load.force_n).for_each(|(trace, v)| trace.push(v));
+                of.cop_mm.iter_mut().zip(load.cop_mm).for_each(|(trace, v)| trace.push(v));
+                let is_drawn =
+                    row.is_multiple_of(step) && load.cop_mm.iter().all(|v| v.is_finite());
+                of.path.extend(is_drawn.then_some(load.cop_mm));
+            }
+            row += 1;
+        }
+    }
+    for (_, of) in &mut found {
+        of.force_n.iter_mut().chain(&mut of.cop_mm).for_each(Trace::end);
+    }
+    Ok(found.into_iter().map(|(_, of)| of).collect())
+}
+
+/// The height of the marker.
+fn marker_traces(plot: &ForcesPlot<'_>) -> Trace {
+    let (first, end) = plot.rows;
+    let rate_hz = plot.motion.info.rate_hz.max(f64::MIN_POSITIVE);
+    let mut trace = Trace::new(first as f64 / rate_hz, rate_hz, end.saturating_sub(first));
+    for at in marker_path(plot) {
+        trace.push(at.map_or(f64::NAN, |at| at[plot.up.axis]));
+    }
+    trace.end();
+    trace
+}
+
+/// The positions of the marker in the frames of the plot.
+fn marker_path(plot: &ForcesPlot<'_>) -> Vec<Option<[f64; 3]>> {
+    let column = Column::of(plot.motion, plot.marker);
+    let rows = usize::try_from(plot.rows.0).unwrap_or(usize::MAX)
+        ..usize::try_from(plot.rows.1).unwrap_or(usize::MAX).min(column.0.len());
+    column.0.get(rows).unwrap_or_default().to_vec()
+}
+
+/// From the first sample of any trace to the last of any.
+fn span_s(traces: &[Trace]) -> Range<f64> {
+    let spans = traces.iter().map(Trace::span_s);
+    spans.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0.0..1.0)
+}
+
+fn rounded(rate_hz: f64) -> f64 {
+    (rate_hz * 100.0).round() / 100.0
+}
+
+/// Panels one below another with a common axis of times.
+struct Panels<'a> {
+    areas: Vec<Area<'a>>,
+    times: Range<f64>,
+}
+
+impl<'a> Panels<'a> {
+    fn new(area: &Area<'a>, n: usize, times: Range<f64>) -> Self {
+        let mut areas = Vec::with_capacity(n);
+        let mut rest = area.clone();
+        for _ in 1..n {
+            let (top, below) = rest.split_vertically(PANEL as i32);
+            areas.push(top);
+            rest = below;
+        }
+        let (last, _) = rest.split_vertically((PANEL + TIME_AXIS) as i32);
+        areas.push(last);
+        Self { areas, times }
+    }
+
+    /// Draws curves in a panel.
+    fn draw(&self, index: usize, title: &str, traces: &[(&Trace, RGBColor, Dash)]) -> DrawResult {
+        let Some(area) = self.areas.get(index) else { return Ok(()) };
+        let axes = Axes {
+            x: self.times.clone(),
+            y: range(traces.iter().flat_map(|(trace, ..)| trace.values())),
+            x_title: if index + 1 == self.areas.len() { "time (s)" } else { "" },
+            y_title: "",
+            margins: [20, 24, 2, 4],
+        };
+        let mut chart = panel(area, &axes)?;
+        // Above the panel: beside it there is no room for long numbers and names.
+        text(area, title, (74, 10), left_aligned(BODY, INK))?;
+        for (trace, colour, dash) in traces {
+            for run in trace.runs() {
+                match dash.lengths() {
+                    None => {
+                        chart.draw_series(LineSeries::new(run, colour.stroke_width(1)))?;
+                    }
+                    Some((length, space)) => {
+                        let style = colour.stroke_width(1);
+                        chart.draw_series(DashedLineSeries::new(run, length, space, style))?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn legend(area: &Area<'_>) -> DrawResult {
+    let y = 26;
+    for (axis, (colour, dash)) in STYLES.into_iter().enumerate() {
+        let x = WIDTH as i32 - 240 + 80 * axis as i32;
+        let (length, space) = dash.lengths().unwrap_or((28, 0));
+        let mut at = x;
+        while at < x + 28 {
+            let end = (at + length).min(x + 28);
+            area.draw(&PathElement::new(vec![(at, y), (end, y)], colour.stroke_width(2)))?;
+            at = end + space;
+        }
+        text(area, ["x", "y", "z"][axis], (x + 36, y), left_aligned(BODY, INK))?;
+    }
+    Ok(())
+}
+
+/// Draws the plates, the centres of pressure and the path of the marker, seen from above with both axes at the same scale.
+fn from_above(area: &Area<'_>, plot: &ForcesPlot<'_>, traces: &[PlateTraces]) -> DrawResult {
+    let (right, away) = ((plot.up.axis + 1) % 3, (plot.up.axis + 2) % 3);
+    // Seen from above the two axes turn to the left, from below to the right.
+    let flat = |at: [f64; 3]| (at[right], plot.up.sign * at[away]);
+    let path: Vec<Option<(f64, f64)>> =
+        marker_path(plot).into_iter().map(|at| at.map(flat)).collect();
+    let corners = |of: &PlateTraces| of.plate.geometry.corners_mm().map(flat);
+    let all = || traces.iter().flat_map(corners).chain(path.iter().copied().flatten());
+    let (xs, ys) = (range(all().map(|p| p.0)), range(all().map(|p| p.1)));
+    let (width, height) = area.dim_in_pixel();
+    let (left, top, room_x) = (40.0, 46.0, f64::from(width) - 80.0);
+    let room_y = (f64::from(height) - 150.0).min(700.0);
+    let scale = (room_x / (xs.end - xs.start)).min(room_y / (ys.end - ys.start));
+    let (mid_x, mid_y) = (0.5 * (xs.start + xs.end), 0.5 * (ys.start + ys.end));
+    let place = |(x, y): (f64, f64)| {
+        let px = left + 0.5 * room_x + (x - mid_x) * scale;
+        let py = top + 0.5 * room_y - (y - mid_y) * scale;
+        (px.round() as i32, py.round() as i32)
+    };
+    text(area, "from above", (40, 18), left_aligned(BODY, INK))?;
+    for run in runs(path.iter().map(Option::is_some)) {
+        let line: Vec<(i32, i32)> =
+            path.get(run).unwrap_or_default().iter().copied().flatten().map(place).collect();
+        area.draw(&PathElement::new(line, DIM.stroke_width(1)))?;
+    }
+    for (of, colour) in traces.iter().zip(PLATE_COLOURS) {
+        let mut outline: Vec<(i32, i32)> = corners(of).map(place).to_vec();
+        outline.extend(outline.first().copied());
+        area.draw(&PathElement::new(outline, INK.stroke_width(1)))?;
+        let (x, y) = place(flat(of.plate.geometry.corners_mm()[0]));
+        let centre = place(flat(of.plate.geometry.centre_mm()));
+        let at = (x + (centre.0 - x).signum() * 12, y + (centre.1 - y).signum() * 12);
+        text(area, &of.plate.number.to_string(), at, centred(BODY, colour))?;
+        for &at in &of.path {
+            area.draw(&Circle::new(place(flat(at)), 1, colour.filled()))?;
+        }
+    }
+    let names = ["x", "y", "z"];
+    let base = (top + room_y) as i32 + 40;
+    let corner = (60, base);
+    area.draw(&PathElement::new(vec![corner, (94, base)], DIM.stroke_width(1)))?;
+    text(area, names[right], (106, base), centred(SMALL, DIM))?;
+    area.draw(&PathElement::new(vec![corner, (60, base - 34)], DIM.stroke_width(1)))?;
+    let away_name =
+        if plot.up.sign < 0.0 { format!("-{}", names[away]) } else { names[away].to_owned() };
+    text(area, &away_name, (60, base - 46), centred(SMALL, DIM))?;
+    let bar = ((500.0 * scale).round() as i32).max(1);
+    area.draw(&PathElement::new(vec![(170, base), (170 + bar, base)], INK.stroke_width(3)))?;
+    text(area, "500 mm", (170, base + 18), left_aligned(BODY, INK))?;
+    text(
+        area,
+        "plates, centres of pressure (dots), marker (line)",
+        (40, base + 44),
+        left_aligned(SMALL, DIM),
+    )
+}
