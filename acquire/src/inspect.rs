@@ -66,7 +66,9 @@ impl Summary {
     /// `NotATake`, `Unsupported`, `Io`. Damage is a problem, not an error.
     pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
         let decoding = Self { tally: Some(TakeTally::default()), ..Self::default() };
-        let (mut summary, rows_damaged) = decoding.traverse(input, Decode::All)?;
+        let mut input = input.input();
+        let (mut summary, rows_damaged) = decoding.traverse(&mut input, Decode::All)?;
+        summary.take.check_samples(&mut input)?;
         let tally = summary.tally.take().unwrap_or_default();
         summary.statistics = tally.finish(summary.take.n_rows);
         if !summary.take.damaged {

@@ -5,6 +5,7 @@
 //! encoded again, so every error bound that its encoder proved still holds.
 
 mod ledger_tally;
+mod samples;
 mod scan;
 mod start;
 mod write;
@@ -15,7 +16,12 @@ pub use self::{
     start::{RepairedStart, repair_start},
 };
 
-use crate::{chunk::types, record::Channel, stretch::Span};
+use crate::{
+    chunk::types,
+    record::{Channel, Event},
+    sampled::SampleSpan,
+    stretch::Span,
+};
 
 /// The key in the settings of HEADER that marks a recovered take.
 pub const RECOVERED: &str = "recovered";
@@ -35,6 +41,8 @@ enum OutputChunk {
     Channels(Vec<Channel>),
     /// A stretch without rows in place of lost stretches.
     Lost { first_row: u64, rows: u64, number: u8 },
+    /// Samples of a group of sampled channels, recorded as lost.
+    LostSamples { span: SampleSpan, event: Event },
 }
 
 /// The kind of a chunk.
@@ -49,6 +57,8 @@ pub enum ChunkKind {
     Clock,
     Subject,
     Foreign,
+    SampledGroup,
+    Samples,
     Summary,
     Index,
     Footer,
@@ -57,7 +67,7 @@ pub enum ChunkKind {
 }
 
 /// Every kind with its chunk type and its name in reports.
-const KINDS: [(ChunkKind, Option<u8>, &str); 12] = [
+const KINDS: [(ChunkKind, Option<u8>, &str); 14] = [
     (ChunkKind::Header, Some(types::HEADER), "header"),
     (ChunkKind::Channels, Some(types::CHANNELS), "channel table"),
     (ChunkKind::Stretch, Some(types::STRETCH), "stretch"),
@@ -66,6 +76,8 @@ const KINDS: [(ChunkKind, Option<u8>, &str); 12] = [
     (ChunkKind::Clock, Some(types::CLOCK), "clock"),
     (ChunkKind::Subject, Some(types::SUBJECT), "subject"),
     (ChunkKind::Foreign, Some(types::FOREIGN), "foreign"),
+    (ChunkKind::SampledGroup, Some(types::SAMPLED_GROUP), "sampled group"),
+    (ChunkKind::Samples, Some(types::SAMPLES), "samples"),
     (ChunkKind::Summary, Some(types::SUMMARY), "summary"),
     (ChunkKind::Index, Some(types::INDEX), "index"),
     (ChunkKind::Footer, Some(types::FOOTER), "footer"),

@@ -1,6 +1,7 @@
 //! `info`: shows what is in takes and motion files.
 
 mod report;
+mod sampled;
 mod subject;
 mod text;
 

@@ -15,7 +15,7 @@ use mocapd_take::{
 };
 use serde::Serialize;
 
-use super::subject::SubjectReport;
+use super::{sampled::SampledGroupReport, subject::SubjectReport};
 use crate::cli::{clock::ClockReport, damage::DamageReport, ledger::OutagesReport};
 
 #[derive(Debug, Serialize)]
@@ -40,6 +40,7 @@ pub(super) struct InfoReport {
     pub(super) source: Option<ImportSourceReport>,
     pub(super) subject: Option<SubjectReport>,
     pub(super) foreign_parts: Vec<ForeignReport>,
+    pub(super) sampled_groups: Vec<SampledGroupReport>,
     pub(super) frames: u64,
     pub(super) seconds: f64,
     pub(super) markers: usize,
@@ -123,8 +124,8 @@ impl InfoReport {
         let parts = summary.take.foreign.iter();
         let foreign_parts = parts.map(|part| ForeignReport {
             kind: part.kind.clone(),
-            bytes: part.data_bytes,
-            stored_bytes: part.deflated_bytes(),
+            bytes: part.data_bytes(),
+            stored_bytes: part.stored_bytes(),
         });
         let options = ReadOptions::from_settings(&header.settings);
         Self {
@@ -151,6 +152,7 @@ impl InfoReport {
             }),
             subject: summary.take.subject.as_ref().map(SubjectReport::new),
             foreign_parts: foreign_parts.collect(),
+            sampled_groups: SampledGroupReport::all(&summary.take.foreign),
             frames: summary.take.n_rows,
             seconds: summary.take.n_rows as f64 / header.rate_hz,
             markers: summary.take.channels.len(),

@@ -29,6 +29,9 @@ impl RecoveryScan {
         if !self.finished {
             parts.push("the end was cut off".to_owned());
         }
+        if !self.samples_lost_of.is_empty() {
+            parts.push(format!("samples of {} were damaged", self.samples_lost_of.join(" and ")));
+        }
         if self.discarded_bytes > 0 {
             parts.push(format!("{} bytes could not be read", self.discarded_bytes));
         }
@@ -79,6 +82,10 @@ impl RecoveryScan {
                     }
                 }
                 OutputChunk::Channels(channels) => take.channels(channels)?,
+                OutputChunk::LostSamples { span, event } => {
+                    take.lost_samples(span)?;
+                    take.event(event)?;
+                }
                 OutputChunk::Lost { first_row, rows, number } => {
                     write_lost(&mut take, &mut headers, *first_row, *rows, *number)?;
                 }
@@ -132,7 +139,7 @@ fn write_lost<W: Write>(
     Ok(())
 }
 
-fn host_event(row: u64, text: String) -> Event {
+pub(super) fn host_event(row: u64, text: String) -> Event {
     Event { kind: EventKind::Host, row, device_ticks: 0, host_ns: 0, input: 0, text }
 }
 
