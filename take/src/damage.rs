@@ -126,6 +126,14 @@ pub enum Problem {
         /// The first and the last channel, from 1.
         channels: [u64; 2],
     },
+    /// A foreign part whose groups do not fit together.
+    #[error(
+        "{kind} cannot be read: the descriptions of its channels are incomplete, or do not fit together"
+    )]
+    PartUnreadable {
+        /// Its kind.
+        kind: String,
+    },
     /// Samples of a group whose description is lost.
     #[error(
         "{chunks} chunks of sampled channels cannot be read: the description of the channels is lost"

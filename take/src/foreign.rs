@@ -190,6 +190,10 @@ impl ForeignPart {
     ) -> Result<(Foreign, Vec<LostSamples>), TakeError> {
         let (data, undecodable) = match &self.stored {
             StoredPart::Deflated(part) => (part.read(input, spool)?, Vec::new()),
+            StoredPart::Sampled(_) if self.data_bytes() > DATA_BYTES_MAX => {
+                let message = format!("{}: longer than a take can hold", self.kind);
+                return Err(TakeError::InvalidArgument(message));
+            }
             StoredPart::Sampled(part) => part.read(input, spool)?,
         };
         Ok((Foreign { kind: self.kind.clone(), data }, undecodable))

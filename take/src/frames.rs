@@ -66,8 +66,11 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut spool = Spool::new(new_scratch);
         for part @ ForeignPart { kind, .. } in &map.foreign {
             // Channels of a recording are no part of a file.
-            let is_described = part.sampled().is_none_or(|part| part.missing_channels().is_none());
-            if kind.is_empty() || !is_described {
+            if kind.is_empty() {
+                continue;
+            }
+            if part.sampled().is_some_and(|part| !part.is_block()) {
+                push_problem(&mut map.problems, Problem::PartUnreadable { kind: kind.clone() });
                 continue;
             }
             if !wanted(kind) {

@@ -96,23 +96,23 @@ fn the_bytes_are_the_same_for_any_number_of_threads() {
     assert!(one == take("2") && one == take("7"), "whole files, header and all");
 }
 
-/// A C3D file of 21 seconds with 70 analog channels of integers, two samples in a frame.
-fn analog_file() -> Vec<u8> {
+/// A C3D file of a marker at 100 Hz with `n_channels` analog channels of integers, two samples in each of `n_frames`.
+pub(super) fn analog_file(n_channels: usize, n_frames: usize) -> Vec<u8> {
     let frame = |i: usize| {
         let point = [i as f32, 200.0, 300.0, 0.0];
         let sample = |k: usize| ((i * (k % 7 + 1) + k * k) % 611) as f32 - 300.0;
-        point.into_iter().chain((0..140).map(sample)).collect()
+        point.into_iter().chain((0..2 * n_channels).map(sample)).collect()
     };
-    let mut file = C3dFile::new(1, (0..2100).map(frame).collect());
-    file.analog = (70, 2);
+    let mut file = C3dFile::new(1, (0..n_frames).map(frame).collect());
+    file.analog = (n_channels, 2);
     file.scale = 0.1;
     file.texts(1, "LABELS", &["head"]);
     file.records.extend(file.group(2, "ANALOG"));
-    file.words(2, "USED", &[70]);
+    file.words(2, "USED", &[n_channels as u16]);
     file.floats(2, "RATE", &[200.0]);
     file.floats(2, "GEN_SCALE", &[0.5]);
-    file.floats(2, "SCALE", &[0.25; 70]);
-    file.words(2, "OFFSET", &[3; 70]);
+    file.floats(2, "SCALE", &vec![0.25; n_channels]);
+    file.words(2, "OFFSET", &vec![3; n_channels]);
     file.texts(2, "LABELS", &["Fz", "EMG"]);
     file.texts(2, "UNITS", &["N"]);
     file.bytes()
@@ -121,7 +121,8 @@ fn analog_file() -> Vec<u8> {
 #[test]
 fn analog_samples_become_sampled_channels() {
     let folder = Folder::new();
-    folder.write("walk.c3d", analog_file());
+    // 21 seconds, so that the last of three blocks is short.
+    folder.write("walk.c3d", analog_file(70, 2100));
     for threads in ["1", "2", "7"] {
         let take = format!("{threads}.take");
         folder.run(&["import", "walk.c3d", "-o", &take, "--threads", threads]).with_code(0);

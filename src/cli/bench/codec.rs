@@ -3,7 +3,7 @@
 use std::{
     path::{Path, PathBuf},
     sync::atomic::AtomicU64,
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use anyhow::{bail, ensure};
@@ -21,6 +21,10 @@ use mocapd_take::{
 };
 use serde::Serialize;
 
+use super::{
+    median_time,
+    sampled::{self, MeasuredSamples},
+};
 use crate::cli::{
     batch::{self, FileKinds, Input},
     motion_files::read_take,
@@ -34,7 +38,8 @@ const TOLERANCES_MM: [f64; 6] = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0];
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// .c3d, .trc, .tsv (QTM) or .csv files, takes, or folders with such files; only their marker trajectories are coded
+    /// .c3d, .trc, .tsv (QTM) or .csv files, takes, or folders with such files: their marker trajectories and, of a .c3d
+    /// file, its sampled channels are coded
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// With folders, also read the files in their subfolders
@@ -70,10 +75,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         } else {
             read_motion(file)?
         };
-        motion.info.foreign.clear();
+        let foreign = std::mem::take(&mut motion.info.foreign);
         let input = BenchInput { file, motion: &motion };
         let mut about = CodecFileReport::new(&input);
+        if let Some((codec, _)) = settings.first() {
+            let header = header_of(&motion.info, file, codec);
+            about.sampled = sampled::measure(&header, &foreign, args.repeats)?;
+        }
         if !args.json {
+            print(&sampled::table(&about.sampled))?;
             print(&about.head())?;
         }
         for (codec, effort) in &settings {
@@ -177,31 +187,6 @@ fn measure(
     Ok(Measured { effort: effort.level(), ..measured })
 }
 
-/// Shortest measurement: long compared with the resolution of the clock and the time slices of the scheduler.
-const MEASUREMENT_MIN: Duration = Duration::from_millis(20);
-
-/// The median time of a run over `repeats` measurements, each the mean of as many runs as fill [`MEASUREMENT_MIN`]; the
-/// first run warms up and is not measured.
-fn median_time(
-    repeats: u8,
-    mut run: impl FnMut() -> anyhow::Result<()>,
-) -> anyhow::Result<Duration> {
-    let started = Instant::now();
-    run()?;
-    let first = started.elapsed().max(Duration::from_nanos(1));
-    let runs = (MEASUREMENT_MIN.as_secs_f64() / first.as_secs_f64()).round().max(1.0) as u32;
-    let mut times = Vec::new();
-    for _ in 0..repeats.max(1) {
-        let started = Instant::now();
-        for _ in 0..runs {
-            run()?;
-        }
-        times.push(started.elapsed() / runs);
-    }
-    times.sort_unstable();
-    Ok(times[times.len() / 2])
-}
-
 /// Decodes a take from its bytes to float32; `found` gets each decoded stretch and its first row.
 fn decode(take: &[u8], mut found: impl FnMut(&StretchDecoder, usize)) -> anyhow::Result<()> {
     let mut decoder = None;
@@ -255,6 +240,7 @@ struct CodecFileReport {
     markers: usize,
     samples: u64,
     raw_bytes: u64,
+    sampled: Vec<MeasuredSamples>,
     results: Vec<Measured>,
 }
 
@@ -288,6 +274,7 @@ impl CodecFileReport {
             markers: info.markers.len(),
             samples,
             raw_bytes: 12 * samples,
+            sampled: Vec::new(),
             results: Vec::new(),
         }
     }

@@ -113,25 +113,10 @@ impl TakeReader {
             let message = format!("a chunk of type {kind:02x} before the header");
             return Ok(damaged(offset, len as u64, kind, message));
         };
+        let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
         let event = match kind {
-            types::FOREIGN => {
-                let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
-                let place = (payload_at, payload.len() as u64);
-                ForeignPart::from_payload(payload, place, offset).and_then(|part| {
-                    if self.skips_content {
-                        return Ok(TakeEvent::Foreign(part));
-                    }
-                    let Some(deflated) = part.deflated() else {
-                        return Ok(TakeEvent::Foreign(part));
-                    };
-                    let mut inflation = InflateCheck::new(deflated.data_bytes);
-                    let from = (deflated.at - payload_at) as usize;
-                    inflation.push(&payload[from..]);
-                    inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
-                })
-            }
+            types::FOREIGN => foreign_part(payload, payload_at, offset, !self.skips_content),
             types::SAMPLES => {
-                let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
                 SamplesChunk::from_payload(payload, payload_at, offset).map(TakeEvent::Samples)
             }
             types::STRETCH => match chain.place(payload) {
@@ -174,6 +159,23 @@ impl TakeReader {
         self.bytes.add(&event, len as u64);
         Ok(event)
     }
+}
+
+/// The part of the FOREIGN chunk at file offset `offset`, whose payload begins at `payload_at`. `inflates`: its content is
+/// checked.
+fn foreign_part(
+    payload: &[u8],
+    payload_at: u64,
+    offset: u64,
+    inflates: bool,
+) -> Result<TakeEvent<'static>, TakeError> {
+    let part = ForeignPart::from_payload(payload, (payload_at, payload.len() as u64), offset)?;
+    if let Some(deflated) = part.deflated().filter(|_| inflates) {
+        let mut inflation = InflateCheck::new(deflated.data_bytes);
+        inflation.push(&payload[(deflated.at - payload_at) as usize..]);
+        inflation.finish(offset)?;
+    }
+    Ok(TakeEvent::Foreign(part))
 }
 
 /// Decodes a chunk whose content does not depend on earlier chunks; `None` for other types.

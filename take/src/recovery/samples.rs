@@ -5,12 +5,12 @@ use std::{
     io::{Read, Seek},
 };
 
-use super::{OutputChunk, write::host_event};
+use super::OutputChunk;
 use crate::{
     TakeError, TakeMap,
     damage::{Problem, push_problem},
     foreign::ForeignPart,
-    record::SampledGroup,
+    record::{Event, EventKind, SampledGroup},
     sampled::{GroupSamples, RecoveredSamples, SampleContent, SampleSpan},
     timeline::LossCauses,
 };
@@ -109,5 +109,5 @@ fn lost_samples(group: &SampledGroup, first: u64, n: u64) -> OutputChunk {
         channel + group.channels.len() as u64
     );
     let row = first / u64::from(group.samples_per_frame.max(1));
-    OutputChunk::LostSamples { span, event: host_event(row, text) }
+    OutputChunk::LostSamples { span, event: Event { row, ..Event::new(EventKind::Host, 0, text) } }
 }

@@ -139,7 +139,7 @@ fn write_lost<W: Write>(
     Ok(())
 }
 
-pub(super) fn host_event(row: u64, text: String) -> Event {
+fn host_event(row: u64, text: String) -> Event {
     Event { kind: EventKind::Host, row, device_ticks: 0, host_ns: 0, input: 0, text }
 }
 

@@ -303,6 +303,11 @@ impl SampledPart {
         (next < n_channels).then_some([next + 1, n_channels])
     }
 
+    /// Whether the groups stand for a block of columns: none is missing, and all are alike.
+    pub(crate) fn is_block(&self) -> bool {
+        self.layout().is_some()
+    }
+
     /// Size of the block of columns.
     pub(crate) fn data_bytes(&self) -> u64 {
         let Some((front, n_columns, length)) = self.layout() else { return 0 };
