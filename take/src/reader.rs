@@ -316,7 +316,7 @@ pub struct TakeBytes {
     pub subject: u64,
     /// FOREIGN.
     pub foreign: u64,
-    /// SAMPLED_GROUP and SAMPLES.
+    /// `SAMPLED_GROUP` and SAMPLES.
     pub sampled: u64,
     /// Chunks that are damaged, unknown, or depend on damaged ones.
     pub other: u64,

@@ -1,4 +1,4 @@
-//! SAMPLED_GROUP: a group of scalar channels that have a rate of their own, such as those of force plates and electrodes.
+//! `SAMPLED_GROUP`: a group of scalar channels that have a rate of their own, such as those of force plates and electrodes.
 
 use bincode::{Decode, Encode};
 use mocapd_codec::GROUP_CHANNELS;

@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// Distance of key blocks in seconds: that of the key stretches of an import, so that a reader that wants a part of a
-/// take reads as far ahead for both.
+/// take reads as far ahead for both. Longer spans save nothing: in recorded files, 2.5 seconds need about as many bytes.
 const KEY_S: f64 = 10.0;
 
 /// Most blocks between two keys: they hold 32 MiB of float32, which is what a thread buffers.
