@@ -84,7 +84,7 @@ fn found(take: &[u8]) -> Found {
             match reader.next_event().unwrap() {
                 Some(TakeEvent::Stretch(stretch)) => found.stretches.push(stretch.span),
                 Some(TakeEvent::Foreign(part)) => {
-                    found.foreign.push((part.kind.clone(), part.data_bytes()))
+                    found.foreign.push((part.kind.clone(), part.data_bytes()));
                 }
                 Some(TakeEvent::Skipped { kind }) => found.skipped.push(kind),
                 Some(TakeEvent::Damaged { offset, len, .. }) => found.damaged.push((offset, len)),
