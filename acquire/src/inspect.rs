@@ -68,6 +68,7 @@ impl Summary {
         let decoding = Self { tally: Some(TakeTally::default()), ..Self::default() };
         let mut input = input.input();
         let (mut summary, rows_damaged) = decoding.traverse(&mut input, Decode::All)?;
+        summary.take.check_samples(&mut input)?;
         let tally = summary.tally.take().unwrap_or_default();
         summary.statistics = tally.finish(summary.take.n_rows);
         if !summary.take.damaged {

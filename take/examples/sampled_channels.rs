@@ -1,9 +1,9 @@
-//! How many bytes the analog samples of C3D files need as blocks of sampled channels, beside DEFLATE as takes have them
-//! today and `xz -9` of the same columns; and the processor time of both directions.
+//! How many bytes the analog samples of C3D files need as blocks of sampled channels, beside DEFLATE, as takes of earlier
+//! versions have them, and `xz -9` of the same columns; and the processor time of both directions.
 //!
-//! `cargo run --release -p mocapd-take --example sampled_channels -- FOLDER`
+//! `cargo run --release -p mocapd-take --example sampled_channels -- FOLDER [SECONDS]`
 //!
-//! Blocks hold ten seconds, as the stretches of an import do, and are all key blocks. Every block is decoded and compared
+//! Blocks hold ten seconds, as in a take, or as many as are given, and are all key blocks. Every block is decoded and compared
 //! bit for bit. Files of 16-bit integers count as float32 of the same values. Times are those of this thread, in MB of
 //! float32 a second.
 
@@ -27,6 +27,7 @@ const HEADER_BYTES: usize = 26;
 
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1).ok_or("a folder of C3D files is needed")?;
+    let block_s: f64 = std::env::args().nth(2).map_or(Ok(10.0), |seconds| seconds.parse())?;
     let mut paths: Vec<_> = fs::read_dir(folder)?
         .map(|entry| entry.map(|entry| entry.path()))
         .collect::<std::io::Result<_>>()?;
@@ -39,7 +40,7 @@ fn main() -> Result<()> {
     );
     let (mut product, mut product_xz, mut n_files) = (1.0, 1.0, 0);
     for path in &paths {
-        let Some(row) = measure(path)? else { continue };
+        let Some(row) = measure(path, block_s)? else { continue };
         let (blocks, of) = (row.blocks as f64, |bytes: usize| bytes as f64 / row.blocks as f64);
         println!(
             "| {} | {} | {} | {} | {blocks} | {:.2} | {:.2} | {:.1} | {:.1} |",
@@ -71,8 +72,8 @@ struct Row {
     decode_s: f64,
 }
 
-/// Measures a file; `None` if it has no analog samples, or cannot be read.
-fn measure(path: &Path) -> Result<Option<Row>> {
+/// Measures a file in blocks of `block_s` seconds; `None` if it has no analog samples, or cannot be read.
+fn measure(path: &Path, block_s: f64) -> Result<Option<Row>> {
     let Ok(motion) = Format::C3d.read(&fs::read(path)?) else { return Ok(None) };
     let Some(part) = motion.info.foreign.iter().find(|part| part.kind == "c3d/analog") else {
         return Ok(None);
@@ -93,7 +94,7 @@ fn measure(path: &Path) -> Result<Option<Row>> {
         encode_s: 0.0,
         decode_s: 0.0,
     };
-    let block_rows = ((10.0 * motion.info.rate_hz) as usize * ratio).max(1);
+    let block_rows = ((block_s * motion.info.rate_hz) as usize * ratio).max(1);
     for group in channels.chunks(GROUP_CHANNELS) {
         let (mut encoder, mut decoder) = (SampledEncoder::new(), SampledDecoder::new());
         for start in (0..n_samples).step_by(block_rows) {

@@ -18,8 +18,8 @@ pub const MAGIC: [u8; 8] = *b"\x89TAK\r\n\x1a\n";
 pub const PAYLOAD_BYTES_MAX: u64 = 1 << 30;
 
 /// Longest chunk that a reader buffers before its CRC is known to match. Every record is shorter, and so is a SUBJECT:
-/// eight documents of 1 MiB, which DEFLATE lengthens by at most five bytes per 16 KiB, and their names. A longer chunk
-/// is a STRETCH, a FOREIGN, or of a type that this version does not know.
+/// eight documents of 1 MiB, which DEFLATE lengthens by at most five bytes per 16 KiB, and their names; SAMPLES have at
+/// most 4 MiB. A longer chunk is a STRETCH, a FOREIGN, or of a type that this version does not know.
 pub const CHUNK_HELD_MAX: u64 = (8 << 20) + (64 << 10);
 
 /// Most bytes that a reader buffers while it searches for the next chunk after damage. Half of them hold the end of any
@@ -50,10 +50,24 @@ pub mod types {
     pub const FOOTER: u8 = 0x8b;
     pub const CLOCK: u8 = 0x8c;
     pub const SUMMARY: u8 = 0x8d;
+    pub const SAMPLED_GROUP: u8 = 0x8e;
+    pub const SAMPLES: u8 = 0x8f;
     /// Every type of version 1.
-    pub const ALL: [u8; 12] = [
-        HEADER, CHANNELS, STRETCH, EVENT, LEDGER, SUBJECT, MODEL, FOREIGN, INDEX, FOOTER, CLOCK,
+    pub const ALL: [u8; 14] = [
+        HEADER,
+        CHANNELS,
+        STRETCH,
+        EVENT,
+        LEDGER,
+        SUBJECT,
+        MODEL,
+        FOREIGN,
+        INDEX,
+        FOOTER,
+        CLOCK,
         SUMMARY,
+        SAMPLED_GROUP,
+        SAMPLES,
     ];
 }
 

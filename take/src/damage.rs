@@ -1,6 +1,9 @@
 //! The problems of a damaged take, and its lost rows.
 
-use crate::{index::IndexEntry, record::Ledger, stretch::Stretch, timeline::LossCauses};
+use crate::{
+    index::IndexEntry, interchange::c3d::columns::RESIDUALS, record::Ledger, sampled::LostSamples,
+    stretch::Stretch, timeline::LossCauses,
+};
 
 /// Most problems that a list keeps. A take on a failing disk has one problem per stretch; a crafted file could have one
 /// every few bytes.
@@ -102,6 +105,43 @@ pub enum Problem {
         /// Its kind.
         kind: String,
     },
+    /// Samples of sampled channels that are missing, or cannot be decoded.
+    #[error("samples {first} to {} of {kind}, channels {} to {}, are lost; {}",
+        first.saturating_add(*n).saturating_sub(1), channels[0], channels[1], in_place_of_lost(kind))]
+    SamplesLost {
+        /// The kind of the foreign part.
+        kind: String,
+        /// The first and the last channel, from 1.
+        channels: [u64; 2],
+        /// Number of the first sample, from 0.
+        first: u64,
+        /// Number of samples of each channel.
+        n: u64,
+    },
+    /// A group of sampled channels that a part lacks, so that the part cannot be read.
+    #[error("{kind} cannot be read: the description of its channels {} to {} is lost", channels[0], channels[1])]
+    DescriptionLost {
+        /// The kind of the foreign part.
+        kind: String,
+        /// The first and the last channel, from 1.
+        channels: [u64; 2],
+    },
+    /// A foreign part whose groups do not fit together.
+    #[error(
+        "{kind} cannot be read: the descriptions of its channels are incomplete, or do not fit together"
+    )]
+    PartUnreadable {
+        /// Its kind.
+        kind: String,
+    },
+    /// Samples of a group whose description is lost.
+    #[error(
+        "{chunks} chunks of sampled channels cannot be read: the description of the channels is lost"
+    )]
+    SamplesOrphaned {
+        /// Number of chunks.
+        chunks: u64,
+    },
     /// There are more than [`PROBLEMS_MAX`] problems.
     #[error("there are more problems than the {PROBLEMS_MAX} listed")]
     More,
@@ -111,6 +151,11 @@ pub enum Problem {
     /// There is no footer.
     #[error("the take was cut off: its end is missing")]
     CutOff,
+}
+
+/// What an export has in place of lost samples.
+fn in_place_of_lost(kind: &str) -> &'static str {
+    if kind == RESIDUALS { "an export has 0 there" } else { "an export has NaN there" }
 }
 
 /// Why the rows of a stretch are unavailable.
@@ -143,6 +188,12 @@ impl LedgerTotals {
 }
 
 impl Problem {
+    /// Samples of a part that are lost.
+    pub(crate) fn of_samples(kind: &str, lost: &LostSamples) -> Self {
+        let LostSamples { channels, first, n, .. } = *lost;
+        Self::SamplesLost { kind: kind.to_owned(), channels, first, n }
+    }
+
     /// Whether only decoding can reveal the problem.
     pub(crate) fn is_decoding_problem(&self) -> bool {
         let Self::Refused { refusal, .. } = self else { return false };

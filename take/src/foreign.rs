@@ -17,7 +17,11 @@ use flate2::{
 };
 
 use self::content::{Content, ScratchFile, Spool};
-use crate::{TakeError, varint};
+use crate::{
+    TakeError,
+    sampled::{LostSamples, SampledPart},
+    varint,
+};
 
 /// Longest foreign part. The analog section of a C3D file stays below it even at the format's own limits.
 pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;
@@ -47,12 +51,7 @@ impl ForeignPayload {
     /// `InvalidArgument` for content that is too long; `Io` if its scratch file cannot be read or written.
     pub(crate) fn of(part: &Foreign) -> Result<Self, TakeError> {
         let len = part.data.len();
-        if len > DATA_BYTES_MAX {
-            return Err(TakeError::InvalidArgument(format!(
-                "{} of {len} bytes is longer than a take can hold; import with --drop-foreign",
-                part.kind
-            )));
-        }
+        check_length(part)?;
         let mut front = Vec::new();
         varint::put_prefixed(&mut front, part.kind.as_bytes());
         varint::put(&mut front, len);
@@ -65,6 +64,18 @@ impl ForeignPayload {
     }
 }
 
+/// Refuses a part that is longer than a take can hold.
+pub(crate) fn check_length(part: &Foreign) -> Result<(), TakeError> {
+    let len = part.data.len();
+    if len <= DATA_BYTES_MAX {
+        return Ok(());
+    }
+    Err(TakeError::InvalidArgument(format!(
+        "{} of {len} bytes is longer than a take can hold; import with --drop-foreign",
+        part.kind
+    )))
+}
+
 /// Most bytes of deflated content: a block that does not compress is stored with five more bytes, and no block is
 /// shorter than 1 KiB but the last.
 fn deflated_bytes_max(len: u64) -> u64 {
@@ -72,20 +83,40 @@ fn deflated_bytes_max(len: u64) -> u64 {
 }
 
 /// A foreign part of a take, not yet read. [`TakeFrames::open_with`](crate::TakeFrames::open_with) reads its content.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ForeignPart {
     /// Its kind, such as `c3d/analog`.
     pub kind: String,
-    /// Size of its content.
-    pub data_bytes: u64,
-    deflated_at: u64,
-    deflated_bytes: u64,
+    stored: StoredPart,
+}
+
+/// How a take stores a part.
+#[derive(Debug, Clone, PartialEq)]
+enum StoredPart {
+    Deflated(DeflatedPart),
+    Sampled(SampledPart),
+}
+
+/// The place of a FOREIGN chunk's content.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct DeflatedPart {
+    /// Size of the content.
+    pub(crate) data_bytes: u64,
+    /// File offset of the deflated content.
+    pub(crate) at: u64,
+    bytes: u64,
     /// File offset of its chunk.
     offset: u64,
 }
 
+impl From<SampledPart> for ForeignPart {
+    fn from(part: SampledPart) -> Self {
+        Self { kind: part.kind().to_owned(), stored: StoredPart::Sampled(part) }
+    }
+}
+
 impl ForeignPart {
-    /// Parses the chunk at file offset `offset`, whose payload of `payload_bytes` begins at `payload_at` with `front`.
+    /// Parses the FOREIGN chunk at file offset `offset`, whose payload of `payload_bytes` begins at `payload_at` with `front`.
     pub(crate) fn from_payload(
         front: &[u8],
         (payload_at, payload_bytes): (u64, u64),
@@ -95,37 +126,88 @@ impl ForeignPart {
         let (kind, data_bytes) =
             parse_front(&mut cursor).map_err(|error| corrupt(offset, error))?;
         let in_front = (front.len() - cursor.rest().len()) as u64;
-        Ok(Self {
-            kind: kind.to_owned(),
+        let stored = StoredPart::Deflated(DeflatedPart {
             data_bytes,
-            deflated_at: payload_at + in_front,
-            deflated_bytes: payload_bytes.saturating_sub(in_front),
+            at: payload_at + in_front,
+            bytes: payload_bytes.saturating_sub(in_front),
             offset,
-        })
+        });
+        Ok(Self { kind: kind.to_owned(), stored })
     }
 
-    /// Size of the deflated content in the take.
+    /// Size of its content.
     #[must_use]
-    pub fn deflated_bytes(&self) -> u64 {
-        self.deflated_bytes
+    pub fn data_bytes(&self) -> u64 {
+        match &self.stored {
+            StoredPart::Deflated(part) => part.data_bytes,
+            StoredPart::Sampled(part) => part.data_bytes(),
+        }
     }
 
-    /// File offset of the deflated content.
-    pub(crate) fn deflated_at(&self) -> u64 {
-        self.deflated_at
+    /// Size of the encoded content in the take.
+    #[must_use]
+    pub fn stored_bytes(&self) -> u64 {
+        match &self.stored {
+            StoredPart::Deflated(part) => part.bytes,
+            StoredPart::Sampled(part) => part.stored_bytes(),
+        }
     }
 
-    /// Reads the content from the same file.
+    /// Its groups of sampled channels; `None` if it is stored in a FOREIGN chunk.
+    #[must_use]
+    pub fn sampled(&self) -> Option<&SampledPart> {
+        match &self.stored {
+            StoredPart::Deflated(_) => None,
+            StoredPart::Sampled(part) => Some(part),
+        }
+    }
+
+    /// Its groups of sampled channels, to which others may be added.
+    pub(crate) fn sampled_mut(&mut self) -> Option<&mut SampledPart> {
+        match &mut self.stored {
+            StoredPart::Deflated(_) => None,
+            StoredPart::Sampled(part) => Some(part),
+        }
+    }
+
+    /// The place of its content in a FOREIGN chunk.
+    pub(crate) fn deflated(&self) -> Option<&DeflatedPart> {
+        match &self.stored {
+            StoredPart::Deflated(part) => Some(part),
+            StoredPart::Sampled(_) => None,
+        }
+    }
+
+    /// Reads the content from the same file. Returns also the samples whose blocks cannot be decoded; in place of these,
+    /// and of lost ones, the content has NaN, or 0 for residuals.
     ///
     /// # Errors
-    /// `Io`; `Corrupt` when the file has changed since it was parsed.
+    /// `Io`; `Corrupt` when the file has changed since it was parsed; `InvalidArgument` if a description is missing.
     pub(crate) fn read(
         &self,
         input: &mut (impl Read + Seek),
         spool: &mut Spool<impl Fn() -> io::Result<Arc<dyn ScratchFile>>>,
-    ) -> Result<Foreign, TakeError> {
-        input.seek(SeekFrom::Start(self.deflated_at))?;
-        let deflated = BufReader::new(input.by_ref().take(self.deflated_bytes));
+    ) -> Result<(Foreign, Vec<LostSamples>), TakeError> {
+        let (data, undecodable) = match &self.stored {
+            StoredPart::Deflated(part) => (part.read(input, spool)?, Vec::new()),
+            StoredPart::Sampled(_) if self.data_bytes() > DATA_BYTES_MAX => {
+                let message = format!("{}: longer than a take can hold", self.kind);
+                return Err(TakeError::InvalidArgument(message));
+            }
+            StoredPart::Sampled(part) => part.read(input, spool)?,
+        };
+        Ok((Foreign { kind: self.kind.clone(), data }, undecodable))
+    }
+}
+
+impl DeflatedPart {
+    fn read(
+        &self,
+        input: &mut (impl Read + Seek),
+        spool: &mut Spool<impl Fn() -> io::Result<Arc<dyn ScratchFile>>>,
+    ) -> Result<Content, TakeError> {
+        input.seek(SeekFrom::Start(self.at))?;
+        let deflated = BufReader::new(input.by_ref().take(self.bytes));
         let mut inflated = DeflateDecoder::new(deflated);
         let data = spool.put(&mut inflated, self.data_bytes);
         let data = data.map_err(|error| match error.kind() {
@@ -137,7 +219,7 @@ impl ForeignPart {
         if data.len() != self.data_bytes {
             return Err(corrupt(self.offset, WRONG_LENGTH));
         }
-        Ok(Foreign { kind: self.kind.clone(), data })
+        Ok(data)
     }
 }
 
@@ -233,10 +315,13 @@ mod tests {
     fn read(payload: &[u8]) -> Result<Foreign, TakeError> {
         let len = payload.len() as u64;
         let part = ForeignPart::from_payload(payload, (0, len), 0)?;
-        let mut inflation = InflateCheck::new(part.data_bytes);
-        payload[part.deflated_at() as usize..].chunks(7).for_each(|piece| inflation.push(piece));
+        let mut inflation = InflateCheck::new(part.data_bytes());
+        payload[part.deflated().unwrap().at as usize..]
+            .chunks(7)
+            .for_each(|piece| inflation.push(piece));
         inflation.finish(0)?;
-        part.read(&mut Cursor::new(payload), &mut Spool::new(|| unreachable!("few bytes")))
+        let mut spool = Spool::new(|| unreachable!("few bytes"));
+        part.read(&mut Cursor::new(payload), &mut spool).map(|(part, _)| part)
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::{
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source},
     record::{Event, Header},
+    sampled::SampledPart,
     stretch::Span,
     traversal::{Decode, TakeTraversal},
 };
@@ -63,16 +64,31 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut map = TakeMap::scan(&mut input)?;
         let mut foreign_bytes = 0_u64;
         let mut spool = Spool::new(new_scratch);
-        for part @ ForeignPart { kind, data_bytes, .. } in &map.foreign {
+        for part @ ForeignPart { kind, .. } in &map.foreign {
+            // Channels of a recording are no part of a file.
+            if kind.is_empty() {
+                continue;
+            }
+            if part.sampled().is_some_and(|part| !part.is_block()) {
+                push_problem(&mut map.problems, Problem::PartUnreadable { kind: kind.clone() });
+                continue;
+            }
             if !wanted(kind) {
                 info.foreign.push(Foreign { kind: kind.clone(), data: Content::default() });
                 continue;
             }
-            foreign_bytes = foreign_bytes.saturating_add(*data_bytes);
+            foreign_bytes = foreign_bytes.saturating_add(part.data_bytes());
             if foreign_bytes > FOREIGN_BYTES_MAX {
                 push_problem(&mut map.problems, Problem::ForeignTooLong { kind: kind.clone() });
             } else {
-                info.foreign.push(part.read(&mut input, &mut spool)?);
+                let lost = part.sampled().map(SampledPart::lost).unwrap_or_default();
+                let (content, undecodable) = part.read(&mut input, &mut spool)?;
+                // Those that are missing in the file are among the problems already.
+                let stated = lost.iter().filter(|lost| lost.causes.is_some());
+                for lost in stated.chain(&undecodable) {
+                    push_problem(&mut map.problems, Problem::of_samples(kind, lost));
+                }
+                info.foreign.push(content);
             }
         }
         describe(&map.header, &mut info);

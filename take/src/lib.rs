@@ -21,6 +21,7 @@ pub mod quantity;
 pub mod reader;
 pub mod record;
 pub mod recovery;
+pub mod sampled;
 pub mod statistics;
 pub mod stretch;
 mod table;

@@ -2,16 +2,24 @@
 
 mod open;
 
-use std::ops::Range;
+use std::{
+    io::{Read, Seek},
+    ops::Range,
+};
 
 use crate::{
-    TakeEvent,
-    damage::{LostRows, Problem},
+    TakeError, TakeEvent,
+    damage::{LostRows, Problem, push_problem},
     foreign::ForeignPart,
     index::IndexEntry,
     record::{Channel, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
+    sampled::{GroupSamples, SampledPart},
     statistics::TakeStatistics,
 };
+
+/// Most groups of sampled channels that a reader remembers of a take. A C3D file with as many points and channels as 16
+/// bits can count has 6144.
+const GROUPS_MAX: usize = 1 << 13;
 
 /// Everything in a take but its samples.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -42,8 +50,11 @@ pub struct TakeMap {
     pub statistics: Option<TakeStatistics>,
     /// The last fitted clock line of each segment of the device's clock that has one.
     pub clock_lines: Vec<(u32, ClockLine)>,
-    /// The parts that an importer kept; empty if the stretches were not read.
+    /// The parts that an importer kept, and the sampled channels of a recording; empty if the stretches were not read.
     pub foreign: Vec<ForeignPart>,
+    /// Chunks of sampled channels that belong to no group, because the chunk that describes it is damaged or of a later
+    /// version.
+    pub samples_orphaned: u64,
     /// Whether the take was closed; a take without a footer was cut off.
     pub finished: bool,
     /// Whether anything damaged or missing was found.
@@ -55,6 +66,21 @@ pub struct TakeMap {
 }
 
 impl TakeMap {
+    /// Decodes the samples of all sampled channels, and adds those that cannot be decoded to the problems. `input` is the
+    /// file of the take.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn check_samples(&mut self, input: &mut (impl Read + Seek)) -> Result<(), TakeError> {
+        for part in self.foreign.iter().filter_map(ForeignPart::sampled) {
+            for lost in part.check(input)? {
+                push_problem(&mut self.problems, Problem::of_samples(part.kind(), &lost));
+                self.damaged = true;
+            }
+        }
+        Ok(())
+    }
+
     /// Splits `rows` at key stretches into at most `n` consecutive ranges that can be decoded independently.
     #[must_use]
     pub fn pieces(&self, rows: &Range<u64>, n: usize) -> Vec<Range<u64>> {
@@ -73,8 +99,9 @@ impl TakeMap {
         pieces
     }
 
-    /// Adds the content of an event, except motion and channel table.
-    pub(crate) fn add_content(&mut self, event: TakeEvent<'_>) {
+    /// Adds the content of an event whose chunk is at file offset `offset` and has `chunk_bytes`, except motion and channel
+    /// table.
+    pub(crate) fn add_content(&mut self, event: TakeEvent<'_>, offset: u64, chunk_bytes: u64) {
         match event {
             TakeEvent::Subject(subject) => self.subject = Some(*subject),
             TakeEvent::Event(event) => self.events.push(event),
@@ -86,10 +113,41 @@ impl TakeMap {
                 }
             }
             TakeEvent::Foreign(part) => self.foreign.push(part),
+            TakeEvent::SampledGroup(group) => {
+                self.add_group(GroupSamples::new(*group, offset, chunk_bytes));
+            }
+            TakeEvent::Samples(chunk) => {
+                // Those of an import belong to the last part.
+                let mut parts = self.foreign.iter_mut().rev().filter_map(ForeignPart::sampled_mut);
+                let is_known = parts.any(|part| part.push(chunk, chunk_bytes));
+                self.samples_orphaned += u64::from(!is_known);
+            }
             TakeEvent::Summary(summary) => {
                 (self.ending, self.statistics) = (summary.ending, summary.statistics);
             }
             _ => {}
         }
+    }
+
+    fn add_group(&mut self, group: GroupSamples) {
+        let known = self.foreign.iter().filter_map(ForeignPart::sampled);
+        let mut n_groups = 0;
+        for known in known.flat_map(SampledPart::groups) {
+            n_groups += 1;
+            if known.group.number == group.group.number || n_groups == GROUPS_MAX {
+                self.samples_orphaned += 1;
+                return;
+            }
+        }
+        // Groups of one kind follow each other.
+        let last = self.foreign.last_mut().and_then(ForeignPart::sampled_mut);
+        let group = match last {
+            Some(part) => match part.push_group(group) {
+                Ok(()) => return,
+                Err(group) => group,
+            },
+            None => group,
+        };
+        self.foreign.push(SampledPart::new(group).into());
     }
 }

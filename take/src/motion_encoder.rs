@@ -12,8 +12,9 @@ use mocapd_codec::{
 
 use crate::{
     TakeError, TakeWriter,
-    motion::{FrameSource, GAP, Marker, MotionEvent, MotionInfo, is_gap},
+    motion::{Foreign, FrameSource, GAP, Marker, MotionEvent, MotionInfo, is_gap},
     record::{Channel, Event, Header, Ledger},
+    sampled::{EncodedSpan, SamplesPlan},
     statistics::{BlockTally, StretchTally},
     stretch::{
         CHANNELS_MAX, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, StretchHeaderWriter,
@@ -252,8 +253,24 @@ impl<'a, W: Write> MotionWriter<'a, W> {
     /// Writes the header, and of `info` the subject, the foreign parts and the events.
     ///
     /// # Errors
-    /// Those of [`TakeWriter::new`], [`TakeWriter::subject`], [`TakeWriter::foreign`] and [`TakeWriter::event`].
+    /// Those of [`begin`](Self::begin), [`TakeWriter::foreign`] and [`push_events`](Self::push_events).
     pub fn new(
+        plan: &'a EncodePlan,
+        info: &MotionInfo,
+        header: &Header,
+        out: W,
+    ) -> Result<Self, TakeError> {
+        let mut writer = Self::begin(plan, info, header, out)?;
+        info.foreign.iter().try_for_each(|part| writer.take.foreign(part))?;
+        writer.push_events(&info.events)?;
+        Ok(writer)
+    }
+
+    /// Writes the header, and of `info` the subject. The caller writes the foreign parts and the events next.
+    ///
+    /// # Errors
+    /// Those of [`TakeWriter::new`] and [`TakeWriter::subject`].
+    pub fn begin(
         plan: &'a EncodePlan,
         info: &MotionInfo,
         header: &Header,
@@ -261,14 +278,45 @@ impl<'a, W: Write> MotionWriter<'a, W> {
     ) -> Result<Self, TakeError> {
         let mut take = TakeWriter::new(out, header)?;
         info.subject.iter().try_for_each(|subject| take.subject(subject))?;
-        info.foreign.iter().try_for_each(|part| take.foreign(part))?;
-        for MotionEvent { frame, kind, text } in &info.events {
-            let (row, kind, text) = (*frame, *kind, text.clone());
-            take.event(&Event { kind, row, device_ticks: 0, host_ns: 0, input: 0, text })?;
-        }
         let front = StretchHeaderWriter::new(header.stretch_rows);
         let (payload, tally) = (Vec::new(), BlockTally::default());
         Ok(Self { plan, take, front, payload, tally, n_samples: 0 })
+    }
+
+    /// Writes a foreign part. Of one with samples it writes the description, and returns what is to be encoded: the
+    /// caller [writes](Self::push_span) all spans of it, before the next part.
+    ///
+    /// # Errors
+    /// Those of [`TakeWriter::foreign`].
+    pub fn push_foreign<'p>(
+        &mut self,
+        part: &'p Foreign,
+    ) -> Result<Option<SamplesPlan<'p>>, TakeError> {
+        let plan = self.take.plan_samples(part)?;
+        if plan.is_none() {
+            self.take.foreign(part)?;
+        }
+        Ok(plan)
+    }
+
+    /// Writes the next span of a foreign part.
+    ///
+    /// # Errors
+    /// Those of [`TakeWriter::span`].
+    pub fn push_span(&mut self, encoded: &EncodedSpan) -> Result<(), TakeError> {
+        self.take.span(encoded)
+    }
+
+    /// Writes the events of the motion, after its foreign parts.
+    ///
+    /// # Errors
+    /// Those of [`TakeWriter::event`].
+    pub fn push_events(&mut self, events: &[MotionEvent]) -> Result<(), TakeError> {
+        for MotionEvent { frame, kind, text } in events {
+            let (row, kind, text) = (*frame, *kind, text.clone());
+            self.take.event(&Event { kind, row, device_ticks: 0, host_ns: 0, input: 0, text })?;
+        }
+        Ok(())
     }
 
     /// Writes the next part, in the order of [`EncodeParts`].

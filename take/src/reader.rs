@@ -16,7 +16,8 @@ use crate::{
     chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, WINDOW_BYTES, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
-    record::{Channel, Clock, Event, Header, Ledger, Subject, SummaryRecord},
+    record::{Channel, Clock, Event, Header, Ledger, SampledGroup, Subject, SummaryRecord},
+    sampled::SamplesChunk,
     stretch::{Stretch, StretchChain},
 };
 
@@ -48,6 +49,10 @@ pub enum TakeEvent<'a> {
     Ledger(Box<Ledger>),
     /// A part that an importer kept.
     Foreign(ForeignPart),
+    /// A group of sampled channels.
+    SampledGroup(Box<SampledGroup>),
+    /// Samples of such a group, with the block still encoded.
+    Samples(SamplesChunk),
     /// The summary of a closed take: how the take ended.
     Summary(SummaryRecord),
     /// Positions of the key stretches.
@@ -311,6 +316,8 @@ pub struct TakeBytes {
     pub subject: u64,
     /// FOREIGN.
     pub foreign: u64,
+    /// `SAMPLED_GROUP` and SAMPLES.
+    pub sampled: u64,
     /// Chunks that are damaged, unknown, or depend on damaged ones.
     pub other: u64,
 }
@@ -333,6 +340,7 @@ impl TakeBytes {
             TakeEvent::Event(_) => &mut self.events,
             TakeEvent::Subject(_) => &mut self.subject,
             TakeEvent::Foreign(_) => &mut self.foreign,
+            TakeEvent::SampledGroup(_) | TakeEvent::Samples(_) => &mut self.sampled,
             TakeEvent::Summary(_)
             | TakeEvent::Index(_)
             | TakeEvent::Skipped { kind: types::INDEX }
@@ -351,7 +359,7 @@ impl TakeBytes {
     pub fn sum(&self) -> u64 {
         let Self { header, blocks, lengths, time_line, framing, .. } = self;
         let stretches = header + blocks + lengths + time_line + framing;
-        let records = self.events + self.subject + self.foreign + self.other;
+        let records = self.events + self.subject + self.foreign + self.sampled + self.other;
         stretches + self.ledgers + self.clock + self.index + records
     }
 }

@@ -5,6 +5,7 @@
 //! encoded again, so every error bound that its encoder proved still holds.
 
 mod ledger_tally;
+mod samples;
 mod scan;
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -15,6 +16,7 @@ use crate::{
     damage::Problem,
     reader::{TakeInput, repair_head},
     record::{Channel, Event, EventKind, Header, SummaryRecord},
+    sampled::SampleSpan,
     stretch::{NUMBERS, ROWS_PASSED_MAX, Span, StretchHeaderWriter},
     timeline::{Timeline, TimelineEncoder},
     writer::TakeWriter,
@@ -41,6 +43,8 @@ enum OutputChunk {
     Channels(Vec<Channel>),
     /// A stretch without rows in place of lost stretches.
     Lost { first_row: u64, rows: u64, number: u8 },
+    /// Samples of a group of sampled channels, recorded as lost.
+    LostSamples { span: SampleSpan, event: Event },
 }
 
 /// The kind of a chunk.
@@ -55,6 +59,8 @@ pub enum ChunkKind {
     Clock,
     Subject,
     Foreign,
+    SampledGroup,
+    Samples,
     Summary,
     Index,
     Footer,
@@ -63,7 +69,7 @@ pub enum ChunkKind {
 }
 
 /// Every kind with its chunk type and its name in reports.
-const KINDS: [(ChunkKind, Option<u8>, &str); 12] = [
+const KINDS: [(ChunkKind, Option<u8>, &str); 14] = [
     (ChunkKind::Header, Some(types::HEADER), "header"),
     (ChunkKind::Channels, Some(types::CHANNELS), "channel table"),
     (ChunkKind::Stretch, Some(types::STRETCH), "stretch"),
@@ -72,6 +78,8 @@ const KINDS: [(ChunkKind, Option<u8>, &str); 12] = [
     (ChunkKind::Clock, Some(types::CLOCK), "clock"),
     (ChunkKind::Subject, Some(types::SUBJECT), "subject"),
     (ChunkKind::Foreign, Some(types::FOREIGN), "foreign"),
+    (ChunkKind::SampledGroup, Some(types::SAMPLED_GROUP), "sampled group"),
+    (ChunkKind::Samples, Some(types::SAMPLES), "samples"),
     (ChunkKind::Summary, Some(types::SUMMARY), "summary"),
     (ChunkKind::Index, Some(types::INDEX), "index"),
     (ChunkKind::Footer, Some(types::FOOTER), "footer"),
@@ -252,6 +260,9 @@ impl RecoveryScan {
         if !self.finished {
             parts.push("the end was cut off".to_owned());
         }
+        if !self.samples_lost_of.is_empty() {
+            parts.push(format!("samples of {} were damaged", self.samples_lost_of.join(" and ")));
+        }
         if self.discarded_bytes > 0 {
             parts.push(format!("{} bytes could not be read", self.discarded_bytes));
         }
@@ -302,6 +313,10 @@ impl RecoveryScan {
                     }
                 }
                 OutputChunk::Channels(channels) => take.channels(channels)?,
+                OutputChunk::LostSamples { span, event } => {
+                    take.lost_samples(span)?;
+                    take.event(event)?;
+                }
                 OutputChunk::Lost { first_row, rows, number } => {
                     write_lost(&mut take, &mut headers, *first_row, *rows, *number)?;
                 }

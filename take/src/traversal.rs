@@ -14,8 +14,9 @@ use mocapd_codec::DecodedRows;
 
 use crate::{
     TakeError, TakeEvent, TakeReader,
-    chunk::MAGIC,
+    chunk::{MAGIC, types},
     damage::{LossTracker, Problem, Refusal, push_problem},
+    foreign::ForeignPart,
     index::IndexEntry,
     map::TakeMap,
     reader::{TakeInput, feed},
@@ -69,6 +70,8 @@ pub struct Progress {
     /// The damage that explains a missing stretch was already reported.
     damage_reported: bool,
     timeline: Option<Timeline>,
+    /// A group of sampled channels is of a later version: its samples cannot be read, and nothing is wrong with them.
+    has_later_groups: bool,
 }
 
 /// Which problems a traversal reports, and whether it builds a map.
@@ -121,6 +124,7 @@ impl Progress {
             scope,
             damage_reported: false,
             timeline: None,
+            has_later_groups: false,
         }
     }
 
@@ -199,6 +203,7 @@ impl Progress {
                 self.take.damaged = true;
                 self.table.add_damage();
             }
+            TakeEvent::Skipped { kind: types::SAMPLED_GROUP } => self.has_later_groups = true,
             TakeEvent::Repaired { offset } => self.report(Problem::Repaired { offset: *offset }),
             TakeEvent::Footer(footer) => {
                 let (stated, found) = (footer.n_rows, self.n_rows());
@@ -276,9 +281,33 @@ impl Progress {
         Some(lost_entries)
     }
 
+    /// Reports the samples of groups that are missing or damaged in this file.
+    fn report_lost_samples(&mut self) {
+        if !self.builds_map() {
+            return;
+        }
+        let mut problems = Vec::new();
+        for part in self.take.foreign.iter().filter_map(ForeignPart::sampled) {
+            if let Some(channels) = part.missing_channels() {
+                let kind = part.kind().to_owned();
+                push_problem(&mut problems, Problem::DescriptionLost { kind, channels });
+            }
+            for lost in part.lost().iter().filter(|lost| lost.causes.is_none()) {
+                push_problem(&mut problems, Problem::of_samples(part.kind(), lost));
+            }
+        }
+        let chunks = self.take.samples_orphaned;
+        if chunks > 0 && !self.has_later_groups {
+            push_problem(&mut problems, Problem::SamplesOrphaned { chunks });
+        }
+        self.take.damaged |= !problems.is_empty();
+        problems.into_iter().for_each(|problem| self.report(problem));
+    }
+
     fn end(&mut self, finished: bool) {
         let lost = self.losses.finish();
         self.add_lost(lost);
+        self.report_lost_samples();
         if !finished {
             self.report(Problem::CutOff);
         } else if self.builds_map() && self.take.ledger.is_none() {
@@ -383,7 +412,9 @@ impl<R: Read + Seek> TakeTraversal<R> {
                 self.current = Some(stretch.span);
                 self.progress.timeline = stretch.timeline;
             }
-            event if self.progress.builds_map() => self.progress.take.add_content(event),
+            event if self.progress.builds_map() => {
+                self.progress.take.add_content(event, offset, len);
+            }
             _ => {}
         }
         Ok(())

@@ -7,13 +7,15 @@ use crc32fast::Hasher;
 use crate::{
     TakeError, chunk,
     chunk::types,
-    foreign::ForeignPayload,
+    foreign::{ForeignPayload, check_length},
     index::{Footer, IndexEntry, index_payload},
+    interchange::c3d::{self, Parameters},
     motion::Foreign,
     record::{
-        Channel, Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord,
-        TakeEnding,
+        Channel, Clock, Event, Header, Ledger, MoreChannels, Record, SampledGroup, Subject,
+        SummaryRecord, TakeEnding,
     },
+    sampled::{EncodedSpan, PartContext, SampleSpan, SamplesPlan, SpanEncoder},
     statistics::{StretchTally, TakeTally},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
@@ -36,6 +38,10 @@ pub struct TakeWriter<W> {
     ledger_offset: u64,
     /// The header, with the complete channel table.
     header: Header,
+    /// The parameters of the imported file.
+    parameters: Parameters,
+    /// Groups of sampled channels so far.
+    n_groups: u32,
     tally: TakeTally,
 }
 
@@ -60,6 +66,8 @@ impl<W: Write> TakeWriter<W> {
             n_rows: 0,
             ledger_offset: 0,
             header: header.clone(),
+            parameters: Parameters::default(),
+            n_groups: 0,
             tally: TakeTally::default(),
         };
         writer.tally.announce(header.channels.len());
@@ -151,11 +159,77 @@ impl<W: Write> TakeWriter<W> {
         self.record(ledger)
     }
 
-    /// Writes a part of an imported file that a take does not model.
+    /// Writes a part of an imported file. The samples of a part that has some go into groups of sampled channels; their
+    /// names and units are those of the last `c3d/parameters` before it.
+    ///
+    /// # Errors
+    /// `Io`, `InvalidArgument`, `Codec`.
+    pub fn foreign(&mut self, part: &Foreign) -> Result<(), TakeError> {
+        let Some(plan) = self.plan_samples(part)? else { return self.deflated(part) };
+        let mut encoder = SpanEncoder::default();
+        for span in plan.spans() {
+            self.span(&encoder.encode(&span?)?)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the groups of a part with samples, and plans the encoding of these, so that threads can share it; the
+    /// caller [writes](Self::span) all spans of the plan in order. Writes nothing, and returns `None`, for another part.
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
-    pub fn foreign(&mut self, part: &Foreign) -> Result<(), TakeError> {
+    pub fn plan_samples<'p>(
+        &mut self,
+        part: &'p Foreign,
+    ) -> Result<Option<SamplesPlan<'p>>, TakeError> {
+        check_length(part)?;
+        if part.kind == c3d::PARAMETERS {
+            let kept = c3d::kept_parameters(std::slice::from_ref(part))?;
+            self.parameters = kept.map(|(_, parameters)| parameters).unwrap_or_default();
+        }
+        let context = PartContext {
+            rate_hz: self.header.rate_hz,
+            is_unsigned: c3d::is_analog_unsigned(&self.parameters),
+            first_group: self.n_groups,
+        };
+        let markers = &self.header.channels;
+        let marker = |column: usize| markers.get(column).map(|marker| marker.label.clone());
+        let plan = SamplesPlan::new(&part.kind, &part.data, context, |kind, numbers| {
+            let marker = |column| marker(column).unwrap_or_default();
+            c3d::describe_sampled(kind, numbers, &self.parameters, marker)
+        })?;
+        for group in plan.iter().flat_map(SamplesPlan::groups) {
+            self.sampled_group(group)?;
+        }
+        Ok(plan)
+    }
+
+    /// Writes a group of sampled channels, before its samples.
+    ///
+    /// # Errors
+    /// `Io`; `InvalidArgument` for a group that a reader would refuse.
+    pub fn sampled_group(&mut self, group: &SampledGroup) -> Result<(), TakeError> {
+        self.n_groups = self.n_groups.max(group.number.saturating_add(1));
+        self.chunk(types::SAMPLED_GROUP, &group.to_chunk_payload()?)
+    }
+
+    /// Records samples of a group as lost.
+    pub(crate) fn lost_samples(&mut self, span: &SampleSpan) -> Result<(), TakeError> {
+        let mut payload = Vec::new();
+        span.put(&mut payload);
+        self.chunk(types::SAMPLES, &payload)
+    }
+
+    /// Writes an encoded span.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn span(&mut self, encoded: &EncodedSpan) -> Result<(), TakeError> {
+        encoded.0.iter().try_for_each(|payload| self.chunk(types::SAMPLES, payload))
+    }
+
+    /// Writes a part as one deflated chunk.
+    fn deflated(&mut self, part: &Foreign) -> Result<(), TakeError> {
         let ForeignPayload { front, deflated } = ForeignPayload::of(part)?;
         let payload_bytes = front.len() as u64 + deflated.len();
         self.scratch.clear();

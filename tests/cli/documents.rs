@@ -17,6 +17,7 @@ use serde_json::Value;
 use super::{
     Folder,
     devices::{Recorder, Simulated},
+    imports::analog_file,
 };
 use crate::support::{assert_mentions, jump};
 
@@ -132,6 +133,9 @@ fn info_and_verify() {
     folder.write("cut.c3d", &c3d[..c3d.len() / 2]);
     folder.run(&["import", "cut.c3d", "-o", "cut.take"]).with_code(3);
     infos.push(info("cut.take"));
+    folder.write("walk.c3d", analog_file(2, 30));
+    folder.run(&["import", "walk.c3d", "-o", "walk.take"]).with_code(0);
+    infos.push(info("walk.take"));
 
     // A damaged take has problems.
     let bytes = folder.read("cut.take");
@@ -418,7 +422,14 @@ fn bench_codec() {
     folder.write_motion("jump.csv", &jump(1, 120.0, 1.0));
     let bench = ["bench", "codec", "jump.csv", "--repeats", "1", "--json"];
     let document = folder.run(&bench).with_code(0).json();
-    check("`mocapd bench codec`", std::slice::from_ref(&document));
+    // A file with sampled channels.
+    folder.write("walk.c3d", analog_file(8, 50));
+    let bench = ["bench", "codec", "walk.c3d", "--resampler", "fast", "--tolerance", "1mm"];
+    let sampled = folder.run(&[&bench[..], &["--repeats", "1", "--json"]].concat()).json();
+    check("`mocapd bench codec`", &[document.clone(), sampled.clone()]);
+    let measured = &sampled["files"][0]["sampled"][0];
+    assert_eq!((&measured["kind"], &measured["channels"]), (&"c3d/analog".into(), &8.into()));
+    assert_eq!((&measured["samples"], &measured["raw_bytes"]), (&100.into(), &3200.into()));
     let results = document["files"][0]["results"].as_array().unwrap();
     assert_eq!(results.len(), 4 * 6 + 2, "six tolerances of every kind, and both lossless ones");
     for result in results {

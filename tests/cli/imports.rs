@@ -2,6 +2,7 @@
 
 use mocapd_take::{
     TakeEvent,
+    chunk::types,
     motion::{Motion, is_gap},
     reader::read_events,
     record::Header,
@@ -9,7 +10,7 @@ use mocapd_take::{
 use serde_json::Value;
 
 use super::Folder;
-use crate::support::{assert_mentions, chunks, crowd, jump};
+use crate::support::{assert_mentions, c3d_file::C3dFile, chunks, crowd, jump, places};
 
 fn samples(motion: &Motion) -> u64 {
     motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64
@@ -113,6 +114,94 @@ fn the_bytes_are_the_same_for_any_number_of_threads() {
     assert!(found.finished && found.keys.len() == 5, "{:?}", found.keys);
     assert_eq!(found.blocks.len(), 5 * 3, "150 markers");
     assert!(one == take("2") && one == take("7"), "whole files, header and all");
+}
+
+/// A C3D file of a marker at 100 Hz with `n_channels` analog channels of integers, two samples in each of `n_frames`.
+pub(super) fn analog_file(n_channels: usize, n_frames: usize) -> Vec<u8> {
+    let frame = |i: usize| {
+        let point = [i as f32, 200.0, 300.0, 0.0];
+        let sample = |k: usize| ((i * (k % 7 + 1) + k * k) % 611) as f32 - 300.0;
+        point.into_iter().chain((0..2 * n_channels).map(sample)).collect()
+    };
+    let mut file = C3dFile::new(1, (0..n_frames).map(frame).collect());
+    file.analog = (n_channels, 2);
+    file.scale = 0.1;
+    file.texts(1, "LABELS", &["head"]);
+    file.records.extend(file.group(2, "ANALOG"));
+    file.words(2, "USED", &[n_channels as u16]);
+    file.floats(2, "RATE", &[200.0]);
+    file.floats(2, "GEN_SCALE", &[0.5]);
+    file.floats(2, "SCALE", &vec![0.25; n_channels]);
+    file.words(2, "OFFSET", &vec![3; n_channels]);
+    file.texts(2, "LABELS", &["Fz", "EMG"]);
+    file.texts(2, "UNITS", &["N"]);
+    file.bytes()
+}
+
+#[test]
+fn analog_samples_become_sampled_channels() {
+    let folder = Folder::new();
+    // 21 seconds, so that the last of three blocks is short.
+    folder.write("walk.c3d", analog_file(70, 2100));
+    for threads in ["1", "2", "7"] {
+        let take = format!("{threads}.take");
+        folder.run(&["import", "walk.c3d", "-o", &take, "--threads", threads]).with_code(0);
+        assert!(folder.read("1.take") == folder.read(&take), "{threads} threads");
+    }
+    folder.run(&["verify", "1.take"]).with_code(0);
+    let report = folder.run(&["info", "1.take", "--json"]).with_code(0).json();
+    let groups = report["sampled_groups"].as_array().unwrap();
+    let sizes: Vec<_> =
+        groups.iter().map(|group| group["channels"].as_array().unwrap().len()).collect();
+    assert_eq!(sizes, [64, 6]);
+    let [first, ..] = &groups[..] else { panic!("{report}") };
+    assert_eq!((&first["form"], &first["rate_hz"]), (&"int16".into(), &200.0.into()));
+    assert_eq!((&first["samples"], &first["samples_lost"]), (&4200.into(), &0.into()));
+    assert_eq!(
+        first["channels"][0],
+        serde_json::json!({ "name": "Fz", "unit": "N", "scale": 0.125, "offset": 3.0 })
+    );
+    assert_eq!(first["channels"][2]["name"], "A3");
+    let info = folder.run(&["info", "1.take", "--markers"]).with_code(0).stdout;
+    assert_mentions(&info, &["c3d/analog", "70 channels at 200 Hz", "4 200 samples", "EMG"]);
+
+    // An export has the samples of the file, also of the file that an import of the export gives.
+    folder.run(&["export", "1.take", "-o", "whole.c3d"]).with_code(0);
+    folder.run(&["import", "whole.c3d", "-o", "again.take"]).with_code(0);
+    folder.run(&["export", "again.take", "-o", "again.c3d"]).with_code(0);
+    assert!(folder.read("whole.c3d") == folder.read("again.c3d"));
+
+    // A damaged block: what it held is stated, NaN in an export, and everything else is as before.
+    let mut take = folder.read("1.take");
+    let blocks = places(&take).into_iter().filter(|(kind, _)| *kind == types::SAMPLES);
+    let second = blocks.clone().nth(1).unwrap().1;
+    assert_eq!(blocks.count(), 6);
+    take[(second.start + second.end) / 2] ^= 1;
+    folder.write("damaged.take", &take);
+    let lost = "samples 2000 to 3999 of c3d/analog, channels 1 to 64, are lost";
+    for command in [&["info", "damaged.take"][..], &["verify", "damaged.take"]] {
+        let ran = folder.run(command);
+        assert_mentions(&ran.stderr, &[lost, "NaN"]);
+    }
+    let info = folder.run(&["info", "damaged.take", "--json"]).with_code(3).json();
+    assert_eq!(info["sampled_groups"][0]["samples_lost"], 2000);
+    let ran = folder.run(&["export", "damaged.take", "-o", "damaged.c3d"]).with_code(3);
+    assert_mentions(&ran.stderr, &[lost]);
+    let (whole, damaged) = (folder.read("whole.c3d"), folder.read("damaged.c3d"));
+    assert_eq!(whole.len(), damaged.len());
+    let nan = f32::NAN.to_le_bytes();
+    let words = whole.as_chunks::<4>().0.iter().zip(damaged.as_chunks::<4>().0);
+    let changed: Vec<_> = words.filter(|(a, b)| a != b).collect();
+    // Samples that happen to have the bits of NaN do not occur.
+    assert_eq!(changed.len(), 64 * 2000);
+    assert!(changed.iter().all(|(_, found)| **found == nan));
+    folder.run(&["recover", "damaged.take", "-o", "recovered.take"]).with_code(3);
+    folder.run(&["export", "recovered.take", "-o", "recovered.c3d"]).with_code(3);
+    // It has the same samples, and an event that states which are lost.
+    let n_nan = |file: &[u8]| file.as_chunks::<4>().0.iter().filter(|word| **word == nan).count();
+    assert_eq!(n_nan(&folder.read("recovered.c3d")), n_nan(&damaged));
+    let info = folder.run(&["info", "recovered.take"]).stdout;
+    assert_mentions(&info, &["2 000 samples of each lost", "were damaged in the file"]);
 }
 
 #[test]

@@ -32,6 +32,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from take.container import CODEC_VERSION
+from take.samples import parts
 from take.stretch import read_take
 
 GOLDENS = Path(__file__).parents[2] / "take" / "tests" / "golden" / f"v{CODEC_VERSION}"
@@ -144,6 +145,15 @@ def golden_words(take):
     yield f"times of {len(take.times)} rows, {digest(times)}"
     for row, n_rows, causes in take.lost:
         yield f"lost from row {row}: {n_rows}, causes {causes}"
+    for group in take.groups:
+        channels = (f"{name} {unit} {index} {scale!r} {offset!r}\n".encode() for name, unit, index, scale, offset in group.channels)
+        yield (
+            f"group {group.number} of {group.kind}: form {group.form}, from channel {group.first_channel} of {group.part_channels}, "
+            f"{group.samples_per_frame} a frame, {group.rate_hz!r} Hz, from frame {group.first_frame}, "
+            f"{group.n_samples} samples, {digest(channels)}"
+        )
+    for kind, data in parts(take.groups):
+        yield f"part {kind}: {len(data)} bytes, {digest([data])}"
 
 
 def check_golden(path, words):

@@ -13,9 +13,10 @@ use crossbeam_channel::bounded;
 pub use mocapd_take::motion_encoder::stretch_rows;
 use mocapd_take::{
     TakeError,
-    motion::{FrameSource, Motion, MotionFrames},
+    motion::{FrameSource, Motion, MotionFrames, MotionInfo},
     motion_encoder::{EncodePart, EncodePlan, EncodedPart, MotionWriter},
     record::Header,
+    sampled::{EncodedSpan, KeySpan, SpanEncoder},
 };
 
 use super::{TakeAccount, messages::PartReport};
@@ -54,8 +55,12 @@ pub fn write_frames<W: Write>(
     out: W,
 ) -> anyhow::Result<(TakeAccount, W)> {
     let (plan, parts) = EncodePlan::new(frames, header).map_err(of_source)?;
-    let mut take = MotionWriter::new(&plan, parts.info(), header, out)
-        .context("cannot write the take's header, or its data beside the trajectories")?;
+    let info = parts.info();
+    let n_workers = n_workers.max(1);
+    let mut take =
+        MotionWriter::begin(&plan, info, header, out).context("cannot write the take's header")?;
+    write_foreign(&mut take, info, n_workers)
+        .context("cannot write the take's data beside the trajectories")?;
     let mut report = PartReport::default();
     let worker = || {
         let mut encoder = plan.encoder();
@@ -67,7 +72,6 @@ pub fn write_frames<W: Write>(
     };
     let mut failed = None;
     let parts = parts.map_while(|part| part.map_err(|error| failed = Some(error)).ok());
-    let n_workers = n_workers.max(1);
     let queued_max = queued_parts_max(n_workers, plan.part_bytes());
     in_order_within(queued_max, parts, n_workers, worker, |part, coded: EncodedPart| {
         coded.reports.iter().for_each(|channel| report.add_channel(channel));
@@ -79,6 +83,31 @@ pub fn write_frames<W: Write>(
     let (ledger, out, file_bytes) = take.finish().context("cannot close the take")?;
     let PartReport { samples, kept, max_error_mm, .. } = report;
     Ok((TakeAccount { ledger, file_bytes, samples, kept, max_error_mm, ..Default::default() }, out))
+}
+
+/// Encodes and writes everything beside the trajectories.
+fn write_foreign<W: Write>(
+    take: &mut MotionWriter<'_, W>,
+    info: &MotionInfo,
+    n_workers: usize,
+) -> anyhow::Result<()> {
+    for part in &info.foreign {
+        let Some(plan) = take.push_foreign(part)? else { continue };
+        let mut failed = None;
+        let spans = plan.spans().map_while(|span| span.map_err(|error| failed = Some(error)).ok());
+        let worker = || {
+            let mut encoder = SpanEncoder::default();
+            move |span: &KeySpan| Ok(encoder.encode(span)?)
+        };
+        let queued_max = queued_parts_max(n_workers, plan.span_bytes());
+        in_order_within(queued_max, spans, n_workers, worker, |_, encoded: EncodedSpan| {
+            Ok(take.push_span(&encoded)?)
+        })?;
+        if let Some(error) = failed {
+            return Err(error.into());
+        }
+    }
+    Ok(take.push_events(&info.events)?)
 }
 
 /// An error of reading frames.

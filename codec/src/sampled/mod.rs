@@ -7,7 +7,7 @@
 //! (`cells`, chosen by the encoder in `fit`), by decisions between two halves of an interval (`walk`). Events that a
 //! distribution does not express have flags before it: a repeated sample, a sample on a line, a most frequent value.
 //!
-//! `docs/sampled-channels.md` specifies every byte. The format is not frozen yet.
+//! `docs/sampled-channels.md` specifies every byte. Takes hold such blocks, so that the format is frozen.
 
 mod cells;
 mod distribution;

@@ -3,7 +3,7 @@
 use std::{
     path::{Path, PathBuf},
     sync::atomic::AtomicU64,
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use anyhow::{bail, ensure};
@@ -21,9 +21,13 @@ use mocapd_take::{
 };
 use serde::Serialize;
 
+use super::{
+    median_time,
+    sampled::{self, MeasuredSamples},
+};
 use crate::cli::{
     batch::{self, FileKinds, Input},
-    motion_files::{AnalogSize, measure_analog, read_take},
+    motion_files::read_take,
     original::{header_of, read_motion},
     output::{notify, plain, print, print_json},
     paths, values,
@@ -34,7 +38,8 @@ const TOLERANCES_MM: [f64; 6] = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0];
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// .c3d, .trc, .tsv (QTM) or .csv files, takes, or folders with such files; only their marker trajectories are coded
+    /// .c3d, .trc, .tsv (QTM) or .csv files, takes, or folders with such files: their marker trajectories and, of a .c3d
+    /// file, its sampled channels are coded
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// With folders, also read the files in their subfolders
@@ -71,10 +76,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         } else {
             read_motion(file)?
         };
-        let analog = measure_analog(file, &mut motion)?;
+        let foreign = std::mem::take(&mut motion.info.foreign);
         let input = BenchInput { file, motion: &motion };
-        let mut about = CodecFileReport::new(&input, analog);
+        let mut about = CodecFileReport::new(&input);
+        if let Some((codec, _)) = settings.first() {
+            let header = header_of(&motion.info, file, codec);
+            about.sampled = sampled::measure(&header, &foreign, args.repeats)?;
+        }
         if !args.json {
+            print(&sampled::table(&about.sampled))?;
             print(&about.head())?;
         }
         for (codec, effort) in &settings {
@@ -179,31 +189,6 @@ fn measure(
     Ok(Measured { effort: effort.level(), ..measured })
 }
 
-/// Shortest measurement: long compared with the resolution of the clock and the time slices of the scheduler.
-const MEASUREMENT_MIN: Duration = Duration::from_millis(20);
-
-/// The median time of a run over `repeats` measurements, each the mean of as many runs as fill [`MEASUREMENT_MIN`]; the
-/// first run warms up and is not measured.
-fn median_time(
-    repeats: u8,
-    mut run: impl FnMut() -> anyhow::Result<()>,
-) -> anyhow::Result<Duration> {
-    let started = Instant::now();
-    run()?;
-    let first = started.elapsed().max(Duration::from_nanos(1));
-    let runs = (MEASUREMENT_MIN.as_secs_f64() / first.as_secs_f64()).round().max(1.0) as u32;
-    let mut times = Vec::new();
-    for _ in 0..repeats.max(1) {
-        let started = Instant::now();
-        for _ in 0..runs {
-            run()?;
-        }
-        times.push(started.elapsed() / runs);
-    }
-    times.sort_unstable();
-    Ok(times[times.len() / 2])
-}
-
 /// Decodes a take from its bytes to float32; `found` gets each decoded stretch and its first row.
 fn decode(take: &[u8], mut found: impl FnMut(&StretchDecoder, usize)) -> anyhow::Result<()> {
     let mut decoder = None;
@@ -257,9 +242,7 @@ struct CodecFileReport {
     markers: usize,
     samples: u64,
     raw_bytes: u64,
-    /// Samples of the analog channels, and the bytes that every take needs for them beside those of its results.
-    analog_samples: u64,
-    analog_bytes: u64,
+    sampled: Vec<MeasuredSamples>,
     results: Vec<Measured>,
 }
 
@@ -283,7 +266,7 @@ struct Measured {
 }
 
 impl CodecFileReport {
-    fn new(input: &BenchInput<'_>, analog: Option<AnalogSize>) -> Self {
+    fn new(input: &BenchInput<'_>) -> Self {
         let info = &input.motion.info;
         let samples = input.samples();
         Self {
@@ -293,24 +276,15 @@ impl CodecFileReport {
             markers: info.markers.len(),
             samples,
             raw_bytes: 12 * samples,
-            analog_samples: analog.map_or(0, |analog| analog.samples),
-            analog_bytes: analog.map_or(0, |analog| analog.bytes),
+            sampled: Vec::new(),
             results: Vec::new(),
         }
     }
 
     /// The heading of its table.
     fn head(&self) -> String {
-        let analog = match self.analog_samples {
-            0 => String::new(),
-            n => format!(
-                "analog: {n} samples, {} bytes in every take beside those below, {:.2} bits each\n",
-                self.analog_bytes,
-                8.0 * self.analog_bytes as f64 / n as f64
-            ),
-        };
         format!(
-            "{}: {} markers, {} frames at {}, {} bytes of float32\n{analog}\
+            "{}: {} markers, {} frames at {}, {} bytes of float32\n\
              {:20} {:>9} {:>10} {:>8} {:>7} {:>12} {:>10} {:>10}\n",
             plain(&self.file),
             self.markers,

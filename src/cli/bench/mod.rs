@@ -2,6 +2,7 @@
 
 mod codec;
 mod pipeline;
+mod sampled;
 
 use std::{
     sync::atomic::Ordering,
@@ -46,6 +47,31 @@ fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     let mut sorted: Vec<_> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);
     sorted.get(sorted.len().saturating_sub(1) / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Shortest measurement: long compared with the resolution of the clock and the time slices of the scheduler.
+const MEASUREMENT_MIN: Duration = Duration::from_millis(20);
+
+/// The median time of a run over `repeats` measurements, each the mean of as many runs as fill [`MEASUREMENT_MIN`]; the
+/// first run warms up and is not measured.
+fn median_time(
+    repeats: u8,
+    mut run: impl FnMut() -> anyhow::Result<()>,
+) -> anyhow::Result<Duration> {
+    let started = Instant::now();
+    run()?;
+    let first = started.elapsed().max(Duration::from_nanos(1));
+    let runs = (MEASUREMENT_MIN.as_secs_f64() / first.as_secs_f64()).round().max(1.0) as u32;
+    let mut times = Vec::new();
+    for _ in 0..repeats.max(1) {
+        let started = Instant::now();
+        for _ in 0..runs {
+            run()?;
+        }
+        times.push(started.elapsed() / runs);
+    }
+    times.sort_unstable();
+    Ok(times[times.len() / 2])
 }
 
 /// Reads a device for `length` and discards the bytes: the processor time that the line alone costs, in percent of one

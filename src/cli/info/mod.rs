@@ -1,5 +1,6 @@
 //! `info`: shows what is in takes and motion files.
 
+mod sampled;
 mod subject;
 mod text;
 
@@ -25,6 +26,7 @@ use mocapd_take::{
 use serde::Serialize;
 
 use self::{
+    sampled::SampledGroupReport,
     subject::SubjectReport,
     text::{line, text},
 };
@@ -119,6 +121,7 @@ struct InfoReport {
     source: Option<ImportSourceReport>,
     subject: Option<SubjectReport>,
     foreign_parts: Vec<ForeignReport>,
+    sampled_groups: Vec<SampledGroupReport>,
     frames: u64,
     seconds: f64,
     markers: usize,
@@ -202,8 +205,8 @@ impl InfoReport {
         let parts = summary.take.foreign.iter();
         let foreign_parts = parts.map(|part| ForeignReport {
             kind: part.kind.clone(),
-            bytes: part.data_bytes,
-            stored_bytes: part.deflated_bytes(),
+            bytes: part.data_bytes(),
+            stored_bytes: part.stored_bytes(),
         });
         let options = ReadOptions::from_settings(&header.settings);
         Self {
@@ -230,6 +233,7 @@ impl InfoReport {
             }),
             subject: summary.take.subject.as_ref().map(SubjectReport::new),
             foreign_parts: foreign_parts.collect(),
+            sampled_groups: SampledGroupReport::all(&summary.take.foreign),
             frames: summary.take.n_rows,
             seconds: summary.take.n_rows as f64 / header.rate_hz,
             markers: summary.take.channels.len(),

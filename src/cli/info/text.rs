@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use mocapd_service::units;
 
-use super::{ForeignReport, InfoReport};
+use super::{ForeignReport, InfoReport, sampled};
 use crate::cli::{
     clock::ClockReport,
     damage, ledger,
@@ -72,6 +72,7 @@ pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
     out.push_str(&clock.unwrap_or_default());
     if all_markers {
         marker_table(report, &mut out);
+        sampled::table(&report.sampled_groups, &mut out);
     }
     let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
     out.push_str(&damage::by_marker(&damaged.collect::<Vec<_>>()));
@@ -119,7 +120,9 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
         }
     }
     for part in &report.foreign_parts {
-        line("kept", &format!("{}, {}", part.kind, bytes(part.bytes)));
+        let groups = report.sampled_groups.iter().filter(|group| group.kind == part.kind);
+        let shape = sampled::shape(&groups.collect::<Vec<_>>());
+        line("kept", &format!("{}, {}{shape}", part.kind, bytes(part.bytes)));
     }
 }
 
@@ -162,7 +165,7 @@ fn resampler(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     line("resampler", &format!("{}, {bound}", report.resampler));
 }
 
-/// The kinds of foreign parts that hold samples, in place of descriptions.
+/// The kinds of foreign parts that hold samples, in place of descriptions. Takes of earlier versions have them deflated.
 const SAMPLED: [&str; 2] = ["c3d/analog", "c3d/model-outputs"];
 
 fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {

@@ -3,14 +3,16 @@
 use std::{
     io::{self, Read, Seek},
     ops::Range,
+    sync::Arc,
 };
 
-use super::{EditContext, SourceTake};
+use super::{EditContext, SourceTake, damaged};
 use crate::{
     TakeError,
+    damage::Problem,
     foreign::{
         Foreign, ForeignPart,
-        content::{PartStore, Spool},
+        content::{PartStore, ScratchFile, Spool},
     },
     interchange::c3d::sample_parts,
 };
@@ -51,11 +53,24 @@ pub(super) fn cut(
     context: &EditContext<'_>,
 ) -> Result<Option<Foreign>, TakeError> {
     let Some(relation) = relation_of(&part.kind) else { return Ok(None) };
-    let whole = part.read(input, &mut Spool::new(context.new_scratch))?;
+    let whole = read(part, input, &mut Spool::new(context.new_scratch))?;
     Ok(match relation {
         FrameRelation::None | FrameRelation::Numbered => Some(whole),
         FrameRelation::Samples => sample_parts::cut(&whole, frames, &mut store(context))?,
     })
+}
+
+/// Reads a part of a take in which nothing is damaged.
+fn read(
+    part: &ForeignPart,
+    input: &mut (impl Read + Seek),
+    spool: &mut Spool<impl Fn() -> io::Result<Arc<dyn ScratchFile>>>,
+) -> Result<Foreign, TakeError> {
+    let (whole, undecodable) = part.read(input, spool)?;
+    match undecodable.first() {
+        Some(lost) => Err(damaged(&Problem::of_samples(&part.kind, lost))),
+        None => Ok(whole),
+    }
 }
 
 /// Holds the contents of new parts.
@@ -119,7 +134,7 @@ fn join_kind<R: Read + Seek>(
     let mut spool = Spool::new(context.new_scratch);
     let mut parts = Vec::new();
     for (i, part) in found.iter().enumerate() {
-        parts.push(part.read(&mut open(i)?, &mut spool)?);
+        parts.push(read(part, &mut open(i)?, &mut spool)?);
     }
     let are_equal = parts.array_windows().all(|[a, b]| a == b);
     let first = parts.first().cloned().filter(|_| are_equal);

@@ -75,7 +75,11 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
                 true
             }
             // A single wrong bit turns another type into one of these, so check their CRC.
-            types::FOREIGN | types::INDEX | types::FOOTER => chunks.is_whole(chunk_bytes)?,
+            types::FOREIGN
+            | types::INDEX
+            | types::FOOTER
+            | types::SAMPLED_GROUP
+            | types::SAMPLES => chunks.is_whole(chunk_bytes)?,
             _ if types::ALL.contains(&kind) => {
                 let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
                 add_record(&mut map, kind, &payload, offset)
@@ -110,7 +114,7 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
     };
     match record(kind, payload, offset) {
         Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
-        Ok(Some(event)) => map.add_content(event),
+        Ok(Some(event)) => map.add_content(event, offset, payload.len() as u64),
         // A newer version that a reader may skip.
         Err(TakeError::Unsupported { .. }) if kind & MAY_SKIP != 0 => {}
         Err(_) => return false,

@@ -9,7 +9,10 @@ use crate::{
     },
     foreign::{self, ForeignPart, InflateCheck},
     index::{Footer, parse_index},
-    record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
+    record::{
+        Clock, Event, Header, Ledger, MoreChannels, Record, SampledGroup, Subject, SummaryRecord,
+    },
+    sampled::SamplesChunk,
     stretch::{self, CHANNELS_MAX, Placement, StretchChain},
 };
 
@@ -110,19 +113,11 @@ impl TakeReader {
             let message = format!("a chunk of type {kind:02x} before the header");
             return Ok(damaged(offset, len as u64, kind, message));
         };
+        let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
         let event = match kind {
-            types::FOREIGN => {
-                let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
-                let place = (payload_at, payload.len() as u64);
-                ForeignPart::from_payload(payload, place, offset).and_then(|part| {
-                    if self.skips_content {
-                        return Ok(TakeEvent::Foreign(part));
-                    }
-                    let mut inflation = InflateCheck::new(part.data_bytes);
-                    let from = (part.deflated_at() - payload_at) as usize;
-                    inflation.push(&payload[from..]);
-                    inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
-                })
+            types::FOREIGN => foreign_part(payload, payload_at, offset, !self.skips_content),
+            types::SAMPLES => {
+                SamplesChunk::from_payload(payload, payload_at, offset).map(TakeEvent::Samples)
             }
             types::STRETCH => match chain.place(payload) {
                 Ok(Placement::Stretch(stretch)) => Ok(TakeEvent::Stretch(stretch)),
@@ -166,6 +161,23 @@ impl TakeReader {
     }
 }
 
+/// The part of the FOREIGN chunk at file offset `offset`, whose payload begins at `payload_at`. `inflates`: its content is
+/// checked.
+fn foreign_part(
+    payload: &[u8],
+    payload_at: u64,
+    offset: u64,
+    inflates: bool,
+) -> Result<TakeEvent<'static>, TakeError> {
+    let part = ForeignPart::from_payload(payload, (payload_at, payload.len() as u64), offset)?;
+    if let Some(deflated) = part.deflated().filter(|_| inflates) {
+        let mut inflation = InflateCheck::new(deflated.data_bytes);
+        inflation.push(&payload[(deflated.at - payload_at) as usize..]);
+        inflation.finish(offset)?;
+    }
+    Ok(TakeEvent::Foreign(part))
+}
+
 /// Decodes a chunk whose content does not depend on earlier chunks; `None` for other types.
 pub(crate) fn record(
     kind: u8,
@@ -180,6 +192,9 @@ pub(crate) fn record(
         types::CLOCK => TakeEvent::Clock(Box::new(Clock::from_payload(payload, offset)?)),
         types::SUMMARY => TakeEvent::Summary(SummaryRecord::from_payload(payload, offset)?),
         types::INDEX => TakeEvent::Index(parse_index(payload, offset)?),
+        types::SAMPLED_GROUP => {
+            TakeEvent::SampledGroup(Box::new(SampledGroup::from_chunk_payload(payload, offset)?))
+        }
         _ => return Ok(None),
     }))
 }
@@ -230,13 +245,13 @@ impl LongChunk {
             let payload_at = self.offset + head_bytes as u64;
             let payload_bytes = self.len - head_bytes as u64 - CRC_BYTES as u64;
             let front = &bytes[head_bytes..];
-            let inflation = |part: &ForeignPart| InflateCheck::new(part.data_bytes);
+            let inflation = |part: &ForeignPart| InflateCheck::new(part.data_bytes());
             ForeignPart::from_payload(front, (payload_at, payload_bytes), self.offset)
                 .map(|part| (self.inflates.then(|| inflation(&part)), part))
                 .map(|(inflation, part)| (part, inflation))
         });
         if let Ok((part, Some(inflation))) = part {
-            let from = part.deflated_at().saturating_sub(at) as usize;
+            let from = part.deflated().map_or(at, |part| part.at).saturating_sub(at) as usize;
             let end = (self.offset + self.len - CRC_BYTES as u64).saturating_sub(at);
             let end = bytes.len().min(usize::try_from(end).unwrap_or(usize::MAX));
             inflation.push(bytes.get(from..end).unwrap_or_default());

@@ -4,17 +4,22 @@
 
 mod clock;
 mod header;
+mod sampled_group;
 mod statistics;
 mod subject;
 mod summary;
 
-use std::ops::Range;
+use std::{
+    io::{Read, Write},
+    ops::Range,
+};
 
 use bincode::{
     Decode, Encode,
     config::{Configuration, Limit, LittleEndian, Varint},
     error::DecodeError,
 };
+use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
 use crate::{TakeError, chunk::types, stretch::ROWS_PASSED_MAX, varint};
 
@@ -23,6 +28,8 @@ pub use clock::{
 };
 pub(crate) use header::MoreChannels;
 pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource, RATES_HZ};
+pub(crate) use sampled_group::SAMPLES_MAX;
+pub use sampled_group::{SampleForm, SampledChannel, SampledGroup};
 pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};
 pub use summary::{DETAIL_BYTES_MAX, EndingKind, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding};
 
@@ -83,6 +90,24 @@ pub trait Record: Encode + Decode<()> {
         }
         Ok(record)
     }
+}
+
+/// Appends the deflated `payload` to `out`.
+fn deflate(out: Vec<u8>, payload: &[u8]) -> std::io::Result<Vec<u8>> {
+    let mut deflate = DeflateEncoder::new(out, Compression::best());
+    deflate.write_all(payload)?;
+    deflate.finish()
+}
+
+/// Inflates all of `deflated`, in bounded memory; `None` unless it is the payload of a record, or a part of one.
+fn inflate(deflated: &[u8]) -> Option<Vec<u8>> {
+    /// Longest payload of a record: its version and a structure at its limit.
+    const PAYLOAD_BYTES_MAX: u64 = 2 + LIMIT_BYTES as u64;
+    let mut inflated = DeflateDecoder::new(deflated).take(PAYLOAD_BYTES_MAX + 1);
+    let mut payload = Vec::new();
+    let is_whole = inflated.read_to_end(&mut payload).is_ok();
+    let is_bounded = inflated.limit() > 0 && inflated.into_inner().into_inner().is_empty();
+    (is_whole && is_bounded).then_some(payload)
 }
 
 /// Appends a section: its tag, its length, its content.

@@ -1,15 +1,11 @@
 //! SUMMARY: what a reader can learn from the end of a take without reading all of it. It consists of tagged sections;
 //! readers skip the unknown ones.
 
-use std::{
-    fmt,
-    io::{Read, Write},
-};
+use std::fmt;
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
-use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
-use super::{Header, LIMIT_BYTES, Record, put_section, section_content, statistics};
+use super::{Header, Record, deflate, inflate, put_section, section_content, statistics};
 use crate::{TakeError, chunk::types, statistics::TakeStatistics, varint::Cursor};
 
 /// Longest payload: two records at their limit of 4 MiB, which leaves room for copies of the header and the channel
@@ -267,23 +263,15 @@ impl SummaryRecord {
 /// The content of the section with a header.
 fn header_section(header: &Header) -> Result<Vec<u8>, TakeError> {
     let out = HEADER_SECTION_VERSION.to_le_bytes().to_vec();
-    let mut deflate = DeflateEncoder::new(out, Compression::best());
-    deflate.write_all(&header.to_payload()?)?;
-    Ok(deflate.finish()?)
+    Ok(deflate(out, &header.to_payload()?)?)
 }
 
 /// Decodes the content of the section with a header, in bounded memory.
 fn header_of_section(section: &[u8], offset: u64) -> Result<Header, TakeError> {
     const WHAT: &str = "header copy";
-    /// Longest payload of a header: its version and a record at its limit.
-    const PAYLOAD_BYTES_MAX: u64 = 2 + LIMIT_BYTES as u64;
     let deflated = section_content(section, WHAT, HEADER_SECTION_VERSION, offset)?;
-    let mut inflated = DeflateDecoder::new(deflated).take(PAYLOAD_BYTES_MAX + 1);
-    let mut payload = Vec::new();
-    let is_whole = inflated.read_to_end(&mut payload).is_ok();
-    if !is_whole || inflated.limit() == 0 || !inflated.into_inner().into_inner().is_empty() {
-        return Err(TakeError::corrupt(WHAT, offset, "invalid DEFLATE data"));
-    }
+    let payload = inflate(deflated)
+        .ok_or_else(|| TakeError::corrupt(WHAT, offset, "invalid DEFLATE data"))?;
     Header::from_payload(&payload, offset)
 }
 
@@ -401,11 +389,7 @@ mod tests {
             assert!(matches!(statistics(figures), Err(TakeError::Corrupt { .. })), "{figures:?}");
         }
         // A bomb: zeros without end; a copy that is cut; bytes after it.
-        let deflated = |bytes: &[u8]| {
-            let mut deflate = DeflateEncoder::new(vec![1, 0], Compression::best());
-            deflate.write_all(bytes).unwrap();
-            deflate.finish().unwrap()
-        };
+        let deflated = |bytes: &[u8]| deflate(vec![1, 0], bytes).unwrap();
         let header = whole.header.unwrap().to_payload().unwrap();
         let (bomb, copy) = (deflated(&vec![0; 64 << 20]), deflated(&header));
         assert!(section(HEADER_TAG, &copy).is_ok());

@@ -1,6 +1,8 @@
 //! The first pass over the file: which chunks can be kept, and what is lost.
 
-use super::{ChunkKind, ChunkKindCount, KINDS, OutputChunk, ledger_tally::LedgerTally};
+use super::{
+    ChunkKind, ChunkKindCount, KINDS, OutputChunk, ledger_tally::LedgerTally, samples::KeptSamples,
+};
 use crate::{
     NotATake, TakeError, TakeEvent,
     chunk::types,
@@ -56,6 +58,8 @@ pub struct RecoveryScan {
     pub statistics: TakeStatistics,
     pub(super) output: Vec<OutputChunk>,
     names_lost: bool,
+    /// The kinds of foreign parts of which samples are lost.
+    pub(super) samples_lost_of: Vec<String>,
     /// A ledger is missing or contradicts the frames and samples found, although nothing is damaged.
     pub(super) contradicted: bool,
 }
@@ -67,10 +71,14 @@ impl RecoveryScan {
     /// # Errors
     /// `NotATake` without a header, `Unsupported`, `Io`. Damage is not an error.
     pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
+        let mut input = input.input();
         let mut scanner = RecoveryScanner::default();
-        let traversal = TakeTraversal::new(input, Decode::All);
+        let traversal = TakeTraversal::new(&mut input, Decode::All);
         let progress = traversal.run(|found, progress| scanner.visit(found, progress));
-        progress.map_err(without_recovery_advice).map(|progress| scanner.finish(progress))
+        let progress = progress.map_err(without_recovery_advice)?;
+        let samples = KeptSamples::find(&progress.take, &mut input)?;
+        scanner.apply_samples(&samples);
+        Ok(scanner.finish(progress, samples))
     }
 
     /// Rows lost to damage in this file.
@@ -86,6 +94,7 @@ impl RecoveryScan {
         let lost = |count: &ChunkKindCount| count.discarded > 0 && !count.kind.is_rebuilt();
         !self.finished
             || self.names_lost
+            || !self.samples_lost_of.is_empty()
             || self.contradicted
             || self.rows_damaged() > 0
             || self.kinds.iter().any(lost)
@@ -154,6 +163,9 @@ impl RecoveryScanner {
             TakeEvent::Clock(_) => (types::CLOCK, ChunkAction::Copy(None)),
             TakeEvent::Subject(_) => (types::SUBJECT, ChunkAction::Copy(None)),
             TakeEvent::Foreign(_) => (types::FOREIGN, ChunkAction::Copy(None)),
+            // Which samples can be kept is known when all were read.
+            TakeEvent::SampledGroup(_) => (types::SAMPLED_GROUP, ChunkAction::Copy(None)),
+            TakeEvent::Samples(_) => (types::SAMPLES, ChunkAction::Copy(None)),
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
                 self.ledger.mark_ledger();
@@ -252,7 +264,37 @@ impl RecoveryScanner {
         self.output.insert(at.min(self.output.len()), OutputChunk::Channels(nameless.to_vec()));
     }
 
-    fn finish(mut self, progress: Progress) -> RecoveryScan {
+    /// Leaves out the samples that no reader of the new take could decode, and records them as lost.
+    fn apply_samples(&mut self, samples: &KeptSamples) {
+        let mut left_out = Vec::new();
+        self.output = std::mem::take(&mut self.output)
+            .into_iter()
+            .flat_map(|chunk| match chunk {
+                OutputChunk::Copied {
+                    offset,
+                    len,
+                    kind: kind @ (types::SAMPLED_GROUP | types::SAMPLES),
+                    ..
+                } => {
+                    if !samples.keeps(offset) {
+                        left_out.push((kind, len));
+                        return Vec::new();
+                    }
+                    [samples.lost_at(offset), vec![chunk]].concat()
+                }
+                chunk => vec![chunk],
+            })
+            .chain(samples.lost_at_end.iter().cloned())
+            .collect();
+        for (kind, len) in left_out {
+            let index = ChunkKind::of(Some(kind)) as usize;
+            self.recovered[index] -= 1;
+            self.discarded[index] += 1;
+            self.discarded_bytes += len;
+        }
+    }
+
+    fn finish(mut self, progress: Progress, samples: KeptSamples) -> RecoveryScan {
         let Progress { take, rows_damaged, .. } = progress;
         let rows = take.n_rows - self.end_row;
         if rows > 0 {
@@ -260,6 +302,7 @@ impl RecoveryScanner {
             self.output.push(OutputChunk::Lost { first_row, rows, number });
         }
         let mut problems = take.problems;
+        problems.extend(samples.undecodable);
         let lacks_ledger = problems.contains(&Problem::NoLedger);
         // A file that was cut off states no ending; the recovered take states that it was cut off.
         let cut_off = || Some(TakeEnding::from(EndingKind::CutOff)).filter(|_| !self.closed);
@@ -293,6 +336,7 @@ impl RecoveryScanner {
             discarded_bytes: self.discarded_bytes,
             output: self.output,
             names_lost: self.names_lost,
+            samples_lost_of: samples.kinds,
             contradicted: self.contradiction.is_some() || lacks_ledger,
         };
         scan.problems.extend(self.contradiction);

@@ -1,10 +1,13 @@
 //! The decoded content of a take.
 
+use std::io::Cursor;
+
 use mocapd_codec::Position;
 use mocapd_take::{
-    TakeError, TakeEvent,
+    TakeError, TakeEvent, TakeFrames,
+    motion::{Foreign, FrameSource},
     reader::read_events,
-    record::{Channel, Event, Ledger},
+    record::{Channel, Event, Ledger, SampledGroup},
     statistics::TakeStatistics,
     stretch::{Stretch, StretchDecoder},
     timeline::{LossCauses, RowTime},
@@ -28,6 +31,9 @@ pub(crate) struct Decoded {
     pub(crate) stretches: Vec<(u64, u32, bool)>,
     /// As the take states them.
     pub(crate) statistics: Option<TakeStatistics>,
+    pub(crate) groups: Vec<SampledGroup>,
+    /// The foreign parts that are stored as groups.
+    pub(crate) parts: Vec<Foreign>,
 }
 
 impl Decoded {
@@ -59,11 +65,17 @@ impl Decoded {
                     assert!(keys.map(|key| key.0).eq(entries.iter().map(|entry| entry.first_row)));
                 }
                 TakeEvent::Footer(footer) => assert_eq!(footer.n_rows, found.n_rows),
+                TakeEvent::SampledGroup(group) => found.groups.push(*group),
+                TakeEvent::Samples(_) | TakeEvent::Foreign(_) => {}
                 TakeEvent::End { finished, .. } => assert!(finished),
                 other => panic!("{other:?}"),
             }
             Ok(())
         })?;
+        let frames = TakeFrames::open_with(Cursor::new(take), |_| true, || unreachable!())?;
+        assert_eq!(frames.problems(), []);
+        let is_sampled = |part: &&Foreign| found.groups.iter().any(|group| group.kind == part.kind);
+        found.parts = frames.info().foreign.iter().filter(is_sampled).cloned().collect();
         let n_rows = found.n_rows as usize;
         found.tracks.iter_mut().for_each(|track| track.resize(n_rows, None));
         Ok(found)

@@ -17,6 +17,7 @@ mod decoded;
 mod folders;
 mod motion;
 mod recording;
+mod sampled;
 mod takes;
 mod text;
 mod times;

@@ -12,6 +12,7 @@ use mocapd_take::{
 use super::{
     motion::{Column, MARKERS, markers},
     recording::blank,
+    sampled,
     times::{PLANS, RATE_HZ, STRETCH_ROWS, n_rows, timelines},
 };
 
@@ -23,6 +24,8 @@ pub(crate) struct Golden {
     pub(crate) tolerance_mm: f64,
     /// Number of markers of the seeded motion.
     pub(crate) n_markers: usize,
+    /// It has foreign parts with samples.
+    has_samples: bool,
 }
 
 /// A take and its original content.
@@ -35,25 +38,70 @@ pub(crate) struct Written {
 }
 
 /// All golden takes, with as many markers as keep them small in total.
-pub(crate) const GOLDENS: [Golden; 8] = [
-    Golden { name: "dense-0.1mm", resampler: "dense", tolerance_mm: 0.1, n_markers: 12 },
-    Golden { name: "dense-1mm", resampler: "dense", tolerance_mm: 1.0, n_markers: 16 },
-    Golden { name: "dense-20mm", resampler: "dense", tolerance_mm: 20.0, n_markers: MARKERS },
-    Golden { name: "fast-1mm", resampler: "fast", tolerance_mm: 1.0, n_markers: 14 },
-    Golden { name: "lossless", resampler: "lossless", tolerance_mm: 0.0, n_markers: 7 },
+pub(crate) const GOLDENS: [Golden; 9] = [
+    Golden {
+        name: "dense-0.1mm",
+        resampler: "dense",
+        tolerance_mm: 0.1,
+        n_markers: 12,
+        has_samples: false,
+    },
+    Golden {
+        name: "dense-1mm",
+        resampler: "dense",
+        tolerance_mm: 1.0,
+        n_markers: 16,
+        has_samples: false,
+    },
+    Golden {
+        name: "dense-20mm",
+        resampler: "dense",
+        tolerance_mm: 20.0,
+        n_markers: MARKERS,
+        has_samples: false,
+    },
+    Golden {
+        name: "fast-1mm",
+        resampler: "fast",
+        tolerance_mm: 1.0,
+        n_markers: 14,
+        has_samples: false,
+    },
+    Golden {
+        name: "lossless",
+        resampler: "lossless",
+        tolerance_mm: 0.0,
+        n_markers: 7,
+        has_samples: false,
+    },
     Golden {
         name: "lossless-predictive",
         resampler: "lossless:predictive",
         tolerance_mm: 0.0,
         n_markers: 7,
+        has_samples: false,
     },
     Golden {
         name: "spline-1mm",
         resampler: "spline:worst-sample",
         tolerance_mm: 1.0,
         n_markers: 8,
+        has_samples: false,
     },
-    Golden { name: "sync-20mm", resampler: "sync:worst-sample", tolerance_mm: 20.0, n_markers: 7 },
+    Golden {
+        name: "sync-20mm",
+        resampler: "sync:worst-sample",
+        tolerance_mm: 20.0,
+        n_markers: 7,
+        has_samples: false,
+    },
+    Golden {
+        name: "sampled",
+        resampler: "spline:worst-sample",
+        tolerance_mm: 20.0,
+        n_markers: 3,
+        has_samples: true,
+    },
 ];
 
 impl Golden {
@@ -103,11 +151,9 @@ impl Golden {
             first_frame: 7,
             warnings: vec!["it was never recorded".to_owned()],
         };
-        let header = Header {
-            source: Some(source),
-            settings: vec![("drop_foreign".to_owned(), "true".to_owned())],
-            ..self.header()
-        };
+        let drops_foreign = ("drop_foreign".to_owned(), "true".to_owned());
+        let settings = if self.has_samples { Vec::new() } else { vec![drops_foreign] };
+        let header = Header { source: Some(source), settings, ..self.header() };
         let mut columns = markers(n_rows());
         columns.truncate(self.n_markers);
         blank(&mut columns, self.n_markers, &timelines());
@@ -119,6 +165,9 @@ impl Golden {
         let settings = self.settings();
         let mut encoder = settings.encoder();
         let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
+        if self.has_samples {
+            sampled::parts().iter().for_each(|part| take.foreign(part).unwrap());
+        }
         let mut front = StretchHeaderWriter::new(STRETCH_ROWS);
         let mut ledger = Ledger { finished: true, ..Ledger::default() };
         for (number, first) in (0..n_rows).step_by(STRETCH_ROWS as usize).enumerate() {

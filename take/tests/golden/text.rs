@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use mocapd_codec::Position;
 use mocapd_take::{
-    record::{Channel, ClockFit, Event, Ledger},
+    record::{Channel, ClockFit, Event, Ledger, SampledChannel, SampledGroup},
     timeline::RowTime,
 };
 use sha2::{Digest, Sha256};
@@ -33,6 +33,16 @@ impl Decoded {
         for (row, n_rows, causes) in &self.lost {
             line(format!("lost from row {row}: {n_rows}, causes {}", causes.0));
         }
+        self.groups.iter().for_each(|group| line(of_group(group)));
+        for part in &self.parts {
+            let bytes = part.data.to_vec(u64::MAX).unwrap().unwrap();
+            line(format!(
+                "part {}: {} bytes, {}",
+                part.kind,
+                bytes.len(),
+                digest(bytes.into_iter())
+            ));
+        }
         for Event { kind, row, device_ticks, host_ns, input, text } in &self.events {
             line(format!("event {kind:?} {row} {device_ticks} {host_ns} {input} {text}"));
         }
@@ -48,7 +58,9 @@ pub(crate) const PREFACE: &str = "\
 # - the markers: for each a line of its id, its label and 1 if it is labelled, with spaces between;
 # - a channel: for every row of the take a byte (1: a sample, 2: kept) and three float32, zeros without one;
 # - the times: for every recorded row its number, device ticks and arrival in 10 us (u64), and five bytes:
-#   1 and the timecode, or zeros.
+#   1 and the timecode, or zeros;
+# - the channels of a group: for each a line of its name, unit, index, scale and offset, with spaces between;
+# - a part: its block of columns (docs/foreign.md).
 # Events and ledgers have the fields of docs/take-format.md, in order.
 ";
 
@@ -79,6 +91,23 @@ fn of_ledger(ledger: &Ledger) -> String {
         format!(", clock {offset_ns} {drift_ppm:?} {residual_us:?} {n_fitted}")
     });
     format!("ledger {}: {counters} {:?}{clock}", ledger.finished, ledger.contradictions)
+}
+
+fn of_group(group: &SampledGroup) -> String {
+    let channels = group.channels.iter().flat_map(|channel| {
+        let SampledChannel { name, unit, index, scale, offset } = channel;
+        format!("{name} {unit} {index} {scale:?} {offset:?}\n").into_bytes()
+    });
+    let SampledGroup { number, kind, first_channel, part_channels, .. } = group;
+    format!(
+        "group {number} of {kind}: form {}, from channel {first_channel} of {part_channels}, {} a frame, {:?} Hz, from frame {}, {} samples, {}",
+        group.form as u8,
+        group.samples_per_frame,
+        group.rate_hz,
+        group.first_frame,
+        group.n_samples.map_or_else(|| "None".to_owned(), |n| n.to_string()),
+        digest(channels),
+    )
 }
 
 fn of_markers(channels: &[Channel]) -> String {

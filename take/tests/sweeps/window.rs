@@ -83,7 +83,9 @@ fn found(take: &[u8]) -> Found {
         loop {
             match reader.next_event().unwrap() {
                 Some(TakeEvent::Stretch(stretch)) => found.stretches.push(stretch.span),
-                Some(TakeEvent::Foreign(part)) => found.foreign.push((part.kind, part.data_bytes)),
+                Some(TakeEvent::Foreign(part)) => {
+                    found.foreign.push((part.kind.clone(), part.data_bytes()));
+                }
                 Some(TakeEvent::Skipped { kind }) => found.skipped.push(kind),
                 Some(TakeEvent::Damaged { offset, len, .. }) => found.damaged.push((offset, len)),
                 Some(TakeEvent::End { finished, bytes }) => {

@@ -12,6 +12,7 @@ mod link;
 mod mesh;
 mod motion;
 mod range;
+mod samples;
 pub mod seeds;
 mod take;
 mod trips;
@@ -19,6 +20,6 @@ mod trips;
 pub use self::{
     blocks::decode_block, config::config, face::read_face, face::read_face_model,
     face::read_mapping, face::read_photo, file::read_file, input::Input, link::hear,
-    mesh::read_mesh, mesh::read_skeleton, range::range_coder, take::read_take, take::recover_take,
-    trips::round_trip,
+    mesh::read_mesh, mesh::read_skeleton, range::range_coder, samples::decode_samples,
+    take::read_take, take::recover_take, trips::round_trip,
 };

@@ -12,7 +12,7 @@ use mocapd_take::{
     TakeWriter,
     chunk::{self, ChunkParse},
     interchange::Format,
-    motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis},
+    motion::{Foreign, GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis},
     record::{Channel, Device, EndingKind, Event, EventKind, Header, Ledger},
     statistics::{BlockTally, StretchTally},
     stretch::{Span, StretchHeaderWriter, put_block},
@@ -40,6 +40,7 @@ pub fn targets() -> Vec<Target> {
     vec![
         target("round_trip", crate::round_trip, round_trips()),
         target("decode_block", crate::decode_block, blocks()),
+        target("decode_samples", crate::decode_samples, samples()),
         target("range_coder", crate::range_coder, programs()),
         target("read_take", crate::read_take, takes()),
         target("recover_take", crate::recover_take, damaged_takes()),
@@ -140,6 +141,30 @@ fn block(kind: u8, tolerance: u8, i: usize) -> Vec<u8> {
         .encode(&rows, &shared, true, &mut out, &mut reports)
         .expect("finite samples");
     out
+}
+
+/// Blocks of sampled channels of every kind of signal, an encoder's, modified and arbitrary ones.
+fn samples() -> Vec<Vec<u8>> {
+    let seed = |i: usize| {
+        let mut seed = vec![(i % 5) as u8];
+        for (number, operation) in [1, 1, 2, 0, 1, 3, 1, 2].into_iter().enumerate() {
+            let key = if number % 4 == 1 { 0 } else { 4 };
+            seed.push(operation | key | (i as u8) << 3);
+            match operation {
+                0 => {
+                    seed.extend([20, 0, 30, 0]);
+                    seed.extend(noise(i, 30));
+                }
+                1 | 2 => {
+                    seed.push(40);
+                    seed.extend(noise(i + number, 40 * (i % 5 + 1) * 2));
+                }
+                _ => {}
+            }
+        }
+        seed
+    };
+    (0..40).map(seed).collect()
 }
 
 fn programs() -> Vec<Vec<u8>> {
@@ -296,6 +321,20 @@ fn damaged_takes() -> Vec<Vec<u8>> {
     takes().into_iter().flat_map(damaged).collect()
 }
 
+/// Three analog channels of 16-bit integers, four samples in each of thirty frames.
+fn analog_part() -> Foreign {
+    const SAMPLES: usize = 120;
+    let mut data = vec![1, 2];
+    data.extend([3_u32, 4].iter().flat_map(|number| number.to_le_bytes()));
+    data.extend([1_u64, SAMPLES as u64 / 4].iter().flat_map(|number| number.to_le_bytes()));
+    for column in 0..3 {
+        // High bytes of small differences, then their low bytes.
+        data.extend([0; SAMPLES]);
+        data.extend(noise(column, SAMPLES).iter().map(|byte| byte >> 4));
+    }
+    Foreign { kind: "c3d/analog".to_owned(), data: data.into() }
+}
+
 fn take(kind: &str, timed: bool) -> Vec<u8> {
     const ROWS: usize = 30;
     let settings = Settings {
@@ -325,6 +364,9 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
     }
     let mut writer = TakeWriter::new(Vec::new(), &header).expect("a header");
     writer.channels(&channels[2..]).expect("a channel");
+    if kind == "lossless" {
+        writer.foreign(&analog_part()).expect("a short part");
+    }
     let event = Event {
         kind: EventKind::Mark,
         row: 3,

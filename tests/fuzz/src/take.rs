@@ -1,6 +1,6 @@
 //! Arbitrary bytes as a take.
 
-use std::io::Cursor;
+use std::io::{self, Cursor};
 
 use mocapd_take::{
     TakeError, TakeEvent, TakeFrames, TakeReader, chunk, motion::FrameSource,
@@ -11,6 +11,9 @@ use crate::Input;
 
 /// Most samples of a stretch that is decoded. More would take time without reaching other code.
 const SAMPLES_MAX: usize = 1 << 13;
+
+/// Most bytes of a part in memory: beyond them it goes into a file, which these targets do not have.
+const PART_BYTES_MAX: u64 = 8 << 20;
 
 /// Most frames read.
 const FRAMES_MAX: usize = 1 << 10;
@@ -123,6 +126,10 @@ fn events(take: &[u8], piece: usize) -> Result<(usize, bool), TakeError> {
                     }
                 }
             }
+            TakeEvent::Samples(chunk) => {
+                // A group has at most 64 channels.
+                small &= chunk.span.n < (SAMPLES_MAX / mocapd_codec::GROUP_CHANNELS) as u64;
+            }
             TakeEvent::End { bytes, .. } => {
                 let ends = [bytes.sum(), reader.offset()];
                 assert_eq!(ends, [take.len() as u64; 2], "bytes are left, or not accounted for");
@@ -134,7 +141,13 @@ fn events(take: &[u8], piece: usize) -> Result<(usize, bool), TakeError> {
 }
 
 fn frames(take: &[u8]) {
-    let Ok(mut frames) = TakeFrames::open(Cursor::new(take)) else { return };
+    // A large part has no place to go, which is an error.
+    let no_scratch = || Err(io::ErrorKind::Unsupported.into());
+    let opened = TakeFrames::open_with(Cursor::new(take), |_| true, no_scratch);
+    let Ok(mut frames) = opened.or_else(|_| TakeFrames::open(Cursor::new(take))) else { return };
+    for part in &frames.info().foreign {
+        assert!(part.data.len() <= PART_BYTES_MAX, "a part that a few bytes claim");
+    }
     let n_markers = frames.info().markers.len();
     let mut row = vec![[0.0; 3]; n_markers];
     for _ in 0..FRAMES_MAX {

@@ -9,6 +9,7 @@ from .errors import Corrupt
 
 MAGIC = b"\x89TAK\r\n\x1a\n"
 HEADER, CHANNELS, STRETCH, FOOTER, SUMMARY = 0x01, 0x02, 0x03, 0x8B, 0x8D
+SAMPLED_GROUP, SAMPLES = 0x8E, 0x8F
 CODEC_VERSION = 6
 
 

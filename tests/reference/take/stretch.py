@@ -1,7 +1,9 @@
 """Stretches in order: their rows, times and blocks (docs/take-format.md, "STRETCH")."""
 
 from . import summary as summaries
-from .container import CHANNELS, FOOTER, HEADER, STRETCH, SUMMARY, chunks, read_channels, read_header
+from .container import (
+    CHANNELS, FOOTER, HEADER, SAMPLED_GROUP, SAMPLES, STRETCH, SUMMARY, chunks, read_channels, read_header,
+)  # fmt: skip
 from .cursor import Cursor
 from .dense import Dense
 from .errors import Corrupt
@@ -9,6 +11,7 @@ from .fast import Fast
 from .frame import Group
 from .lossless import Lossless
 from .predictive import Predictive
+from .samples import read_group, read_samples
 from .spline import Spline
 from .sync import Sync
 from .timeline import Times
@@ -38,6 +41,7 @@ class Take:
         self.finished = False
         self.ending = None  # (name, detail), if recorded
         self.tracks = {}  # by channel: {row: (position, kept)}
+        self.groups = []  # of sampled channels
         self.stated_mm = 0.0
         self.stated_by_channel = {}  # the largest error of the blocks with samples of a channel, in mm
 
@@ -150,6 +154,10 @@ def read_take(data):
             take.channels += read_channels(payload)
         elif kind == STRETCH:
             stretches.read(payload)
+        elif kind == SAMPLED_GROUP:
+            take.groups.append(read_group(payload))
+        elif kind == SAMPLES:
+            read_samples(payload, take.groups)
         elif kind == SUMMARY:
             summary = summaries.read_summary(payload, take.header.tolerance_mm)
             take.ending = summary.ending

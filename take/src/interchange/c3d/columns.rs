@@ -7,13 +7,77 @@
 
 use std::{io, ops::Range};
 
+use super::VERSION;
 use crate::foreign::content::{Content, ContentSlice};
 
 /// Most columns: four words for each of 65535 points, the most of a C3D frame. Analog channels are fewer.
 const COLUMNS_MAX: usize = 4 * u16::MAX as usize;
 
+/// The kinds of the foreign parts that are blocks of columns.
+pub(crate) const ANALOG: &str = "c3d/analog";
+pub(crate) const RESIDUALS: &str = "c3d/residuals";
+pub(crate) const MODEL_OUTPUTS: &str = "c3d/model-outputs";
+
+/// The header of a block of columns.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SampleHeader {
+    /// Bytes of a sample: 2 or 4.
+    pub(crate) width: usize,
+    /// Number of channels, markers or points.
+    pub(crate) n_signals: usize,
+    /// Samples of a signal in a frame.
+    pub(crate) ratio: usize,
+    /// Number of the first frame.
+    pub(crate) first_frame: u64,
+    /// Number of frames.
+    pub(crate) n_frames: usize,
+}
+
+impl SampleHeader {
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let mut data = vec![VERSION, self.width as u8];
+        data.extend((self.n_signals as u32).to_le_bytes());
+        data.extend((self.ratio as u32).to_le_bytes());
+        data.extend(self.first_frame.to_le_bytes());
+        data.extend((self.n_frames as u64).to_le_bytes());
+        data
+    }
+
+    /// Samples of a column; `None` if they are too many for this machine.
+    pub(crate) fn samples(&self) -> Option<usize> {
+        self.n_frames.checked_mul(self.ratio)
+    }
+
+    /// `None` for an unknown version or width, and for more signals than a C3D file has.
+    pub(crate) fn parse(header: &[u8; 26]) -> Option<Self> {
+        let &[VERSION, width @ (2 | 4), ..] = header else { return None };
+        let dword =
+            |at: usize| Some(u32::from_le_bytes(header.get(at..at + 4)?.try_into().ok()?) as usize);
+        let qword = |at: usize| Some(u64::from_le_bytes(header.get(at..at + 8)?.try_into().ok()?));
+        Some(Self {
+            width: usize::from(width),
+            n_signals: dword(2).filter(|&n| n <= usize::from(u16::MAX))?,
+            ratio: dword(6)?,
+            first_frame: qword(10)?,
+            n_frames: usize::try_from(qword(18)?).ok()?,
+        })
+    }
+
+    /// The columns, `n` for each signal, read with a buffer of `buffer_bytes`; `None` if the data has another length.
+    pub(crate) fn columns<'a>(
+        &self,
+        data: ContentSlice<'a>,
+        n: usize,
+        buffer_bytes: usize,
+    ) -> Option<ColumnReader<'a>> {
+        let n_columns = self.n_signals.checked_mul(n)?;
+        let n_samples = self.samples()?;
+        ColumnReader::new(data, self.width, n_columns, n_samples, buffer_bytes)
+    }
+}
+
 /// Maps the bits of a float to an integer of the same order, so that smooth signals have small differences.
-pub(super) fn ordered(bits: u32) -> u32 {
+pub(crate) fn ordered(bits: u32) -> u32 {
     if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
 }
 
@@ -33,7 +97,7 @@ pub(crate) fn value(width: usize, sample: u32, is_unsigned: bool) -> f32 {
 
 /// Writes a column to its place in a part, piece by piece.
 #[derive(Debug, Clone)]
-pub(super) struct ColumnWriter {
+pub(crate) struct ColumnWriter {
     width: usize,
     previous: u32,
     written: usize,
@@ -41,17 +105,17 @@ pub(super) struct ColumnWriter {
 
 impl ColumnWriter {
     /// A column of samples of `width` bytes (2 or 4).
-    pub(super) const fn new(width: usize) -> Self {
+    pub(crate) const fn new(width: usize) -> Self {
         Self { width, previous: 0, written: 0 }
     }
 
     /// The sample that was written last.
-    pub(super) fn last(&self) -> Option<u32> {
+    pub(crate) fn last(&self) -> Option<u32> {
         (self.written > 0).then_some(self.previous)
     }
 
     /// Writes the next samples. The column has `length` samples and begins at byte `from` of `data`.
-    pub(super) fn write(
+    pub(crate) fn write(
         &mut self,
         data: &mut Content,
         from: u64,
@@ -78,7 +142,7 @@ impl ColumnWriter {
     }
 
     /// Repeats the last sample `n_samples` times: all bytes are zeros, as they are in a new part.
-    pub(super) fn repeat(&mut self, n_samples: usize) {
+    pub(crate) fn repeat(&mut self, n_samples: usize) {
         self.written += n_samples;
     }
 }
@@ -92,7 +156,7 @@ fn zigzag(previous: u32, sample: u32, width: usize) -> u32 {
 
 /// Reads columns of equal length, one sample of each at a time.
 #[derive(Debug)]
-pub(super) struct ColumnReader<'a> {
+pub(crate) struct ColumnReader<'a> {
     data: ContentSlice<'a>,
     width: usize,
     n_samples: usize,
@@ -115,7 +179,7 @@ impl<'a> ColumnReader<'a> {
     /// Reads `n_columns` columns of `n_samples` samples of `width` bytes (2 or 4), and buffers at most `buffer_bytes`
     /// bytes, but at least one sample. `None` if the data has another length, or more columns than a C3D frame has
     /// words.
-    pub(super) fn new(
+    pub(crate) fn new(
         data: ContentSlice<'a>,
         width: usize,
         n_columns: usize,
@@ -138,7 +202,7 @@ impl<'a> ColumnReader<'a> {
     }
 
     /// The next sample of every column; `None` after the last.
-    pub(super) fn next(&mut self) -> io::Result<Option<&[u32]>> {
+    pub(crate) fn next(&mut self) -> io::Result<Option<&[u32]>> {
         if self.next >= self.n_samples {
             return Ok(None);
         }
@@ -172,7 +236,7 @@ impl<'a> ColumnReader<'a> {
     }
 
     /// Skips samples.
-    pub(super) fn skip(&mut self, n_samples: usize) -> io::Result<()> {
+    pub(crate) fn skip(&mut self, n_samples: usize) -> io::Result<()> {
         // Columns of a damaged part that are none may state any number of samples.
         if self.previous.is_empty() {
             return Ok(());

@@ -13,7 +13,9 @@ use std::io;
 
 use super::{
     VERSION,
-    columns::{ColumnReader, ColumnWriter, ordered},
+    columns::{
+        ANALOG, ColumnReader, ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered,
+    },
     frames::{Frames, Points},
     gap_coordinates,
     header::{ByteOrder, C3dHeader, HeaderEvent, MAX_EVENTS},
@@ -21,7 +23,7 @@ use super::{
     parameters::{Parameters, encode_records},
 };
 use crate::{
-    foreign::content::{Content, ContentSlice, PartStore},
+    foreign::content::{Content, PartStore},
     interchange::rotation::Rotation,
     motion::{Foreign, Position, is_gap},
 };
@@ -32,9 +34,6 @@ const BLOCK_BYTES: usize = 1 << 20;
 const PARAMETERS_BYTES_MAX: u64 = 1 << 20;
 
 pub(crate) const PARAMETERS: &str = "c3d/parameters";
-pub(crate) const ANALOG: &str = "c3d/analog";
-const RESIDUALS: &str = "c3d/residuals";
-pub(in crate::interchange) const MODEL_OUTPUTS: &str = "c3d/model-outputs";
 
 /// The header of a block of columns over all frames of a file: version, width, number of signals, samples of a column
 /// in a frame, number of the first frame, number of frames.
@@ -284,59 +283,6 @@ fn push_outputs(part: &mut ColumnsPart, frames: &Frames<'_>, points: &[usize]) -
     })
 }
 
-/// The header of a block of columns.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct SampleHeader {
-    /// Bytes of a sample: 2 or 4.
-    pub(crate) width: usize,
-    /// Number of channels, markers or points.
-    pub(crate) n_signals: usize,
-    /// Samples of a signal in a frame.
-    pub(crate) ratio: usize,
-    /// Number of the first frame.
-    pub(crate) first_frame: u64,
-    /// Number of frames.
-    pub(crate) n_frames: usize,
-}
-
-impl SampleHeader {
-    pub(super) fn encode(&self) -> Vec<u8> {
-        let mut data = vec![VERSION, self.width as u8];
-        data.extend((self.n_signals as u32).to_le_bytes());
-        data.extend((self.ratio as u32).to_le_bytes());
-        data.extend(self.first_frame.to_le_bytes());
-        data.extend((self.n_frames as u64).to_le_bytes());
-        data
-    }
-
-    /// Samples of a column; `None` if they are too many for this machine.
-    pub(super) fn samples(&self) -> Option<usize> {
-        self.n_frames.checked_mul(self.ratio)
-    }
-
-    /// `None` for an unknown version or width, and for more signals than a C3D file has.
-    pub(super) fn parse(header: &[u8; 26]) -> Option<Self> {
-        let &[VERSION, width @ (2 | 4), ..] = header else { return None };
-        let dword =
-            |at: usize| Some(u32::from_le_bytes(header.get(at..at + 4)?.try_into().ok()?) as usize);
-        let qword = |at: usize| Some(u64::from_le_bytes(header.get(at..at + 8)?.try_into().ok()?));
-        Some(Self {
-            width: usize::from(width),
-            n_signals: dword(2).filter(|&n| n <= usize::from(u16::MAX))?,
-            ratio: dword(6)?,
-            first_frame: qword(10)?,
-            n_frames: usize::try_from(qword(18)?).ok()?,
-        })
-    }
-
-    /// The columns, `n` for each signal; `None` if the data has another length.
-    fn columns<'a>(&self, data: ContentSlice<'a>, n: usize) -> Option<ColumnReader<'a>> {
-        let n_columns = self.n_signals.checked_mul(n)?;
-        let n_samples = self.samples()?;
-        ColumnReader::new(data, self.width, n_columns, n_samples, BLOCK_BYTES)
-    }
-}
-
 /// The columns of samples in a foreign part, read frame by frame.
 #[derive(Debug)]
 pub(crate) struct PartSamples<'a> {
@@ -363,7 +309,7 @@ impl<'a> PartSamples<'a> {
         let Some(header) = SampleHeader::parse(&header) else { return Ok(None) };
         let n_indices = if indexed { header.n_signals } else { 0 };
         let Some((indices, rest)) = rest.split_at(4 * n_indices as u64) else { return Ok(None) };
-        let Some(mut columns) = header.columns(rest, columns) else { return Ok(None) };
+        let Some(mut columns) = header.columns(rest, columns, BLOCK_BYTES) else { return Ok(None) };
         let mut points = vec![0; n_indices * 4];
         indices.read_at(0, &mut points)?;
         let points = points.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b) as usize).collect();

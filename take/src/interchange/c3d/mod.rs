@@ -5,7 +5,7 @@
 //! files with a partly damaged parameter section. The writer produces Intel files with float samples in millimetres.
 
 mod analog;
-mod columns;
+pub(crate) mod columns;
 mod events;
 mod force_platform;
 mod foreign;
@@ -17,6 +17,7 @@ mod parameter_values;
 mod parameters;
 mod read;
 pub(crate) mod sample_parts;
+mod sampled_channels;
 mod stride;
 mod write;
 
@@ -24,15 +25,17 @@ use super::InterchangeError;
 
 pub use analog::AnalogChannel;
 pub(crate) use analog::{channels as analog_channels, is_unsigned as is_analog_unsigned};
-pub(crate) use columns::value as sample_value;
+pub(super) use columns::MODEL_OUTPUTS;
+pub(crate) use columns::{ANALOG, value as sample_value};
 pub(super) use events::EVENTS_MAX;
 pub(crate) use force_platform::plates as force_plates;
-pub(crate) use foreign::{ANALOG, PARAMETERS, PartSamples, kept_parameters};
-pub(super) use foreign::{MODEL_OUTPUTS, rotate};
+pub(super) use foreign::rotate;
+pub(crate) use foreign::{PARAMETERS, PartSamples, kept_parameters};
 pub(crate) use parameter_values::parameter_values;
 pub use parameter_values::{C3dParameter, C3dValues};
 pub(crate) use parameters::Parameters;
 pub(super) use read::{C3dFrames, open};
+pub(crate) use sampled_channels::describe as describe_sampled;
 pub(crate) use stride::ANALOG_MAX;
 pub(super) use write::write;
 

@@ -6,7 +6,7 @@
 use std::{io, ops::Range};
 
 use super::{
-    events,
+    columns, events,
     foreign::{self, SampleParts},
     frames::{FrameBuffer, Points, StoredWords, is_missing, sort_points},
     gap_coordinates::{self, GapCounts, GapWriter},
@@ -298,7 +298,7 @@ fn note_outputs_not_rotated(points: &Points, rotation: Rotation, notes: &mut Not
         notes.warnings.push(format!(
             "{} ({}) not rotated: some are vectors in space, others are angles or scalars.",
             counted(points.outputs.len() as u64, "model output"),
-            foreign::MODEL_OUTPUTS
+            columns::MODEL_OUTPUTS
         ));
     }
 }

@@ -3,10 +3,7 @@
 
 use std::{io, ops::Range};
 
-use super::{
-    columns::{ColumnReader, ColumnWriter},
-    foreign::{MODEL_OUTPUTS, SampleHeader},
-};
+use super::columns::{ColumnReader, ColumnWriter, MODEL_OUTPUTS, SampleHeader};
 use crate::{
     foreign::content::{ContentSlice, PartStore},
     motion::Foreign,

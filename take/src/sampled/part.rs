@@ -1,0 +1,455 @@
+//! The samples of a take's groups: where they are, what is lost, and the block of columns that they stand for.
+
+use std::{
+    convert::Infallible,
+    io::{self, Read, Seek, SeekFrom},
+    sync::Arc,
+};
+
+use mocapd_codec::sampled::SampledDecoder;
+
+use super::{SampleContent, SampleSpan, SamplesChunk, fits};
+use crate::{
+    TakeError,
+    foreign::content::{Content, ScratchFile, Spool},
+    interchange::c3d::columns::{ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered},
+    record::{SampleForm, SampledGroup},
+    timeline::LossCauses,
+};
+
+/// Most SAMPLES chunks that a reader remembers of a take, in 64 MiB: a group of a recording has one in half a second,
+/// which makes six days. Only a crafted file has more.
+const CHUNKS_MAX: usize = 1 << 20;
+
+/// Samples that a take does not have, of all channels of a group.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LostSamples {
+    /// The first and the last channel of the group among those of the part, from 1.
+    pub channels: [u64; 2],
+    /// Number of the first sample, from 0.
+    pub first: u64,
+    /// Number of samples of each channel.
+    pub n: u64,
+    /// The causes that the take states; `None` if the samples are missing or damaged in this file.
+    pub causes: Option<LossCauses>,
+}
+
+/// A group of sampled channels in a take, and where its samples are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroupSamples {
+    /// The group.
+    pub group: SampledGroup,
+    /// In the order of the file.
+    chunks: Vec<SamplesChunk>,
+    /// Size of all its chunks.
+    pub stored_bytes: u64,
+    /// File offset of the chunk that describes it.
+    pub(crate) offset: u64,
+}
+
+/// What a recovery writes of a group.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum RecoveredSamples {
+    /// The chunk at this file offset, as it is.
+    Chunk { offset: u64 },
+    /// Samples that are lost.
+    Lost { first: u64, n: u64 },
+}
+
+/// Consecutive samples of a group.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum SampleRun<'a> {
+    /// A block that can be decoded.
+    Block(&'a SamplesChunk),
+    /// Samples that are lost, with the causes if the take states them.
+    Lost { first: u64, n: u64, causes: Option<LossCauses> },
+}
+
+impl GroupSamples {
+    /// A group whose chunk is at file offset `offset` and has `chunk_bytes`.
+    pub(crate) fn new(group: SampledGroup, offset: u64, chunk_bytes: u64) -> Self {
+        Self { group, chunks: Vec::new(), stored_bytes: chunk_bytes, offset }
+    }
+
+    /// Samples of each channel, lost ones included.
+    #[must_use]
+    pub fn n_samples(&self) -> u64 {
+        let found = self.chunks.last().map_or(0, |chunk| chunk.span.end());
+        self.group.n_samples.unwrap_or(found)
+    }
+
+    /// Adds a chunk. Returns whether it belongs to the group: its samples follow those before.
+    fn push(&mut self, chunk: SamplesChunk, chunk_bytes: u64) -> bool {
+        let end = self.chunks.last().map_or(0, |last| last.span.end());
+        let belongs = chunk.span.first >= end && fits(&self.group, &chunk.span);
+        if belongs {
+            self.stored_bytes += chunk_bytes;
+            self.chunks.push(chunk);
+        }
+        belongs
+    }
+
+    /// All samples in order. `each` receives them run by run.
+    pub(crate) fn runs<E>(
+        &self,
+        mut each: impl FnMut(SampleRun<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let (mut next, mut is_in_step) = (0, false);
+        for chunk in &self.chunks {
+            let SampleSpan { first, n, content, .. } = chunk.span;
+            if first > next {
+                each(SampleRun::Lost { first: next, n: first - next, causes: None })?;
+                is_in_step = false;
+            }
+            let run = match content {
+                SampleContent::Lost(causes) => SampleRun::Lost { first, n, causes: Some(causes) },
+                SampleContent::Continued if !is_in_step => {
+                    SampleRun::Lost { first, n, causes: None }
+                }
+                SampleContent::Key | SampleContent::Continued => SampleRun::Block(chunk),
+            };
+            is_in_step = matches!(run, SampleRun::Block(_));
+            each(run)?;
+            next = chunk.span.end();
+        }
+        match self.n_samples().saturating_sub(next) {
+            0 => Ok(()),
+            n => each(SampleRun::Lost { first: next, n, causes: None }),
+        }
+    }
+
+    /// Its first and its last channel among those of the part, from 1.
+    fn channels(&self) -> [u64; 2] {
+        let before = u64::from(self.group.first_channel);
+        [before + 1, before + self.group.channels.len() as u64]
+    }
+
+    /// The samples that are missing or damaged in this file, or that the take states as lost.
+    #[must_use]
+    pub fn lost(&self) -> Vec<LostSamples> {
+        let mut all: Vec<LostSamples> = Vec::new();
+        let Ok(()) = self.runs(|run| {
+            let SampleRun::Lost { first, n, causes } = run else { return Ok(()) };
+            let follows =
+                |last: &&mut LostSamples| last.first + last.n == first && last.causes == causes;
+            match all.last_mut().filter(follows) {
+                Some(last) => last.n += n,
+                None => all.push(LostSamples { channels: self.channels(), first, n, causes }),
+            }
+            Ok::<_, Infallible>(())
+        });
+        all
+    }
+
+    /// File offsets of its chunks of samples.
+    pub(crate) fn chunk_offsets(&self) -> impl Iterator<Item = u64> {
+        self.chunks.iter().map(|chunk| chunk.offset)
+    }
+
+    /// What a recovery writes of the group, given the samples whose blocks cannot be decoded.
+    pub(crate) fn recovered(&self, undecodable: &[LostSamples]) -> Vec<RecoveredSamples> {
+        let (mut kept, mut next, mut is_in_step) = (Vec::new(), 0, false);
+        let lose = |kept: &mut Vec<RecoveredSamples>, from: u64, end: u64| match kept.last_mut() {
+            _ if end <= from => {}
+            Some(RecoveredSamples::Lost { n, .. }) => *n += end - from,
+            _ => kept.push(RecoveredSamples::Lost { first: from, n: end - from }),
+        };
+        for chunk in &self.chunks {
+            let SampleSpan { first, content, .. } = chunk.span;
+            is_in_step &= first == next;
+            lose(&mut kept, next, first);
+            next = chunk.span.end();
+            let is_decodable = undecodable.binary_search_by_key(&first, |lost| lost.first).is_err();
+            let is_kept = match content {
+                SampleContent::Lost(_) => true,
+                SampleContent::Key => is_decodable,
+                SampleContent::Continued => is_decodable && is_in_step,
+            };
+            is_in_step = is_kept && !matches!(content, SampleContent::Lost(_));
+            if is_kept {
+                kept.push(RecoveredSamples::Chunk { offset: chunk.offset });
+            } else {
+                lose(&mut kept, first, next);
+            }
+        }
+        lose(&mut kept, next, self.n_samples());
+        kept
+    }
+
+    /// Decodes all samples in order. `each` receives the number of samples of each channel and the samples, channel
+    /// after channel, or `None` where they are lost. Returns those whose blocks cannot be decoded.
+    pub(crate) fn decode(
+        &self,
+        input: &mut (impl Read + Seek),
+        mut each: impl FnMut(u64, Option<&[f32]>) -> io::Result<()>,
+    ) -> Result<Vec<LostSamples>, TakeError> {
+        let mut decoder = SampledDecoder::new();
+        let (mut block, mut undecodable) = (Vec::new(), Vec::new());
+        self.runs(|run| {
+            let chunk = match run {
+                SampleRun::Lost { n, .. } => return Ok(each(n, None)?),
+                SampleRun::Block(chunk) => chunk,
+            };
+            let SampleSpan { first, n, content, .. } = chunk.span;
+            input.seek(SeekFrom::Start(chunk.block_at))?;
+            block.clear();
+            input.by_ref().take(chunk.block_bytes).read_to_end(&mut block)?;
+            // The number of channels is bounded before the decoder makes room for them.
+            let n_channels = block.first().map(|head| usize::from(head & 0x7f));
+            let is_key = content == SampleContent::Key;
+            let decoded = match n_channels == Some(self.group.channels.len()) {
+                true => decoder.decode(&block, n as usize, is_key).ok(),
+                false => decoder.decode(&[], n as usize, is_key).ok(),
+            };
+            let decoded = decoded.filter(|samples| are_of_form(samples, self.group.form));
+            if decoded.is_none() {
+                let channels = self.channels();
+                undecodable.push(LostSamples { channels, first, n, causes: None });
+            }
+            each(n, decoded)?;
+            Ok::<_, TakeError>(())
+        })?;
+        Ok(undecodable)
+    }
+}
+
+/// Whether the samples are numbers of the form.
+fn are_of_form(samples: &[f32], form: SampleForm) -> bool {
+    let is_bits = |number: f32, sample: f32| number.to_bits() == sample.to_bits();
+    match form {
+        SampleForm::Float32 => true,
+        SampleForm::Int16 => samples.iter().all(|&s| is_bits(f32::from(s as i16), s)),
+        SampleForm::Uint16 => samples.iter().all(|&s| is_bits(f32::from(s as u16), s)),
+    }
+}
+
+/// A foreign part whose samples are in groups.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SampledPart {
+    groups: Vec<GroupSamples>,
+    n_chunks: usize,
+}
+
+impl SampledPart {
+    /// The part that begins with a group.
+    pub(crate) fn new(group: GroupSamples) -> Self {
+        Self { groups: vec![group], n_chunks: 0 }
+    }
+
+    /// Its groups.
+    #[must_use]
+    pub fn groups(&self) -> &[GroupSamples] {
+        &self.groups
+    }
+
+    fn first(&self) -> Option<&SampledGroup> {
+        self.groups.first().map(|first| &first.group)
+    }
+
+    /// The kind of the part.
+    pub(crate) fn kind(&self) -> &str {
+        self.first().map_or("", |first| &first.kind)
+    }
+
+    /// Adds the next group of the part. Gives it back if it belongs to another one.
+    #[expect(clippy::result_large_err, reason = "it is no error: the group begins another part")]
+    pub(crate) fn push_group(&mut self, group: GroupSamples) -> Result<(), GroupSamples> {
+        let end = self.groups.last().map_or(0, |last| last.channels()[1]);
+        if group.group.kind != self.kind() || u64::from(group.group.first_channel) < end {
+            return Err(group);
+        }
+        self.groups.push(group);
+        Ok(())
+    }
+
+    /// Adds a chunk of samples if it is of one of the groups. Returns whether it is.
+    pub(crate) fn push(&mut self, chunk: SamplesChunk, chunk_bytes: u64) -> bool {
+        // Most chunks are those of the last group.
+        let mut groups = self.groups.iter_mut().rev();
+        let found = groups.find(|found| found.group.number == chunk.span.group);
+        let Some(group) = found.filter(|_| self.n_chunks < CHUNKS_MAX) else { return false };
+        let belongs = group.push(chunk, chunk_bytes);
+        self.n_chunks += usize::from(belongs);
+        belongs
+    }
+
+    /// Samples of each channel, lost ones included.
+    fn n_samples(&self) -> u64 {
+        self.groups.iter().map(GroupSamples::n_samples).max().unwrap_or(0)
+    }
+
+    /// Size of all its chunks.
+    pub(crate) fn stored_bytes(&self) -> u64 {
+        self.groups.iter().map(|group| group.stored_bytes).sum()
+    }
+
+    /// The samples that are missing or damaged in this file, or that the take states as lost.
+    #[must_use]
+    pub fn lost(&self) -> Vec<LostSamples> {
+        self.groups.iter().flat_map(GroupSamples::lost).collect()
+    }
+
+    /// The first and the last channel, from 1, whose group is missing; `None` if there is none.
+    pub(crate) fn missing_channels(&self) -> Option<[u64; 2]> {
+        let mut next = 0;
+        for group in &self.groups {
+            let [first, last] = group.channels();
+            if first > next + 1 {
+                return Some([next + 1, first - 1]);
+            }
+            next = last;
+        }
+        let n_channels = self.first().map_or(0, |first| u64::from(first.part_channels));
+        (next < n_channels).then_some([next + 1, n_channels])
+    }
+
+    /// Whether the groups stand for a block of columns: none is missing, and all are alike.
+    pub(crate) fn is_block(&self) -> bool {
+        self.layout().is_some()
+    }
+
+    /// Size of the block of columns.
+    pub(crate) fn data_bytes(&self) -> u64 {
+        let Some((front, n_columns, length)) = self.layout() else { return 0 };
+        (front.len() as u64).saturating_add(self.column_bytes(self.width(), length, n_columns))
+    }
+
+    fn column_bytes(&self, width: usize, length: usize, n_columns: usize) -> u64 {
+        (width as u64).saturating_mul(length as u64).saturating_mul(n_columns as u64)
+    }
+
+    /// Bytes of a sample: 2 for integers, unless some are lost, which only a float can say.
+    fn width(&self) -> usize {
+        let is_float = |group: &GroupSamples| {
+            group.group.form == SampleForm::Float32 || !group.lost().is_empty()
+        };
+        if self.groups.iter().any(is_float) { 4 } else { 2 }
+    }
+
+    /// What precedes the columns, the number of columns, and the samples of each; `None` for groups that are no block
+    /// of columns.
+    fn layout(&self) -> Option<(Vec<u8>, usize, usize)> {
+        let first = self.first()?;
+        let shape = |group: &SampledGroup| {
+            (group.form, group.part_channels, group.samples_per_frame, group.first_frame)
+        };
+        let is_like = |other: &GroupSamples| shape(&other.group) == shape(first);
+        let ratio = u64::from(first.samples_per_frame);
+        if ratio == 0 || !self.groups.iter().all(is_like) || self.missing_channels().is_some() {
+            return None;
+        }
+        let n_columns = first.part_channels as usize;
+        let per_signal = if first.kind == MODEL_OUTPUTS { 4 } else { 1 };
+        let n_frames = usize::try_from(self.n_samples().div_ceil(ratio)).ok()?;
+        let header = SampleHeader {
+            width: self.width(),
+            n_signals: n_columns / per_signal,
+            ratio: ratio as usize,
+            first_frame: first.first_frame,
+            n_frames,
+        };
+        let mut front = header.encode();
+        if per_signal > 1 {
+            let channels = self.groups.iter().flat_map(|group| &group.group.channels);
+            let indices = channels.step_by(per_signal).flat_map(|first| first.index.to_le_bytes());
+            front.extend(indices);
+        }
+        let length = header.samples()?;
+        n_columns.is_multiple_of(per_signal).then_some((front, n_columns, length))
+    }
+
+    /// Reads the part as a block of columns, with NaN, or the residual 0, in place of lost samples. Returns also those
+    /// whose blocks cannot be decoded.
+    ///
+    /// # Errors
+    /// `Corrupt` if a description is missing; `Io`.
+    pub(crate) fn read<F>(
+        &self,
+        input: &mut (impl Read + Seek),
+        spool: &mut Spool<F>,
+    ) -> Result<(Content, Vec<LostSamples>), TakeError>
+    where
+        F: Fn() -> io::Result<Arc<dyn ScratchFile>>,
+    {
+        let (content, undecodable) = self.read_with(self.width(), input, spool)?;
+        if undecodable.is_empty() || self.width() == 4 {
+            return Ok((content, undecodable));
+        }
+        self.read_with(4, input, spool)
+    }
+
+    fn read_with<F>(
+        &self,
+        width: usize,
+        input: &mut (impl Read + Seek),
+        spool: &mut Spool<F>,
+    ) -> Result<(Content, Vec<LostSamples>), TakeError>
+    where
+        F: Fn() -> io::Result<Arc<dyn ScratchFile>>,
+    {
+        let Some((mut front, n_columns, length)) = self.layout() else {
+            let message = "its description does not fit a block of columns";
+            return Err(TakeError::InvalidArgument(format!("{}: {message}", self.kind())));
+        };
+        if let Some(stated) = front.get_mut(1) {
+            *stated = width as u8;
+        }
+        let column_bytes = self.column_bytes(width, length, 1);
+        let all_bytes = column_bytes.saturating_mul(n_columns as u64);
+        let mut data = spool.zeros(all_bytes.saturating_add(front.len() as u64))?;
+        data.write_at(0, &front)?;
+        let is_residual = self.kind() == RESIDUALS;
+        let fill = |width: usize| match width {
+            4 => ordered(if is_residual { 0 } else { f32::NAN.to_bits() }),
+            _ => 0,
+        };
+        let mut undecodable = Vec::new();
+        for group in &self.groups {
+            let first = u64::from(group.group.first_channel);
+            let mut columns = vec![ColumnWriter::new(width); group.group.channels.len()];
+            let mut write = |n: u64, samples: Option<&[f32]>| {
+                let mut samples = samples.map(|samples| samples.chunks_exact(n as usize));
+                for (column, at) in columns.iter_mut().zip(first..) {
+                    let from = front.len() as u64 + at * column_bytes;
+                    match samples.as_mut().and_then(Iterator::next) {
+                        Some(samples) => {
+                            let words = samples.iter().map(|&sample| word(sample, width));
+                            column.write(&mut data, from, length, words)?;
+                        }
+                        None => {
+                            let lost = std::iter::once(fill(width));
+                            column.write(&mut data, from, length, lost)?;
+                            column.repeat(n as usize - 1);
+                        }
+                    }
+                }
+                Ok(())
+            };
+            undecodable.extend(group.decode(input, &mut write)?);
+            // Frames that are begun are completed, and so are groups of which less was written than of others.
+            let missing = (length as u64).saturating_sub(group.n_samples());
+            if missing > 0 {
+                write(missing, None)?;
+            }
+        }
+        Ok((data, undecodable))
+    }
+
+    /// Decodes all samples. Returns those whose blocks cannot be decoded.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn check(&self, input: &mut (impl Read + Seek)) -> Result<Vec<LostSamples>, TakeError> {
+        let groups = self.groups.iter().map(|group| group.decode(input, |_, _| Ok(())));
+        Ok(groups.collect::<Result<Vec<_>, _>>()?.concat())
+    }
+}
+
+/// A sample as a column of words of `width` bytes holds it.
+fn word(sample: f32, width: usize) -> u32 {
+    match width {
+        4 => ordered(sample.to_bits()),
+        // A number of 16 bits, signed or not.
+        _ => u32::from(sample as i32 as u16),
+    }
+}

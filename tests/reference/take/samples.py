@@ -1,0 +1,124 @@
+"""Groups of sampled channels in a take, and the foreign parts that they stand for: docs/take-format.md, "Sampled
+channels", and docs/foreign.md."""
+
+import zlib
+from dataclasses import dataclass
+
+from .container import Record
+from .cursor import Cursor
+from .errors import Corrupt
+from .sampled import SampledDecoder, is_finite
+
+KEY, LOST = 1, 2
+FLOAT32, INT16, UINT16 = range(3)
+NAN = 0x7FC00000
+ROWS_MAX, SAMPLES_MAX = 1 << 17, 1 << 20
+
+
+@dataclass
+class Group:
+    source: int
+    number: int
+    kind: str
+    form: int
+    first_channel: int
+    part_channels: int
+    samples_per_frame: int
+    rate_hz: float
+    first_frame: int
+    n_samples: int | None
+    channels: list  # (name, unit, index, scale, offset)
+
+    def __post_init__(self):
+        self.decoder = SampledDecoder()
+        self.samples = [[] for _ in self.channels]  # by channel: the bits of each sample, None for a lost one
+
+    def read(self, key, first, n, block):
+        if first != len(self.samples[0]):
+            raise Corrupt(f"samples of group {self.number} are missing")
+        if n > ROWS_MAX or n * len(self.channels) > SAMPLES_MAX:
+            raise Corrupt(f"a block of {n} samples")
+        for samples, decoded in zip(self.samples, self.decoder.decode(block, n, key), strict=True):
+            samples += decoded
+
+
+def read_group(payload):
+    inflated = zlib.decompressobj(-15)
+    body = inflated.decompress(payload[2:])
+    if not inflated.eof or inflated.unused_data:
+        raise Corrupt("a description that does not inflate")
+    r = Record(payload[:2] + body, 1)
+    group = Group(
+        r.unsigned(), r.unsigned(), r.string(), r.unsigned(), r.unsigned(), r.unsigned(), r.unsigned(),
+        r.double(), r.unsigned(), r.optional(r.unsigned),
+        r.list(lambda: (r.string(), r.string(), r.unsigned(), r.double(), r.double())),
+    )  # fmt: skip
+    r.finish()
+    return group
+
+
+def read_samples(payload, groups):
+    """Adds the samples of a chunk to those of their group."""
+    cursor = Cursor(payload)
+    head, number, first, n = cursor.byte(), cursor.varint(), cursor.varint(), cursor.varint()
+    group = next((group for group in groups if group.number == number), None)
+    if group is None or n == 0:
+        raise Corrupt("samples of no group, or none")
+    if head == LOST:
+        cursor.byte()
+        cursor.finish()
+        for samples in group.samples:
+            samples += [None] * n
+    elif head in (0, KEY):
+        group.read(head == KEY, first, n, cursor.rest())
+    else:
+        raise Corrupt("samples of an unknown form")
+
+
+def integer(bits, form):
+    """The integer of 16 bits that was stored as a float."""
+    sign, exponent, mantissa = bits >> 31, bits >> 23 & 0xFF, bits & 0x7FFFFF | 1 << 23
+    value = 0 if exponent == 0 else mantissa >> 150 - exponent if exponent < 150 else mantissa
+    value = -value if sign else value
+    if not is_finite(bits) or not (-32768 <= value < 32768 if form == INT16 else 0 <= value < 65536):
+        raise Corrupt("no integer of 16 bits")
+    return value & 0xFFFF
+
+
+def column(samples, form):
+    """A column of a block: planes of zigzag-encoded differences."""
+    width, words = 4, []
+    if form != FLOAT32 and None not in samples:
+        width, words = 2, [integer(bits, form) for bits in samples]
+    else:
+        bits = (NAN if bits is None else bits for bits in samples)
+        words = [~bits & 0xFFFFFFFF if bits >> 31 else bits | 1 << 31 for bits in bits]
+    top, before, differences = 1 << 8 * width, 0, []
+    for word in words:
+        difference = (word - before) % top
+        difference -= top if difference >= top >> 1 else 0
+        differences.append((difference << 1 ^ difference >> 31) % top)
+        before = word
+    return b"".join(bytes(d >> 8 * plane & 0xFF for d in differences) for plane in reversed(range(width)))
+
+
+def parts(groups):
+    """The foreign parts that consecutive groups stand for: kinds and blocks of columns."""
+    found = []
+    for group in groups:
+        if group.first_channel == 0:
+            found.append([])
+        found[-1].append(group)
+    for part in found:
+        first, channels = part[0], [channel for group in part for channel in group.channels]
+        if len(channels) != first.part_channels:
+            raise Corrupt("a part that lacks channels")
+        samples = [samples for group in part for samples in group.samples]
+        width = 2 if first.form != FLOAT32 and not any(None in column for column in samples) else 4
+        per_signal = 4 if first.kind == "c3d/model-outputs" else 1
+        numbers = [(1, 1), (width, 1), (len(channels) // per_signal, 4), (first.samples_per_frame, 4)]
+        numbers += [(first.first_frame, 8), (len(samples[0]) // first.samples_per_frame, 8)]
+        if per_signal > 1:
+            numbers += [(index, 4) for _, _, index, _, _ in channels[::per_signal]]
+        front = b"".join(number.to_bytes(size, "little") for number, size in numbers)
+        yield first.kind, front + b"".join(column(samples, first.form) for samples in samples)
