@@ -8,7 +8,7 @@ use mocapd_take::{
     foreign::ForeignPart,
     motion::Foreign,
     record::{Header, Ledger},
-    sampled::{SampledPart, SpanEncoder},
+    sampled::{GroupSamples, SampledPart, SpanEncoder},
 };
 use serde::Serialize;
 
@@ -73,7 +73,7 @@ impl MeasuredSamples {
     fn new(part: &SampledPart, encode_s: f64, decode_s: f64) -> Self {
         let groups = || part.groups().iter();
         let channels = groups().map(|found| found.group.channels.len() as u64).sum();
-        let samples = groups().next().map_or(0, |found| found.n_samples());
+        let samples = groups().next().map_or(0, GroupSamples::n_samples);
         let raw_bytes = 4 * channels * samples;
         let speed = |seconds: f64| raw_bytes as f64 / 1e6 / seconds.max(1e-9);
         Self {
