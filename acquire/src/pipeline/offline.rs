@@ -99,8 +99,8 @@ fn write_foreign<W: Write>(
             let mut encoder = SpanEncoder::default();
             move |span: &KeySpan| Ok(encoder.encode(span)?)
         };
-        let queued_max = queued_parts_max(n_workers, plan.span_bytes());
-        in_order_within(queued_max, spans, n_workers, worker, |_, encoded: EncodedSpan| {
+        // One ahead of the workers: spans are larger than parts of trajectories, and take equally long.
+        in_order_within(n_workers + 1, spans, n_workers, worker, |_, encoded: EncodedSpan| {
             Ok(take.push_span(&encoded)?)
         })?;
         if let Some(error) = failed {

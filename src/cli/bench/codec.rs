@@ -27,7 +27,7 @@ use super::{
 };
 use crate::cli::{
     batch::{self, FileKinds, Input},
-    motion_files::read_take,
+    motion_files::{read_analog_info, read_take},
     original::{header_of, read_motion},
     output::{notify, plain, print, print_json},
     paths, values,
@@ -69,14 +69,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let settings = all_settings(args)?;
     let inputs = batch::inputs::find_named(&args.files, args.recursive, FileKinds::Both)?;
     for Input { path: file, .. } in inputs.all()? {
-        let mut motion = if paths::is_take(file) {
+        let (motion, foreign) = if paths::is_take(file) {
             let take = read_take(file)?;
             is_damaged |= !take.problems.is_empty();
-            take.motion
+            (take.motion, read_analog_info(file)?.foreign)
         } else {
-            read_motion(file)?
+            let mut motion = read_motion(file)?;
+            let foreign = std::mem::take(&mut motion.info.foreign);
+            (motion, foreign)
         };
-        let foreign = std::mem::take(&mut motion.info.foreign);
         let input = BenchInput { file, motion: &motion };
         let mut about = CodecFileReport::new(&input);
         if let Some((codec, _)) = settings.first() {

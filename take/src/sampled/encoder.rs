@@ -15,12 +15,21 @@ use crate::{
     record::{SampleForm, SampledChannel, SampledGroup},
 };
 
-/// Distance of key blocks in seconds: that of the key stretches of an import, so that a reader that wants a part of a
-/// take reads as far ahead for both. Longer spans save nothing: in recorded files, 2.5 seconds need about as many bytes.
+/// Longest distance of key blocks in seconds: that of the key stretches of an import, so that a reader that wants a part
+/// of a take reads as far ahead for both.
 const KEY_S: f64 = 10.0;
 
-/// Most blocks between two keys: they hold 32 MiB of float32, which is what a thread buffers.
-const KEY_BLOCKS_MAX: u64 = 8;
+/// Distance of key blocks where this many seconds have [`KEY_ROWS`] samples: in recorded files, 2.5 seconds of analog
+/// samples need between 4 % fewer and 1 % more bytes than ten. They are what damage to a block costs, and a quarter of
+/// the memory.
+const SHORT_KEY_S: f64 = 2.5;
+
+/// Samples of a channel from key block to key block, unless they last more than [`KEY_S`]. The head of a channel behind
+/// a key and its first sample are some nine bytes, a fiftieth of a bit per sample.
+const KEY_ROWS: f64 = 4096.0;
+
+/// Most blocks between two keys: they hold 8 MiB of float32, which is what a thread buffers.
+const KEY_BLOCKS_MAX: u64 = 2;
 
 /// Size of the buffer for reading columns: 4096 samples of 64 channels of floats.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -109,19 +118,13 @@ impl<'a> SamplesPlan<'a> {
         &self.groups
     }
 
-    /// Memory that the samples of a span take, in bytes.
-    #[must_use]
-    pub fn span_bytes(&self) -> usize {
-        let n_channels = self.groups.first().map_or(0, |group| group.channels.len());
-        4 * n_channels * self.key_rows(n_channels).min(self.n_samples)
-    }
-
     /// Samples of each channel from a key block to the next.
     fn key_rows(&self, n_channels: usize) -> usize {
         let rate_hz = self.groups.first().map_or(1.0, |group| group.rate_hz);
         let rows_max = KEY_BLOCKS_MAX * block_rows_max(n_channels);
         // A float that is too large becomes the largest integer.
-        ((KEY_S * rate_hz) as u64).clamp(1, rows_max) as usize
+        let rows = (SHORT_KEY_S * rate_hz).max(KEY_ROWS).min(KEY_S * rate_hz);
+        (rows as u64).clamp(1, rows_max) as usize
     }
 
     /// The spans of all groups, in the order in which a take has them.
