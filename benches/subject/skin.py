@@ -3,7 +3,7 @@
     python3 benches/subject/skin.py $MOCAPD_FACES
 
 Needs numpy and pillow. Skin is the area inside the outline of the landmarks (jaw and brows) without eyes, brows and lips.
-Every face has the same weight, whatever its size. The printed values are the constants of subject/face/src/paper/skin.rs.
+Every face has the same weight, whatever its size. The printed values are the constants of subject/face/src/paper/mod.rs.
 """
 
 import json

@@ -31,8 +31,16 @@ pub(crate) enum KeptParts {
     All,
 }
 
+/// A take with the content of its parts.
+#[derive(Debug)]
+pub(crate) struct KeptContent {
+    pub(crate) info: MotionInfo,
+    /// The analog samples that are lost, which are NaN, one phrase each.
+    pub(crate) lost: Vec<String>,
+}
+
 /// Describes a take, with the content of these parts. Large content is in a temporary file.
-pub(crate) fn read_kept(source: &Source, parts: KeptParts) -> Result<MotionInfo> {
+pub(crate) fn read_kept(source: &Source, parts: KeptParts) -> Result<KeptContent> {
     let is_wanted = |kind: &str| match parts {
         KeptParts::Parameters => parameters::is_needed(kind),
         KeptParts::All => analog::is_needed(kind),
@@ -48,7 +56,9 @@ pub(crate) fn read_kept(source: &Source, parts: KeptParts) -> Result<MotionInfo>
             return Err(lost("the analog samples of the C3D file"));
         }
     }
-    Ok(info.clone())
+    let is_lost = |problem: &&Problem| matches!(problem, Problem::SamplesLost { kind, .. } if analog::is_needed(kind));
+    let lost = frames.problems().iter().filter(is_lost).map(ToString::to_string).collect();
+    Ok(KeptContent { info: info.clone(), lost })
 }
 
 /// Whether the damage of a take may have cost it a part: parts precede the stretches.
@@ -57,7 +67,7 @@ fn is_part_lost(map: &TakeMap) -> bool {
     map.problems.iter().any(|problem| match problem {
         Problem::Damaged { offset, .. } => *offset < stretches_at,
         Problem::CutOff => map.keys.is_empty(),
-        Problem::ForeignTooLong { .. } => true,
+        Problem::ForeignTooLong { .. } | Problem::PartUnreadable { .. } => true,
         _ => false,
     })
 }

@@ -14,6 +14,8 @@ use pyo3::{
     types::{PyBytes, PyDict, PyList},
 };
 
+use crate::foreign::KeptContent;
+
 pub(crate) fn header<'py>(py: Python<'py>, header: &Header) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     out.set_item("software", &header.software)?;
@@ -133,11 +135,11 @@ pub(crate) fn parameters(py: Python<'_>, all: Vec<C3dParameter>) -> PyResult<Bou
     Ok(out)
 }
 
-/// The channels of a take of `n_frames` frames.
+/// The channels of a take.
 pub(crate) fn analog<'py>(
     py: Python<'py>,
     analog: Option<&AnalogSamples<'_>>,
-    n_frames: u64,
+    kept: &KeptContent,
 ) -> PyResult<Bound<'py, PyDict>> {
     let channels = PyList::empty(py);
     for channel in analog.map_or(&[][..], AnalogSamples::channels) {
@@ -153,9 +155,10 @@ pub(crate) fn analog<'py>(
     let out = PyDict::new(py);
     out.set_item("channels", channels)?;
     out.set_item("samples_per_frame", ratio)?;
-    out.set_item("n_samples", n_frames.saturating_mul(ratio as u64))?;
+    out.set_item("n_samples", kept.info.n_frames.saturating_mul(ratio as u64))?;
     out.set_item("rate_hz", analog.map_or(0.0, AnalogSamples::rate_hz))?;
-    out.set_item("warnings", analog.map_or(&[][..], AnalogSamples::warnings))?;
+    let warnings = analog.map_or(&[][..], AnalogSamples::warnings);
+    out.set_item("warnings", [warnings, &kept.lost].concat())?;
     Ok(out)
 }
 

@@ -6,7 +6,7 @@ use std::{
     sync::{Arc, PoisonError, RwLock},
 };
 
-use mocapd_take::{TakeMap, damage::Problem, motion::MotionInfo, timeline::LossCauses};
+use mocapd_take::{TakeMap, damage::Problem, timeline::LossCauses};
 use numpy::{IntoPyArray, PyArray1, PyReadwriteArray2, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
     prelude::*,
@@ -18,7 +18,7 @@ use crate::{
     cache::DecodeCache,
     decode::DecodeRequest,
     errors::Failure,
-    foreign::{self, KeptParts, LOAD_VALUES},
+    foreign::{self, KeptContent, KeptParts, LOAD_VALUES},
     records,
     scan::scan,
     source::Source,
@@ -40,7 +40,7 @@ pub(crate) struct TakeFile {
 struct OpenTake {
     source: Source,
     /// The parts of an import that were read, and which they are.
-    kept: Option<(KeptParts, Arc<MotionInfo>)>,
+    kept: Option<(KeptParts, Arc<KeptContent>)>,
 }
 
 /// Device ticks, arrival times in nanoseconds, and whether each row was recorded.
@@ -209,20 +209,20 @@ impl TakeFile {
     /// The parameters of an imported C3D file, each as a dict.
     fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let kept = self.kept(py, KeptParts::Parameters)?;
-        records::parameters(py, self.run(py, |_| foreign::parameters(&kept))?)
+        records::parameters(py, self.run(py, |_| foreign::parameters(&kept.info))?)
     }
 
     /// The analog channels, as a dict.
     fn analog<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let kept = self.kept(py, KeptParts::All)?;
-        let found = self.run(py, |_| foreign::analog(&kept))?;
-        records::analog(py, found.as_ref(), kept.n_frames)
+        let found = self.run(py, |_| foreign::analog(&kept.info))?;
+        records::analog(py, found.as_ref(), &kept)
     }
 
     /// The force plates that can be used, each as a dict, and what was wrong with them and the others.
     fn force_plates<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyList>, Vec<String>)> {
         let kept = self.kept(py, KeptParts::All)?;
-        records::force_plates(py, &self.run(py, |_| foreign::force_plates(&kept))?)
+        records::force_plates(py, &self.run(py, |_| foreign::force_plates(&kept.info))?)
     }
 
     /// Fills `out`, float64 [samples, channels], with physical values from sample `first` on.
@@ -239,7 +239,7 @@ impl TakeFile {
         }
         let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
         let kept = self.kept(py, KeptParts::All)?;
-        self.run(py, |source| foreign::read_analog(&kept, source, &samples, &channels, out))
+        self.run(py, |source| foreign::read_analog(&kept.info, source, &samples, &channels, out))
     }
 
     /// Fills `out`, float64 [samples, 12 for each plate], with loads from sample `first` on.
@@ -258,7 +258,7 @@ impl TakeFile {
         }
         let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
         let kept = self.kept(py, KeptParts::All)?;
-        self.run(py, |source| foreign::read_loads(&kept, source, &samples, &plates, out))
+        self.run(py, |source| foreign::read_loads(&kept.info, source, &samples, &plates, out))
     }
 }
 
@@ -286,7 +286,7 @@ impl TakeFile {
     }
 
     /// The parts of an import, read at the first request.
-    fn kept(&self, py: Python<'_>, parts: KeptParts) -> PyResult<Arc<MotionInfo>> {
+    fn kept(&self, py: Python<'_>, parts: KeptParts) -> PyResult<Arc<KeptContent>> {
         let open = self.state();
         let open = open.map_err(|closed| closed.into_py_err(py, self.path.as_deref()))?;
         if let Some((_, kept)) = open.kept.filter(|(found, _)| *found >= parts) {

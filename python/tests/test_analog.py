@@ -1,5 +1,7 @@
 """Analog channels and parameters of imported C3D files, compared with what was written and with ezc3d."""
 
+import re
+import struct
 import subprocess
 import sys
 import warnings
@@ -186,18 +188,24 @@ def test_an_import_that_drops_them_has_none(imported):
 
 
 def test_damage_is_an_error_or_a_warning(imported, tmp_path):
-    """A damaged chunk is lost, and reading what it had is an error, not an empty result."""
+    """Reading what a damaged chunk had is an error, or a warning and NaN, not an empty result."""
     take = imported(c3d_file(walk(FRAMES), stored(), RATIO, records()))
     expected = take.analog.values
     with open(take.path, "rb") as file:
         data = file.read()
-    analog_at, parameters_at = data.index(b"c3d/analog"), data.index(b"c3d/parameters")
-    for at, part in ((analog_at + 200, "analog"), (parameters_at + 100, "parameters")):
-        damaged = bytearray(data)
-        damaged[at] ^= 1
-        (tmp_path / "damaged.take").write_bytes(damaged)
-        with pytest.warns(mocapd.TakeWarning, match="checksum"):
+
+    def damaged(at):
+        changed = bytearray(data)
+        changed[at] ^= 1
+        (tmp_path / "damaged.take").write_bytes(changed)
+        with pytest.warns(mocapd.TakeWarning):
             take = mocapd.open(tmp_path / "damaged.take")
+        assert any("checksum" in problem for problem in take.problems)
+        return take
+
+    group_at = next(at for kind, at, _ in places_of(data) if kind == SAMPLED_GROUP)
+    for at, part in ((group_at + 5, "analog"), (data.index(b"c3d/parameters") + 100, "parameters")):
+        take = damaged(at)
         with pytest.raises(mocapd.TakeError, match=rf"damaged.take.*{part}"):
             take.analog
         assert take.read().shape == take.shape
@@ -206,6 +214,10 @@ def test_damage_is_an_error_or_a_warning(imported, tmp_path):
         else:
             with pytest.raises(mocapd.TakeError, match="damaged.take.*parameters"):
                 take.metadata
+    samples_at = next(at for kind, at, _ in places_of(data) if kind == SAMPLES)
+    take = damaged(samples_at + 40)
+    assert any(re.search("samples 0 to 599 of c3d/analog.*are lost", problem) for problem in take.problems)
+    assert take.analog.values.shape == expected.shape and np.isnan(take.analog.values).all()
     # A take that was cut off has them: they precede the frames.
     (tmp_path / "cut.take").write_bytes(data[: len(data) - 40])
     with pytest.warns(mocapd.TakeWarning):
@@ -213,8 +225,22 @@ def test_damage_is_an_error_or_a_warning(imported, tmp_path):
     np.testing.assert_array_equal(take.analog.values, expected)
 
 
-def chunks_of(data):
-    """The chunks of a take: type and payload."""
+def test_samples_that_a_recovery_lost_are_a_warning(imported, program, tmp_path):
+    take = imported(c3d_file(walk(FRAMES), stored(), RATIO, records()))
+    with open(take.path, "rb") as file:
+        data = bytearray(file.read())
+    data[next(at for kind, at, _ in places_of(data) if kind == SAMPLES) + 40] ^= 1
+    (tmp_path / "damaged.take").write_bytes(data)
+    recover = [program, "recover", tmp_path / "damaged.take", "-o", tmp_path / "recovered.take"]
+    assert subprocess.run(recover, capture_output=True).returncode == 3
+    take = mocapd.open(tmp_path / "recovered.take")
+    with pytest.warns(mocapd.TakeWarning, match="samples 0 to 599 of c3d/analog.*are lost"):
+        analog = take.analog
+    assert np.isnan(analog.values).all()
+
+
+def places_of(data):
+    """The chunks of a take: type, and where the payload begins and ends."""
     at, found = 8, []
     while at < len(data):
         kind, length, shift = data[at], 0, 0
@@ -225,15 +251,38 @@ def chunks_of(data):
             at += 1
             if data[at - 1] < 0x80:
                 break
-        found.append((kind, data[at : at + length]))
+        found.append((kind, at, at + length))
         at += length + 4
     return found
 
 
-FOREIGN, INDEX = 0x89, 0x8A
+def chunks_of(data):
+    """The chunks of a take: type and payload."""
+    return [(kind, data[start:end]) for kind, start, end in places_of(data)]
 
 
-@pytest.mark.parametrize("part", [b"c3d/analog", b"c3d/parameters"])
+FOREIGN, INDEX, SAMPLED_GROUP, SAMPLES = 0x89, 0x8A, 0x8E, 0x8F
+
+
+def deflated(content):
+    deflate = zlib.compressobj(wbits=-15)
+    return deflate.compress(bytes(content)) + deflate.flush()
+
+
+def foreign_analog(samples, ratio):
+    """FOREIGN as earlier versions wrote it for float32, after docs/foreign.md."""
+    bits = samples.astype("<f4").view(np.uint32)
+    ordered = np.where(bits >> 31, ~bits, bits | np.uint32(1 << 31))
+    difference = np.diff(ordered, axis=0, prepend=np.uint32(0)).view(np.int32)
+    zigzag = (difference << 1 ^ difference >> 31).view(np.uint32).T
+    header = struct.pack("<BBIIQQ", 1, 4, samples.shape[1], ratio, 1, len(samples) // ratio)
+    planes = (row >> shift & 0xFF for row in zigzag for shift in (24, 16, 8, 0))
+    content = header + b"".join(plane.astype(np.uint8).tobytes() for plane in planes)
+    kind = b"c3d/analog"
+    return bytes([len(kind)]) + kind + varint(len(content)) + deflated(content)
+
+
+@pytest.mark.parametrize("part", [b"c3d/analog", b"c3d/parameters", SAMPLED_GROUP])
 def test_any_content_of_a_part_is_read_or_a_take_error(imported, tmp_path, part):
     """Content that no importer writes, in chunks that are intact."""
     plate = step(2)
@@ -243,10 +292,19 @@ def test_any_content_of_a_part_is_read_or_a_take_error(imported, tmp_path, part)
     with open(take.path, "rb") as file:
         data = file.read()
     chunks = chunks_of(data)
-    (original,) = (payload for kind, payload in chunks if kind == FOREIGN and payload[1:].startswith(part))
-    # Kind and length precede the deflated content.
-    start = 1 + len(part)
-    deflated_at = next(at for at in range(start, start + 9) if original[at] < 0x80) + 1
+    if part == b"c3d/analog":
+        group_at = next(at for at, (kind, _) in enumerate(chunks) if kind == SAMPLED_GROUP)
+        chunks[group_at] = (FOREIGN, foreign_analog(plate.channels(), 10))
+        chunks = [(kind, payload) for kind, payload in chunks if kind != SAMPLES]
+    if part == SAMPLED_GROUP:
+        # The version precedes the deflated content.
+        (original,) = (payload for kind, payload in chunks if kind == SAMPLED_GROUP)
+        start = deflated_at = 2
+    else:
+        # Kind and length precede the deflated content.
+        (original,) = (payload for kind, payload in chunks if kind == FOREIGN and payload[1:].startswith(part))
+        start = 1 + len(part)
+        deflated_at = next(at for at in range(start, start + 9) if original[at] < 0x80) + 1
     content = zlib.decompress(original[deflated_at:], wbits=-15)
     random = np.random.default_rng(17)
     read = refused = 0
@@ -255,8 +313,8 @@ def test_any_content_of_a_part_is_read_or_a_take_error(imported, tmp_path, part)
         for _ in range(int(random.integers(1, 4)) if number else 0):
             changed[int(random.integers(0, min(len(changed), 700)))] = int(random.choice([0, 1, 6, 127, 128, 255]))
         changed = changed[: int(random.integers(0, len(changed)))] if number % 10 == 9 else changed
-        deflate = zlib.compressobj(wbits=-15)
-        payload = original[:start] + varint(len(changed)) + deflate.compress(bytes(changed)) + deflate.flush()
+        length = b"" if part == SAMPLED_GROUP else varint(len(changed))
+        payload = original[:start] + length + deflated(changed)
         parts = [(kind, payload if body == original else body) for kind, body in chunks]
         # Without its index, whose offsets are others now, the take is one that was cut off.
         parts = parts[: next(at for at, (kind, _) in enumerate(parts) if kind == INDEX)]

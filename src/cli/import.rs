@@ -12,7 +12,7 @@ use mocapd_acquire::{
     files::{self, SparseFile},
     health::TakeHealth,
     inspect::Summary,
-    pipeline::TakeAccount,
+    pipeline::{TakeAccount, offline},
 };
 use mocapd_codec::{Effort, Settings};
 use mocapd_service::subject::unused_part_notes;
@@ -144,7 +144,7 @@ impl ImportPlan<'_> {
         }
         let unseen = unused_part_notes(subject, &info.labels());
         unseen.iter().for_each(|warning| job.notify(warning));
-        let n_samples = info.n_frames.saturating_mul(info.markers.len() as u64);
+        let n_samples = offline::sample_count(info)?;
         let header = import.header()?;
         drop(reading);
         let output = job.output.context("no output name: please report this bug")?;

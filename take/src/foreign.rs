@@ -144,6 +144,14 @@ impl ForeignPart {
         }
     }
 
+    /// Size of its content if no sample were lost, to which limits apply.
+    pub(crate) fn source_bytes(&self) -> u64 {
+        match &self.stored {
+            StoredPart::Deflated(part) => part.data_bytes,
+            StoredPart::Sampled(part) => part.source_bytes(),
+        }
+    }
+
     /// Size of the encoded content in the take.
     #[must_use]
     pub fn stored_bytes(&self) -> u64 {
@@ -190,13 +198,35 @@ impl ForeignPart {
     ) -> Result<(Foreign, Vec<LostSamples>), TakeError> {
         let (data, undecodable) = match &self.stored {
             StoredPart::Deflated(part) => (part.read(input, spool)?, Vec::new()),
-            StoredPart::Sampled(_) if self.data_bytes() > DATA_BYTES_MAX => {
+            StoredPart::Sampled(_) if self.source_bytes() > DATA_BYTES_MAX => {
                 let message = format!("{}: longer than a take can hold", self.kind);
                 return Err(TakeError::InvalidArgument(message));
             }
             StoredPart::Sampled(part) => part.read(input, spool)?,
         };
         Ok((Foreign { kind: self.kind.clone(), data }, undecodable))
+    }
+
+    /// Reads the content like [`read`](Self::read), for another take: samples have the form of the source. Returns also
+    /// the samples that are lost, whose numbers in the content mean nothing, and those that cannot be decoded.
+    ///
+    /// # Errors
+    /// Those of [`read`](Self::read).
+    pub(crate) fn read_for_edit(
+        &self,
+        input: &mut (impl Read + Seek),
+        spool: &mut Spool<impl Fn() -> io::Result<Arc<dyn ScratchFile>>>,
+    ) -> Result<(Foreign, Vec<LostSamples>, Vec<LostSamples>), TakeError> {
+        match &self.stored {
+            StoredPart::Sampled(part) if self.source_bytes() <= DATA_BYTES_MAX => {
+                let (data, lost, undecodable) = part.read_source_form(input, spool)?;
+                Ok((Foreign { kind: self.kind.clone(), data }, lost, undecodable))
+            }
+            _ => {
+                let (part, undecodable) = self.read(input, spool)?;
+                Ok((part, Vec::new(), undecodable))
+            }
+        }
     }
 }
 

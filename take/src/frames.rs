@@ -77,7 +77,7 @@ impl<R: Read + Seek> TakeFrames<R> {
                 info.foreign.push(Foreign { kind: kind.clone(), data: Content::default() });
                 continue;
             }
-            foreign_bytes = foreign_bytes.saturating_add(part.data_bytes());
+            foreign_bytes = foreign_bytes.saturating_add(part.source_bytes());
             if foreign_bytes > FOREIGN_BYTES_MAX {
                 push_problem(&mut map.problems, Problem::ForeignTooLong { kind: kind.clone() });
             } else {

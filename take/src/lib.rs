@@ -86,6 +86,11 @@ pub enum TakeError {
         /// The version that this build reads.
         supported: u16,
     },
+    /// The take names a resampler that no earlier version has.
+    #[error(
+        "this take was written by a newer mocapd: its resampler '{0}' is unknown to this version; update mocapd to read it"
+    )]
+    UnknownResampler(String),
     /// Bytes that cannot be valid.
     #[error("{what} at byte {offset}: {message}")]
     Corrupt {

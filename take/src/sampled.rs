@@ -10,7 +10,7 @@ mod tests;
 pub(crate) use self::encoder::PartContext;
 pub(crate) use self::part::RecoveredSamples;
 pub use self::{
-    encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder},
+    encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},
 };
 

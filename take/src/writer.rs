@@ -15,7 +15,7 @@ use crate::{
         Channel, Clock, Event, Header, Ledger, MoreChannels, Record, SampledGroup, Subject,
         SummaryRecord, TakeEnding,
     },
-    sampled::{EncodedSpan, PartContext, SampleSpan, SamplesPlan, SpanEncoder},
+    sampled::{EncodedSpan, LostSamples, PartContext, SampleSpan, SamplesPlan, SpanEncoder},
     statistics::{StretchTally, TakeTally},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
@@ -165,7 +165,17 @@ impl<W: Write> TakeWriter<W> {
     /// # Errors
     /// `Io`, `InvalidArgument`, `Codec`.
     pub fn foreign(&mut self, part: &Foreign) -> Result<(), TakeError> {
-        let Some(plan) = self.plan_samples(part)? else { return self.deflated(part) };
+        self.foreign_with_lost(part, &[])
+    }
+
+    /// Writes a part like [`foreign`](Self::foreign), with these samples recorded as lost.
+    pub(crate) fn foreign_with_lost(
+        &mut self,
+        part: &Foreign,
+        lost: &[LostSamples],
+    ) -> Result<(), TakeError> {
+        let Some(mut plan) = self.plan_samples(part)? else { return self.deflated(part) };
+        plan.lose(lost);
         let mut encoder = SpanEncoder::default();
         for span in plan.spans() {
             self.span(&encoder.encode(&span?)?)?;

@@ -48,7 +48,7 @@ NOT_RUN = [
     (r"docs/reliability.md", r".*", "hours: .ci/run long"),
     (r"docs/subject-(body|face|face-model).md", r"python3 (benches|subject)/|python3 \S*/subject/", "learns from data that is not in the project"),
     (r"docs/paper-study.md", r"mocapd study cmu|awk|mocapd study ten", "needs recorded takes"),
-    (r"docs/paper-study.md", r"mocapd-sim generate|mocapd study jumps", "takes minutes; tests/cli/study.rs runs a part of it"),
+    (r"docs/paper-study.md", r"mocapd-sim generate|mocapd study jumps", "takes minutes; tests/cli/studies.rs runs a part of it"),
     (r"docs/accuracy.md", r"for mm in", "FILE is the reader's own"),
     (r"docs/accuracy.md", r"mocapd (import|verify) \$", "inside of a loop that is not run"),
     (r"docs/ndi.md", r"mocapd record --device 'serial:/dev/", "needs an NDI system"),

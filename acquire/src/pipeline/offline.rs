@@ -16,7 +16,7 @@ use mocapd_take::{
     motion::{FrameSource, Motion, MotionFrames, MotionInfo},
     motion_encoder::{EncodePart, EncodePlan, EncodedPart, MotionWriter},
     record::Header,
-    sampled::{EncodedSpan, KeySpan, SpanEncoder},
+    sampled::{self, EncodedSpan, KeySpan, SpanEncoder},
 };
 
 use super::{TakeAccount, messages::PartReport};
@@ -26,6 +26,16 @@ use crate::threads::ResamplerFailed;
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub struct SourceFailed(pub io::Error);
+
+/// Samples that [`write_frames`] encodes and counts: those of markers, missing ones included, and of sampled channels.
+///
+/// # Errors
+/// Those of the scratch file that a foreign part may be in.
+pub fn sample_count(info: &MotionInfo) -> io::Result<u64> {
+    let of_markers = info.n_frames.saturating_mul(info.markers.len() as u64);
+    let of_parts = info.foreign.iter().map(sampled::sample_count);
+    of_parts.fold(Ok(of_markers), |sum, n| Ok(sum?.saturating_add(n?)))
+}
 
 /// Encodes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
 ///
@@ -42,7 +52,7 @@ pub fn write_take<W: Write>(
 }
 
 /// Encodes all frames of a source with the settings in `header` and writes a whole take, in bounded memory unless the
-/// resampler needs the whole take at once. `progress` counts samples.
+/// resampler needs the whole take at once. `progress` counts samples, up to [`sample_count`].
 ///
 /// # Errors
 /// [`SourceFailed`] when the frames cannot be read; otherwise when the codec refuses (`spline:exhaustive` on a long
@@ -59,7 +69,7 @@ pub fn write_frames<W: Write>(
     let n_workers = n_workers.max(1);
     let mut take =
         MotionWriter::begin(&plan, info, header, out).context("cannot write the take's header")?;
-    write_foreign(&mut take, info, n_workers)
+    write_foreign(&mut take, info, n_workers, progress)
         .context("cannot write the take's data beside the trajectories")?;
     let mut report = PartReport::default();
     let worker = || {
@@ -90,6 +100,7 @@ fn write_foreign<W: Write>(
     take: &mut MotionWriter<'_, W>,
     info: &MotionInfo,
     n_workers: usize,
+    progress: &AtomicU64,
 ) -> anyhow::Result<()> {
     for part in &info.foreign {
         let Some(plan) = take.push_foreign(part)? else { continue };
@@ -97,7 +108,11 @@ fn write_foreign<W: Write>(
         let spans = plan.spans().map_while(|span| span.map_err(|error| failed = Some(error)).ok());
         let worker = || {
             let mut encoder = SpanEncoder::default();
-            move |span: &KeySpan| Ok(encoder.encode(span)?)
+            move |span: &KeySpan| {
+                let encoded = encoder.encode(span)?;
+                progress.fetch_add(span.n_samples(), Ordering::Relaxed);
+                Ok(encoded)
+            }
         };
         // One ahead of the workers: spans are larger than parts of trajectories, and take equally long.
         in_order_within(n_workers + 1, spans, n_workers, worker, |_, encoded: EncodedSpan| {
@@ -214,8 +229,11 @@ mod tests {
     use std::time::Duration;
 
     use anyhow::anyhow;
+    use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+    use mocapd_take::motion::{Foreign, Marker};
 
     use super::*;
+    use crate::header;
 
     #[test]
     fn results_come_in_order_and_none_is_far_ahead() {
@@ -235,6 +253,32 @@ mod tests {
             .unwrap();
             assert_eq!(next, 200);
         }
+    }
+
+    #[test]
+    fn progress_counts_the_samples_of_sampled_channels() {
+        // Three channels of 16-bit integers, ten samples in each of four frames.
+        let mut data = vec![1, 2, 3, 0, 0, 0, 10, 0, 0, 0];
+        data.extend([1_u64, 4].map(u64::to_le_bytes).concat());
+        data.extend([0; 2 * 3 * 10 * 4]);
+        let analog = Foreign { kind: "c3d/analog".to_owned(), data: data.into() };
+        let info = MotionInfo {
+            rate_hz: 100.0,
+            n_frames: 4,
+            markers: vec![Marker { label: "a".to_owned(), labelled: true }; 2],
+            foreign: vec![analog],
+            ..MotionInfo::default()
+        };
+        let motion = Motion { info, positions_mm: vec![[1.0, 2.0, 3.0]; 8] };
+        let kind = ResamplerKind::Dense;
+        let codec = Settings { kind, tolerance: Tolerance::from_mm(1.0).unwrap() };
+        let mut header = header::of_import(&codec, 100.0);
+        header.channels = header::channels(&motion.info.markers);
+        header.stretch_rows = 4;
+        let progress = AtomicU64::new(0);
+        write_take(&motion, &header, 2, &progress, Vec::new()).unwrap();
+        assert_eq!(progress.into_inner(), 2 * 4 + 3 * 10 * 4);
+        assert_eq!(sample_count(&motion.info).unwrap(), 2 * 4 + 3 * 10 * 4);
     }
 
     #[test]

@@ -95,7 +95,7 @@ def scores(rows, bias, trees):
 
 
 def table(bias, trees):
-    """The table for `face/find/trees.rs`: the bias, then features, thresholds and leaves of each tree. Bias and leaves are in
+    """The table for `subject/face/src/find/stages.rs`: the bias, then features, thresholds and leaves of each tree. Bias and leaves are in
     thousandths."""
     rows = [struct.pack("<7H7B8h", *map(int, asked), *map(int, limits), *(round(1000 * float(leaf)) for leaf in leaves))
             for asked, limits, leaves in trees]

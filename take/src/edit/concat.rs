@@ -129,7 +129,7 @@ pub fn concat<R: Read + Seek, W: Write>(
     }
     let frames_continue = plan.seams.iter().all(|seam| *seam == Seam::Continuous);
     let parts = foreign::join(sources, &mut open, frames_continue, context)?;
-    parts.parts.iter().try_for_each(|part| take.foreign(part))?;
+    parts.parts.iter().try_for_each(|found| take.foreign_with_lost(&found.part, &found.lost))?;
     left_out.extend(parts.left_out);
     for event in plan.events(sources) {
         take.event(&event)?;

@@ -67,7 +67,7 @@ pub fn cut<W: Write>(
     let frames = first_frame.saturating_add(rows.start)..first_frame.saturating_add(rows.end);
     for part in &source.map().foreign {
         match foreign::cut(part, &mut input, &frames, context)? {
-            Some(part) => take.foreign(&part)?,
+            Some(found) => take.foreign_with_lost(&found.part, &found.lost)?,
             None => left_out.push(part.kind.clone()),
         }
     }

@@ -15,6 +15,7 @@ use crate::{
         content::{PartStore, ScratchFile, Spool},
     },
     interchange::c3d::sample_parts,
+    sampled::{LostSamples, SampledPart},
 };
 
 /// How the content of a part relates to frames.
@@ -44,6 +45,13 @@ fn relation_of(kind: &str) -> Option<FrameRelation> {
     KINDS.iter().find(|(known, _)| *known == kind).map(|(_, relation)| *relation)
 }
 
+/// A foreign part of an edited take, and the samples of it that are lost.
+#[derive(Debug)]
+pub(super) struct EditedPart {
+    pub(super) part: Foreign,
+    pub(super) lost: Vec<LostSamples>,
+}
+
 /// What a part of a take, with the frame numbers `frames`, has of a foreign part; `None` if that is unknown. `input` is
 /// the file of the take.
 pub(super) fn cut(
@@ -51,13 +59,21 @@ pub(super) fn cut(
     input: &mut (impl Read + Seek),
     frames: &Range<u64>,
     context: &EditContext<'_>,
-) -> Result<Option<Foreign>, TakeError> {
+) -> Result<Option<EditedPart>, TakeError> {
     let Some(relation) = relation_of(&part.kind) else { return Ok(None) };
     let whole = read(part, input, &mut Spool::new(context.new_scratch))?;
-    Ok(match relation {
-        FrameRelation::None | FrameRelation::Numbered => Some(whole),
-        FrameRelation::Samples => sample_parts::cut(&whole, frames, &mut store(context))?,
-    })
+    if relation != FrameRelation::Samples {
+        return Ok(Some(whole));
+    }
+    let found = sample_parts::cut(&whole.part, frames, &mut store(context))?;
+    Ok(found.map(|(part, samples)| {
+        let of_range = |lost: LostSamples| {
+            let first = lost.first.max(samples.start);
+            let n = lost.first.saturating_add(lost.n).min(samples.end).checked_sub(first)?;
+            (n > 0).then(|| LostSamples { first: first - samples.start, n, ..lost })
+        };
+        EditedPart { part, lost: whole.lost.into_iter().filter_map(of_range).collect() }
+    }))
 }
 
 /// Reads a part of a take in which nothing is damaged.
@@ -65,11 +81,11 @@ fn read(
     part: &ForeignPart,
     input: &mut (impl Read + Seek),
     spool: &mut Spool<impl Fn() -> io::Result<Arc<dyn ScratchFile>>>,
-) -> Result<Foreign, TakeError> {
-    let (whole, undecodable) = part.read(input, spool)?;
+) -> Result<EditedPart, TakeError> {
+    let (whole, lost, undecodable) = part.read_for_edit(input, spool)?;
     match undecodable.first() {
-        Some(lost) => Err(damaged(&Problem::of_samples(&part.kind, lost))),
-        None => Ok(whole),
+        Some(found) => Err(damaged(&Problem::of_samples(&part.kind, found))),
+        None => Ok(EditedPart { part: whole, lost }),
     }
 }
 
@@ -81,7 +97,7 @@ fn store<'a>(context: &EditContext<'a>) -> PartStore<'a> {
 /// The foreign parts of joined takes, and the kinds that cannot be joined.
 #[derive(Debug, Default)]
 pub(super) struct JoinedParts {
-    pub(super) parts: Vec<Foreign>,
+    pub(super) parts: Vec<EditedPart>,
     pub(super) left_out: Vec<String>,
 }
 
@@ -130,23 +146,38 @@ fn join_kind<R: Read + Seek>(
     found: &[&ForeignPart],
     frames_continue: bool,
     context: &EditContext<'_>,
-) -> Result<Option<Foreign>, TakeError> {
+) -> Result<Option<EditedPart>, TakeError> {
     let mut spool = Spool::new(context.new_scratch);
-    let mut parts = Vec::new();
+    let mut read_parts = Vec::new();
     for (i, part) in found.iter().enumerate() {
-        parts.push(read(part, &mut open(i)?, &mut spool)?);
+        read_parts.push(read(part, &mut open(i)?, &mut spool)?);
+    }
+    let parts: Vec<&Foreign> = read_parts.iter().map(|read| &read.part).collect();
+    let relation = relation_of(found.first().map_or("", |part| part.kind.as_str()));
+    if relation == Some(FrameRelation::Samples) {
+        let frames = sources.iter().map(|source| source.map().n_rows);
+        let sized: Vec<_> = parts.iter().copied().zip(frames.clone()).collect();
+        let joined = sample_parts::join(&sized, &mut store(context))?;
+        let (mut lost, mut before) = (Vec::new(), 0_u64);
+        // Parts of different ratios are not joined.
+        let ratio = found.iter().find_map(|part| part.sampled());
+        let ratio = ratio.map_or(1, SampledPart::samples_per_frame);
+        for (read, n_frames) in read_parts.iter().zip(frames) {
+            lost.extend(
+                read.lost
+                    .iter()
+                    .map(|lost| LostSamples { first: lost.first.saturating_add(before), ..*lost }),
+            );
+            before = before.saturating_add(n_frames.saturating_mul(ratio));
+        }
+        return Ok(joined.map(|part| EditedPart { part, lost }));
     }
     let are_equal = parts.array_windows().all(|[a, b]| a == b);
-    let first = parts.first().cloned().filter(|_| are_equal);
-    Ok(match relation_of(found.first().map_or("", |part| part.kind.as_str())) {
-        Some(FrameRelation::None) => first,
-        Some(FrameRelation::Numbered) => first.filter(|_| frames_continue),
-        Some(FrameRelation::Samples) => {
-            let frames = sources.iter().map(|source| source.map().n_rows);
-            sample_parts::join(&parts.iter().zip(frames).collect::<Vec<_>>(), &mut store(context))?
-        }
-        None => None,
-    })
+    let is_joined = match relation {
+        Some(FrameRelation::Numbered) => frames_continue,
+        relation => relation.is_some(),
+    };
+    Ok(read_parts.into_iter().next().filter(|_| are_equal && is_joined))
 }
 
 #[cfg(test)]

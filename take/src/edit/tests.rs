@@ -12,13 +12,19 @@ use super::{seam::CutOrigin, *};
 use crate::{
     TakeEvent, TakeFrames, TakeTraversal, TakeWriter, chunk,
     chunk::{ChunkParse, types},
-    motion::{FrameSource, GAP, Marker, Motion, MotionFrames, MotionInfo, Position, is_gap},
+    foreign::content::Content,
+    interchange::c3d::columns::{ANALOG, ColumnWriter, SampleHeader},
+    motion::{
+        Foreign, FrameSource, GAP, Marker, Motion, MotionFrames, MotionInfo, Position, is_gap,
+    },
     motion_encoder::{EncodePlan, MotionWriter, channels, stretch_rows},
     record::{
         CODEC_VERSION, Channel, Clock, ClockLine, ClockPoint, Device, EndingKind, Event, EventKind,
         FIRST_FRAME_SETTING, Header, ImportSource, Ledger, PART_SETTING, SERIES_SETTING,
-        SPLIT_SETTING, TakeEnding,
+        SPLIT_SETTING, SampleForm, TakeEnding,
     },
+    recovery::RecoveryScan,
+    sampled::LostSamples,
     statistics::{BlockTally, StretchTally, TakeTally},
     stretch::{Span, StretchHeaderWriter, put_block},
     timeline::{LossCauses, RowTime, Timeline, TimelineEncoder},
@@ -206,6 +212,10 @@ fn clock(row: u64) -> Clock {
 
 /// An import, in stretches of ten seconds; the resamplers of whole takes have one.
 fn import(kind: &str, n_rows: usize) -> Vec<u8> {
+    import_with(kind, n_rows, Vec::new())
+}
+
+fn import_with(kind: &str, n_rows: usize, foreign: Vec<Foreign>) -> Vec<u8> {
     let n_markers = 5;
     let columns: Vec<_> = (0..n_markers).map(|marker| column(marker, n_rows)).collect();
     let mut positions_mm = Vec::new();
@@ -217,8 +227,13 @@ fn import(kind: &str, n_rows: usize) -> Vec<u8> {
     }
     let marker = |i| Marker { label: format!("m{i}"), labelled: true };
     let markers: Vec<_> = (0..n_markers).map(marker).collect();
-    let info =
-        MotionInfo { rate_hz: RATE_HZ, n_frames: n_rows as u64, markers, ..MotionInfo::default() };
+    let info = MotionInfo {
+        rate_hz: RATE_HZ,
+        n_frames: n_rows as u64,
+        markers,
+        foreign,
+        ..MotionInfo::default()
+    };
     let motion = Motion { info, positions_mm };
     let mut header = header(kind);
     header.channels = channels(&motion.info.markers);
@@ -463,6 +478,58 @@ fn parts_join_to_the_whole() {
             }
         }
     }
+}
+
+/// Three analog channels of 16-bit integers, two samples in a frame.
+fn analog(n_frames: usize) -> Foreign {
+    let (width, n_signals, ratio) = (2, 3, 2);
+    let header = SampleHeader { width, n_signals, ratio, first_frame: 11, n_frames };
+    let mut data = header.encode();
+    let (from, length) = (data.len(), n_frames * ratio);
+    data.resize(from + n_signals * length * width, 0);
+    let mut data = Content::from(data);
+    for signal in 0..n_signals {
+        let mut random = Random::new(signal as u64);
+        let samples = (0..length).map(|_| random.below(1000) as u32 + 1);
+        let at = (from + signal * length * width) as u64;
+        ColumnWriter::new(width).write(&mut data, at, length, samples).unwrap();
+    }
+    Foreign { kind: ANALOG.to_owned(), data }
+}
+
+/// The analog samples of a take, their form, and those that are lost.
+fn samples_of(take: &[u8]) -> (Foreign, SampleForm, Vec<LostSamples>) {
+    let scratch = || Err(io::ErrorKind::Unsupported.into());
+    let frames = TakeFrames::open_with(Cursor::new(take), |_| true, scratch).unwrap();
+    let part = frames.map().foreign[0].sampled().unwrap();
+    (frames.info().foreign[0].clone(), part.groups()[0].group.form, part.lost())
+}
+
+#[test]
+fn samples_that_a_recovery_lost_stay_lost_in_parts_and_in_joined_takes() {
+    let mut damaged = import_with("dense", 2300, vec![analog(2300)]);
+    let mut samples = Vec::new();
+    let mut at = chunk::MAGIC.len();
+    while let ChunkParse::Whole { kind, len, .. } = chunk::parse(&damaged[at..]) {
+        samples.extend((kind == types::SAMPLES).then_some(at + len / 2));
+        at += len;
+    }
+    assert_eq!(samples.len(), 3, "ten seconds each");
+    damaged[samples[1]] ^= 1;
+    let mut recovered = Vec::new();
+    let scan = RecoveryScan::read(&damaged).unwrap();
+    scan.write(Cursor::new(&damaged), &mut recovered, "test").unwrap();
+    let lost = |first, n| {
+        vec![LostSamples { channels: [1, 3], first, n, causes: Some(LossCauses::DAMAGED) }]
+    };
+    let whole = samples_of(&recovered);
+    assert_eq!((whole.1, &whole.2), (SampleForm::Int16, &lost(2000, 2000)));
+    let ranges = [0..500, 500..1500, 1500..2300];
+    let parts = ranges.map(|rows| part_of(&recovered, rows).0);
+    let of_parts = parts.each_ref().map(|part| samples_of(part));
+    assert_eq!(of_parts.each_ref().map(|part| part.1), [SampleForm::Int16; 3]);
+    assert_eq!(of_parts.map(|part| part.2), [vec![], lost(1000, 1000), lost(0, 1000)]);
+    assert_eq!(samples_of(&joined(&parts).0), whole);
 }
 
 fn sorted_events(map: &TakeMap) -> Vec<Event> {

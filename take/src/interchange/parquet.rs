@@ -18,7 +18,10 @@ use parquet::{
 use serde_json::json;
 
 use super::{
-    InterchangeError, Result, metadata::metadata, sampled_table::SampledTable, text::column_labels,
+    InterchangeError, Result,
+    metadata::metadata,
+    sampled_table::{SampledTable, TIME_COLUMN},
+    text::column_labels,
 };
 use crate::motion::{FrameSource, GAP, Position, is_gap};
 
@@ -165,7 +168,7 @@ pub(super) fn write_sampled(
         ("mocapd.columns", json!(described).to_string()),
     ];
     let names: Vec<String> = table.columns().iter().map(|column| column.name.clone()).collect();
-    let mut columns = vec![("time_s", ColumnType::Double)];
+    let mut columns = vec![(TIME_COLUMN, ColumnType::Double)];
     columns.extend(names.iter().map(|name| (name.as_str(), ColumnType::Float { nullable: true })));
     let mut file = ParquetFile::with_metadata(frames, table.kind().name(), &own, &columns, out)?;
     let group_rows = (WIDE_GROUP_VALUES / n_columns.max(1)).clamp(1, WIDE_GROUP_ROWS_MAX) as u64;

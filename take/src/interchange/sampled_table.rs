@@ -21,6 +21,9 @@ use crate::{
 const QUANTITIES: [(&str, &str); 4] =
     [("force", "N"), ("moment", "N m"), ("cop", "mm"), ("free_moment", "N m")];
 
+/// The name of the column of times.
+pub(super) const TIME_COLUMN: &str = "time_s";
+
 /// Bytes of a text table that are written at once.
 const BUFFER_BYTES: usize = 1 << 16;
 
@@ -241,7 +244,7 @@ impl<'a> SampledTable<'a> {
         frames: &dyn FrameSource,
         out: &mut dyn Write,
     ) -> Result<()> {
-        let mut header = "time_s".to_owned();
+        let mut header = TIME_COLUMN.to_owned();
         for SampledColumn { name, unit, .. } in &self.columns {
             // The names of loads end in their units.
             let unit =
@@ -301,8 +304,10 @@ fn readable<T>(opened: std::result::Result<Option<T>, TakeError>) -> io::Result<
 
 fn analog_columns(channels: &[AnalogChannel]) -> Vec<SampledColumn> {
     let text = |text: &str| without_tabs(text).trim().to_owned();
-    let names = unique_names(channels.iter().map(|channel| text(&channel.name)));
-    let columns = names.into_iter().zip(channels).map(|(name, channel)| SampledColumn {
+    // Tables have the times of rows in a column before these.
+    let names = channels.iter().map(|channel| text(&channel.name));
+    let names = unique_names(std::iter::once(TIME_COLUMN.to_owned()).chain(names));
+    let columns = names.into_iter().skip(1).zip(channels).map(|(name, channel)| SampledColumn {
         name,
         unit: text(&channel.unit),
         description: text(&channel.description),
@@ -325,4 +330,23 @@ fn plate_columns(plates: &[ForcePlate]) -> Vec<SampledColumn> {
         }
     }
     columns
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_channel_has_the_name_of_the_column_of_times() {
+        let channel = |name: &str| AnalogChannel {
+            name: name.to_owned(),
+            unit: "V".to_owned(),
+            description: String::new(),
+            scale: 1.0,
+            offset: 0.0,
+        };
+        let columns = analog_columns(&["Fz1", "time_s", "Fz1"].map(channel));
+        let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(names, ["Fz1", "time_s#2", "Fz1#2"]);
+    }
 }

@@ -178,13 +178,14 @@ impl Header {
     /// The codec's settings, validated.
     ///
     /// # Errors
-    /// `Codec` for an unknown resampler or a tolerance out of range, `Unsupported` for another block format.
+    /// `UnknownResampler`; `Codec` for a tolerance out of range, `Unsupported` for another block format.
     pub fn codec(&self) -> Result<Settings, TakeError> {
         let (found, supported) = (self.codec_version, CODEC_VERSION);
         if found != supported {
             return Err(TakeError::Unsupported { what: "block format", found, supported });
         }
-        let kind: ResamplerKind = self.resampler.parse()?;
+        let unknown = |_| TakeError::UnknownResampler(self.resampler.clone());
+        let kind: ResamplerKind = self.resampler.parse().map_err(unknown)?;
         let mm = if kind.is_lossless() { Tolerance::MAX_MM } else { self.tolerance_mm };
         Ok(Settings { kind, tolerance: Tolerance::from_mm(mm)? })
     }
@@ -199,7 +200,7 @@ impl Header {
     /// Rejects a header with invalid numbers.
     ///
     /// # Errors
-    /// `Codec(InvalidArgument)` naming the field.
+    /// Those of [`codec`](Self::codec), and `Codec(InvalidArgument)` naming the field.
     pub fn check(&self) -> Result<(), TakeError> {
         if !RATES_HZ.contains(&self.rate_hz) {
             let message = format!(
@@ -438,6 +439,15 @@ mod tests {
         // Computed with Python's hashlib over a payload assembled field by field after docs/take-format.md.
         let id = id(&Header { codec_version: 4, ..header() }, b"frame,time_s\n");
         assert_eq!(u128::from_be_bytes(id), 0x6025_74d8_73e9_80b4_9ab3_7376_bd1c_3941);
+    }
+
+    #[test]
+    fn a_resampler_of_a_later_version_asks_for_an_update() {
+        let later = Header { resampler: "dense:better".to_owned(), ..header() };
+        let error = later.check().unwrap_err().to_string();
+        let expected = ["written by a newer mocapd", "'dense:better'", "update mocapd"];
+        assert!(expected.iter().all(|part| error.contains(part)), "{error}");
+        assert!(!error.contains("spline"), "names for the command line: {error}");
     }
 
     #[test]

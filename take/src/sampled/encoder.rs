@@ -5,14 +5,16 @@ use std::io;
 
 use mocapd_codec::{GROUP_CHANNELS, sampled::SampledEncoder};
 
-use super::{SampleContent, SampleSpan, block_rows_max};
+use super::{LostSamples, SampleContent, SampleSpan, block_rows_max};
 use crate::{
     TakeError,
     foreign::content::{Content, ContentSlice},
     interchange::c3d::columns::{
         ANALOG, ColumnReader, MODEL_OUTPUTS, RESIDUALS, SampleHeader, value,
     },
+    motion::Foreign,
     record::{SampleForm, SampledChannel, SampledGroup},
+    timeline::LossCauses,
 };
 
 /// Longest distance of key blocks in seconds: that of the key stretches of an import, so that a reader that wants a part
@@ -55,20 +57,24 @@ pub struct SamplesPlan<'a> {
     header: SampleHeader,
     columns: ContentSlice<'a>,
     n_samples: usize,
+    /// Samples that the columns do not have.
+    lost: Vec<LostSamples>,
 }
 
-impl<'a> SamplesPlan<'a> {
-    /// Plans the encoding of a part; `None` for one that is no block of columns with samples, or of another kind.
-    /// `describe` gives the channels for the kind and the numbers of its signals.
-    ///
-    /// # Errors
-    /// Those of the scratch file that the part may be in.
-    pub(crate) fn new(
-        kind: &str,
-        content: &'a Content,
-        context: PartContext,
-        describe: impl FnOnce(&str, &[u32]) -> Vec<SampledChannel>,
-    ) -> io::Result<Option<Self>> {
+/// The layout of a part that is a block of columns with samples.
+struct PartLayout<'a> {
+    header: SampleHeader,
+    /// Columns of a signal.
+    per_signal: usize,
+    /// Samples of each column.
+    n_samples: usize,
+    indices: ContentSlice<'a>,
+    columns: ContentSlice<'a>,
+}
+
+impl<'a> PartLayout<'a> {
+    /// `None` for a part of another kind, and for one without samples.
+    fn of(kind: &str, content: &'a Content) -> io::Result<Option<Self>> {
         let Some(&(_, per_signal)) = KINDS.iter().find(|(known, _)| *known == kind) else {
             return Ok(None);
         };
@@ -83,7 +89,36 @@ impl<'a> SamplesPlan<'a> {
         if header.columns(columns, per_signal, 0).is_none() {
             return Ok(None);
         }
-        let mut stored = vec![0; index_bytes];
+        Ok(Some(Self { header, per_signal, n_samples, indices, columns }))
+    }
+}
+
+/// Samples of a foreign part that are encoded in groups, those of all channels; 0 for a part that has none.
+///
+/// # Errors
+/// Those of the scratch file that the part may be in.
+pub fn sample_count(part: &Foreign) -> io::Result<u64> {
+    let layout = PartLayout::of(&part.kind, &part.data)?;
+    Ok(layout.map_or(0, |PartLayout { header, per_signal, n_samples, .. }| {
+        (header.n_signals * per_signal) as u64 * n_samples as u64
+    }))
+}
+
+impl<'a> SamplesPlan<'a> {
+    /// Plans the encoding of a part; `None` for one that is no block of columns with samples, or of another kind.
+    /// `describe` gives the channels for the kind and the numbers of its signals.
+    ///
+    /// # Errors
+    /// Those of the scratch file that the part may be in.
+    pub(crate) fn new(
+        kind: &str,
+        content: &'a Content,
+        context: PartContext,
+        describe: impl FnOnce(&str, &[u32]) -> Vec<SampledChannel>,
+    ) -> io::Result<Option<Self>> {
+        let Some(layout) = PartLayout::of(kind, content)? else { return Ok(None) };
+        let PartLayout { header, per_signal, n_samples, indices, columns } = layout;
+        let mut stored = vec![0; indices.len() as usize];
         indices.read_at(0, &mut stored)?;
         let numbers: Vec<u32> = match per_signal {
             1 => (0..header.n_signals as u32).collect(),
@@ -109,7 +144,23 @@ impl<'a> SamplesPlan<'a> {
             channels: channels.to_vec(),
             ..group.clone()
         });
-        Ok(Some(Self { groups: groups.collect(), header, columns, n_samples }))
+        let (groups, lost) = (groups.collect(), Vec::new());
+        Ok(Some(Self { groups, header, columns, n_samples, lost }))
+    }
+
+    /// Records these samples as lost, whatever the columns have in their place.
+    pub(crate) fn lose(&mut self, lost: &[LostSamples]) {
+        self.lost.extend_from_slice(lost);
+    }
+
+    /// The first lost samples of a group that end behind the sample `next`.
+    fn lost_from(&self, group: &SampledGroup, next: usize) -> Option<&LostSamples> {
+        let before = u64::from(group.first_channel);
+        let end = before + group.channels.len() as u64;
+        let of_group =
+            self.lost.iter().filter(|lost| lost.channels[0] <= end && lost.channels[1] > before);
+        let ahead = of_group.filter(|lost| lost.first.saturating_add(lost.n) > next as u64);
+        ahead.min_by_key(|lost| lost.first)
     }
 
     /// The groups, whose descriptions precede all samples.
@@ -157,8 +208,18 @@ pub struct KeySpan {
     first: u64,
     n_rows: usize,
     n_channels: usize,
-    /// Channel after channel.
+    /// Channel after channel; none of lost samples.
     samples: Vec<f32>,
+    /// Why the samples are lost, if they are.
+    lost: Option<LossCauses>,
+}
+
+impl KeySpan {
+    /// Number of samples, those of all channels.
+    #[must_use]
+    pub fn n_samples(&self) -> u64 {
+        self.n_rows as u64 * self.n_channels as u64
+    }
 }
 
 /// The spans of a part, read from its columns.
@@ -185,21 +246,51 @@ impl KeySpans<'_> {
             none => none.insert(plan.reader(group).ok_or_else(changed)?),
         };
         let n_channels = group.channels.len();
-        let n_rows = plan.key_rows(n_channels).min(plan.n_samples - self.next);
-        let mut samples = vec![0.0; n_rows * n_channels];
-        let is_unsigned = group.form == SampleForm::Uint16;
-        for row in 0..n_rows {
-            let words = reader.next()?.ok_or_else(changed)?;
-            let places = samples.iter_mut().skip(row).step_by(n_rows);
-            for (place, &word) in places.zip(words) {
-                *place = value(plan.header.width, word, is_unsigned);
+        let ahead = plan.n_samples - self.next;
+        let (mut n_rows, mut lost) = (plan.key_rows(n_channels).min(ahead), None);
+        if let Some(found) = plan.lost_from(group, self.next) {
+            match found.first.saturating_sub(self.next as u64) {
+                0 => {
+                    let n = found.first.saturating_add(found.n) - self.next as u64;
+                    n_rows = usize::try_from(n).unwrap_or(usize::MAX).min(ahead);
+                    lost = Some(found.causes.unwrap_or(LossCauses::DAMAGED));
+                }
+                before => n_rows = n_rows.min(usize::try_from(before).unwrap_or(usize::MAX)),
             }
         }
-        let span =
-            KeySpan { group: group.number, first: self.next as u64, n_rows, n_channels, samples };
+        let samples = match lost {
+            Some(_) => {
+                reader.skip(n_rows)?;
+                Vec::new()
+            }
+            None => {
+                let is_unsigned = group.form == SampleForm::Uint16;
+                read_rows(reader, [n_rows, n_channels], plan.header.width, is_unsigned)?
+            }
+        };
+        let first = self.next as u64;
+        let span = KeySpan { group: group.number, first, n_rows, n_channels, samples, lost };
         self.next += n_rows;
         Ok(Some(span))
     }
+}
+
+/// Reads the next samples of a group, channel after channel.
+fn read_rows(
+    reader: &mut ColumnReader<'_>,
+    [n_rows, n_channels]: [usize; 2],
+    width: usize,
+    is_unsigned: bool,
+) -> io::Result<Vec<f32>> {
+    let mut samples = vec![0.0; n_rows * n_channels];
+    for row in 0..n_rows {
+        let words = reader.next()?.ok_or(io::ErrorKind::UnexpectedEof)?;
+        let places = samples.iter_mut().skip(row).step_by(n_rows);
+        for (place, &word) in places.zip(words) {
+            *place = value(width, word, is_unsigned);
+        }
+    }
+    Ok(samples)
 }
 
 impl Iterator for KeySpans<'_> {
@@ -231,6 +322,13 @@ impl SpanEncoder {
     pub fn encode(&mut self, span: &KeySpan) -> Result<EncodedSpan, TakeError> {
         let rows_max = block_rows_max(span.n_channels) as usize;
         let mut encoded = EncodedSpan::default();
+        if let Some(causes) = span.lost {
+            let (group, first, n) = (span.group, span.first, span.n_rows as u64);
+            let mut payload = Vec::new();
+            SampleSpan { group, first, n, content: SampleContent::Lost(causes) }.put(&mut payload);
+            encoded.0.push(payload);
+            return Ok(encoded);
+        }
         for start in (0..span.n_rows).step_by(rows_max) {
             let rows = start..span.n_rows.min(start + rows_max);
             let content = if start == 0 { SampleContent::Key } else { SampleContent::Continued };

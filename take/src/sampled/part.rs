@@ -17,7 +17,7 @@ use crate::{
     timeline::LossCauses,
 };
 
-/// Most SAMPLES chunks that a reader remembers of a take, in 64 MiB: a group of a recording has one in half a second,
+/// Most SAMPLES chunks that a reader remembers of a part, in 64 MiB: a group of a recording has one in half a second,
 /// which makes six days. Only a crafted file has more.
 const CHUNKS_MAX: usize = 1 << 20;
 
@@ -310,19 +310,41 @@ impl SampledPart {
 
     /// Size of the block of columns.
     pub(crate) fn data_bytes(&self) -> u64 {
+        self.bytes_of_width(self.width())
+    }
+
+    /// Size of the block of columns if no sample were missing. Limits apply to it: a lost sample doubles the size of
+    /// integers, and must not cost the part.
+    pub(crate) fn source_bytes(&self) -> u64 {
+        self.bytes_of_width(self.form_width())
+    }
+
+    fn bytes_of_width(&self, width: usize) -> u64 {
         let Some((front, n_columns, length)) = self.layout() else { return 0 };
-        (front.len() as u64).saturating_add(self.column_bytes(self.width(), length, n_columns))
+        (front.len() as u64).saturating_add(self.column_bytes(width, length, n_columns))
     }
 
     fn column_bytes(&self, width: usize, length: usize, n_columns: usize) -> u64 {
         (width as u64).saturating_mul(length as u64).saturating_mul(n_columns as u64)
     }
 
-    /// Bytes of a sample: 2 for integers, unless some are lost, which only a float can say.
+    /// Samples of each channel of a block of columns: frames that are begun are completed.
+    fn n_completed(&self) -> u64 {
+        let ratio = self.first().map_or(1, |first| u64::from(first.samples_per_frame.max(1)));
+        self.n_samples().div_ceil(ratio).saturating_mul(ratio)
+    }
+
+    /// Bytes of a sample: 2 for integers, unless some are missing, which only a float can say.
     fn width(&self) -> usize {
-        let is_float = |group: &GroupSamples| {
-            group.group.form == SampleForm::Float32 || !group.lost().is_empty()
-        };
+        let n_samples = self.n_completed();
+        let is_missing =
+            |group: &GroupSamples| group.n_samples() < n_samples || !group.lost().is_empty();
+        if self.groups.iter().any(is_missing) { 4 } else { self.form_width() }
+    }
+
+    /// Bytes of a sample in the source.
+    fn form_width(&self) -> usize {
+        let is_float = |group: &GroupSamples| group.group.form == SampleForm::Float32;
         if self.groups.iter().any(is_float) { 4 } else { 2 }
     }
 
@@ -376,6 +398,37 @@ impl SampledPart {
             return Ok((content, undecodable));
         }
         self.read_with(4, input, spool)
+    }
+
+    /// Reads the part as a block of columns in the form of the source, with any number in place of lost samples. Returns
+    /// also these, and those whose blocks cannot be decoded.
+    ///
+    /// # Errors
+    /// Those of [`read`](Self::read).
+    pub(crate) fn read_source_form<F>(
+        &self,
+        input: &mut (impl Read + Seek),
+        spool: &mut Spool<F>,
+    ) -> Result<(Content, Vec<LostSamples>, Vec<LostSamples>), TakeError>
+    where
+        F: Fn() -> io::Result<Arc<dyn ScratchFile>>,
+    {
+        let n_samples = self.n_completed();
+        let short = self.groups.iter().filter(|group| group.n_samples() < n_samples);
+        let short = short.map(|group| LostSamples {
+            channels: group.channels(),
+            first: group.n_samples(),
+            n: n_samples - group.n_samples(),
+            causes: None,
+        });
+        let lost = self.lost().into_iter().chain(short).collect();
+        let (content, undecodable) = self.read_with(self.form_width(), input, spool)?;
+        Ok((content, lost, undecodable))
+    }
+
+    /// Samples of each channel in a frame.
+    pub(crate) fn samples_per_frame(&self) -> u64 {
+        self.first().map_or(1, |first| u64::from(first.samples_per_frame))
     }
 
     fn read_with<F>(

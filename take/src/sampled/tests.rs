@@ -302,6 +302,31 @@ fn open_ended_groups_are_read_up_to_the_last_sample() {
     assert_eq!(column[43..46], [0.0, 0.0, 0.5]);
 }
 
+#[test]
+fn a_frame_that_was_begun_is_completed_with_nan_and_not_with_zeros() {
+    let mut take = TakeWriter::new(Vec::new(), &header()).unwrap();
+    let group = SampledGroup {
+        kind: ANALOG.to_owned(),
+        form: SampleForm::Int16,
+        part_channels: 1,
+        samples_per_frame: 10,
+        rate_hz: 1000.0,
+        channels: vec![SampledChannel::default()],
+        ..SampledGroup::default()
+    };
+    take.sampled_group(&group).unwrap();
+    let mut payload = Vec::new();
+    SampleSpan { group: 0, first: 0, n: 15, content: SampleContent::Key }.put(&mut payload);
+    let mut encoder = mocapd_codec::sampled::SampledEncoder::new();
+    encoder.encode(&[&[7.0; 15]], true, &mut payload).unwrap();
+    take.chunk(types::SAMPLES, &payload).unwrap();
+    let take = take.finish(&Ledger { finished: true, ..Ledger::default() }).unwrap().0;
+    let column = &columns_of(&read(&take).0[0], 1)[0];
+    assert_eq!(column[..15], [7.0; 15]);
+    assert_eq!(column.len(), 20);
+    assert!(column[15..].iter().all(|sample| sample.is_nan()), "{column:?}");
+}
+
 /// A take with one channel: blocks of ten samples, of which the first and the fourth are keys.
 fn continued_take(change: impl Fn(usize, &mut Vec<u8>)) -> Vec<u8> {
     let mut take = TakeWriter::new(Vec::new(), &header()).unwrap();

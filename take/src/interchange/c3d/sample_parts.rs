@@ -106,7 +106,7 @@ fn write(
     Ok(Some(Foreign { kind: kind.to_owned(), data }))
 }
 
-/// The samples of the frames with the numbers `frames`; `None` if the part is damaged.
+/// The samples of the frames with the numbers `frames`, and their range among those of the part; `None` if it is damaged.
 ///
 /// # Errors
 /// Those of reading the part, and of the scratch file.
@@ -114,16 +114,18 @@ pub(crate) fn cut(
     part: &Foreign,
     frames: &Range<u64>,
     store: &mut PartStore<'_>,
-) -> io::Result<Option<Foreign>> {
+) -> io::Result<Option<(Foreign, Range<u64>)>> {
     let Some(samples) = SamplePart::parse(part)? else { return Ok(None) };
-    let SampleHeader { first_frame, n_frames, .. } = samples.header;
+    let SampleHeader { first_frame, n_frames, ratio, .. } = samples.header;
     // Numbers of the part's own frames within the range.
     let end = first_frame.saturating_add(n_frames as u64).min(frames.end);
     let first = first_frame.max(frames.start).min(end);
     let before = (first.saturating_sub(first_frame) as usize).min(n_frames);
     let n = ((end - first) as usize).min(n_frames - before);
     let header = SampleHeader { first_frame: first, n_frames: n, ..samples.header };
-    write(&part.kind, &header, &[(samples, before..before + n)], store)
+    let range = (before * ratio) as u64..((before + n) * ratio) as u64;
+    let part = write(&part.kind, &header, &[(samples, before..before + n)], store)?;
+    Ok(part.map(|part| (part, range)))
 }
 
 /// The samples of several parts of one kind one after another, each with its number of frames in the joined take;
@@ -165,7 +167,7 @@ mod tests {
     }
 
     fn cut(part: &Foreign, frames: &Range<u64>) -> Option<Foreign> {
-        with_store(|store| super::cut(part, frames, store))
+        with_store(|store| super::cut(part, frames, store)).map(|(part, _)| part)
     }
 
     fn join(parts: &[(&Foreign, u64)]) -> Option<Foreign> {
