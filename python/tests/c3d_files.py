@@ -19,11 +19,14 @@ def array(number, name, values):
     return parameter(number, name, FLOATS, list(values.shape), values.tobytes(order="F"))
 
 
-def c3d_file(points, analog, ratio, records, *, scale=-1.0, stored="<f4", rate_hz=100.0, unit="mm", first_frame=1):
+def c3d_file(
+    points, analog, ratio, records, *, scale=-1.0, stored="<f4", rate_hz=100.0, unit="mm", first_frame=1, fourth_words=0
+):
     """The bytes of a file.
 
     ``points`` is [frames, markers, 3] in ``unit``, NaN for a missing sample; ``analog`` is [frames * ratio, channels], as
-    it is to be stored. A ``scale`` above 0 stores integers, of points divided by it.
+    it is to be stored. A ``scale`` above 0 stores integers, of points divided by it. ``fourth_words`` are those of the samples
+    that are not missing, [frames, markers, 1]: the residual, and the camera mask times 256.
     """
     n_frames, n_markers, _ = points.shape
     n_channels = analog.shape[1]
@@ -42,7 +45,7 @@ def c3d_file(points, analog, ratio, records, *, scale=-1.0, stored="<f4", rate_h
     data += (struct.pack("BBBB", 1, 0x50, n_blocks, INTEL) + section).ljust(512 * n_blocks, b"\0")
     present = np.isfinite(points[:, :, :1])
     coordinates = np.where(present, points / max(scale, 0) if scale > 0 else points, 0)
-    words_of_points = np.concatenate([coordinates, np.where(present, 0, -1)], axis=2)
+    words_of_points = np.concatenate([coordinates, np.where(present, fourth_words, -1)], axis=2)
     rows = np.concatenate([words_of_points.reshape(n_frames, -1), analog.reshape(n_frames, per_frame)], axis=1)
     if scale > 0:
         rows = np.round(rows)

@@ -35,13 +35,14 @@ impl DamageReport {
         lost.iter().map(report).collect()
     }
 
+    /// Counted from 0 as in the problems, `--json` and `cut --frames`; the events in `info` have the file's numbers.
     fn text(&self) -> String {
         let Self { first_frame, frames, cause } = self;
         let last = first_frame.saturating_add(frames.saturating_sub(1));
         let (first, last) = (thousands(*first_frame), thousands(last));
         match frames {
-            1 => format!("frame {first}: {cause}"),
-            _ => format!("frames {first} to {last}, {}: {cause}", count(*frames, "frame")),
+            1 => format!("frame {first} (from 0): {cause}"),
+            _ => format!("frames {first} to {last} (from 0), {}: {cause}", count(*frames, "frame")),
         }
     }
 }
@@ -127,7 +128,7 @@ mod tests {
         let range = |first_row| LostRows { first_row, rows: 2, origin: DamageOrigin::Damaged };
         let lost: Vec<_> = (0..25).map(|i| range(10 * i)).collect();
         let lines = lines(&DamageReport::all(&lost));
-        assert_eq!(lines[1], "frames 10 to 11, 2 frames: damaged in the file");
+        assert_eq!(lines[1], "frames 10 to 11 (from 0), 2 frames: damaged in the file");
         assert_eq!(lines.last().unwrap(), "5 ranges more, 10 frames");
     }
 }

@@ -1,5 +1,9 @@
 //! `export` of force plates to `OpenSim`'s `.mot`.
 
+use std::{collections::HashSet, path::PathBuf};
+
+use rustix::process::{Pid, Signal, kill_process};
+
 use super::Folder;
 use crate::support::{
     assert_mentions,
@@ -10,20 +14,25 @@ use crate::support::{
 /// samples a force of 700 N at 100 mm beside the centre along the laboratory's x axis, drifted by 5 N; no force in the
 /// first ten frames. z is up.
 pub(super) fn plate(zero: [u16; 2]) -> Vec<u8> {
-    let frames = (0..20).map(|frame| {
+    plate_of(zero, (20, 5))
+}
+
+/// The same for another number of frames, and of samples in a frame.
+fn plate_of(zero: [u16; 2], (n_frames, ratio): (usize, usize)) -> Vec<u8> {
+    let frames = (0..n_frames).map(|frame| {
         // Along the plate's axes: x of the plate is y of the laboratory, y is x, z points down.
         let loaded = [0.0, 0.0, -695.0, -70_000.0, 0.0, 0.0];
         let empty = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0];
         let sample = if frame < 10 { empty } else { loaded };
-        [&[100.0, 200.0, 300.0 + frame as f32, 0.0][..], &sample.repeat(5)].concat()
+        [&[100.0, 200.0, 300.0 + frame as f32, 0.0][..], &sample.repeat(ratio)].concat()
     });
     let frames = frames.collect();
-    let mut file = C3dFile { order: Order::Intel, analog: (6, 5), ..C3dFile::new(1, frames) };
+    let mut file = C3dFile { order: Order::Intel, analog: (6, ratio), ..C3dFile::new(1, frames) };
     file.texts(1, "LABELS", &["head"]);
     file.texts(1, "Y_SCREEN", &["+Z"]);
     file.records.extend(file.group(2, "ANALOG"));
     file.words(2, "USED", &[6]);
-    file.floats(2, "RATE", &[500.0]);
+    file.floats(2, "RATE", &[100.0 * ratio as f32]);
     file.floats(2, "SCALE", &[1.0; 6]);
     file.words(2, "OFFSET", &[0; 6]);
     file.texts(2, "UNITS", &["N", "N", "N", "Nmm", "Nmm", "Nmm"]);
@@ -156,12 +165,20 @@ fn a_csv_has_analog_channels_and_force_plates_beside_it() {
 #[test]
 fn files_beside_an_output_are_written_with_it_or_not_at_all() {
     let folder = folder([0, 0]);
-    folder.write("walk.force_plates.csv", "mine");
-    let line = folder.refuses(&["export", "walk.take", "-o", "walk.csv"], 1);
-    assert_mentions(&line, &["walk.force_plates.csv", "exists"]);
-    assert_eq!(folder.text("walk.force_plates.csv"), "mine");
-    for name in ["walk.csv", "walk.analog.csv"] {
-        assert!(!folder.path(name).exists(), "{name}");
+    for format in ["csv", "parquet"] {
+        let [walk, analog, plates] =
+            ["walk", "walk.analog", "walk.force_plates"].map(|stem| format!("{stem}.{format}"));
+        folder.write(&plates, "mine");
+        let before = folder.content();
+        let line = folder.refuses(&["export", "walk.take", "-o", &walk], 1);
+        assert_mentions(&line, &[&plates, "exists"]);
+        assert!(folder.content() == before, "{:?}", folder.content().keys());
+        std::fs::remove_file(folder.path(&plates)).unwrap();
+        let ran = folder.run(&["export", "walk.take", "-o", &walk, "--json"]).with_code(0);
+        assert_eq!(ran.json()["sampled_files"], serde_json::json!([analog, plates]));
+        [walk, analog, plates].iter().for_each(|name| {
+            std::fs::remove_file(folder.path(name)).unwrap();
+        });
     }
     // Standard output has the positions, and says what it has not.
     let ran = folder.run(&["export", "walk.take", "-o", "-", "--to", "csv"]).with_code(0);
@@ -175,6 +192,34 @@ fn files_beside_an_output_are_written_with_it_or_not_at_all() {
     assert!(folder.path("out/walk.analog.csv").exists());
     folder.run(&["import", "out", "-o", "again/"]).with_code(0);
     assert_eq!(std::fs::read_dir(folder.path("again")).unwrap().count(), 1);
+}
+
+/// Interrupted while the last of the files is written: the others are complete, and none has its name.
+#[test]
+fn an_export_that_is_interrupted_leaves_no_file_beside_its_output() {
+    let folder = Folder::new();
+    // 300 000 samples: seconds of work.
+    folder.write("walk.c3d", plate_of([0, 0], (6000, 50)));
+    folder.run(&["import", "walk.c3d", "-o", "walk.take"]).with_code(0);
+    for output in ["walk.csv", "walk.parquet"] {
+        let before = folder.content();
+        let mut child = folder.command(&["export", "walk.take", "-o", output]).spawn().unwrap();
+        while n_written(&folder, child.id()) < 3 {
+            assert!(child.try_wait().unwrap().is_none(), "{output}: it ended");
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        kill_process(Pid::from_child(&child), Signal::TERM).unwrap();
+        assert_eq!(child.wait().unwrap().code(), None);
+        assert!(folder.content() == before, "{output}: {:?}", folder.content().keys());
+    }
+}
+
+/// How many files in the folder a process has open beside the take that it reads.
+fn n_written(folder: &Folder, process: u32) -> usize {
+    let open = std::fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten();
+    let open = open.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());
+    let here: HashSet<PathBuf> = open.filter(|path| path.starts_with(folder.path(""))).collect();
+    here.iter().filter(|path| **path != folder.path("walk.take")).count()
 }
 
 #[test]

@@ -1,4 +1,5 @@
-"""Exports every take of a folder as Parquet, long and wide, and as MCAP, and reads them with columns.py.
+"""Exports every take of a folder as Parquet, long and wide, and as MCAP, and reads them with columns.py; analog channels
+and force plates, of generated C3D files, too, are compared with ezc3d's (sampled.py).
 
     python check_columns.py --mocapd target/release/mocapd --takes DIR [--tolerances 0.5]
 
@@ -17,7 +18,9 @@ import numpy as np
 
 import columns
 import compare
+import generated
 import readers
+import sampled
 from check_import import SUFFIXES, run
 
 # What metres in float32 may add to a coordinate in millimetres.
@@ -59,7 +62,7 @@ def check(mocapd, path, tolerance_mm):
         recorded, long, wide, mcap = (Path(folder) / name for name in ("t.take", "l.parquet", "w.parquet", "t.mcap"))
         try:
             take = readers.read(path)
-            run(mocapd, "import", path, "-o", recorded, "--tolerance", f"{tolerance_mm}mm", "--drop-foreign")
+            run(mocapd, "import", path, "-o", recorded, "--tolerance", f"{tolerance_mm}mm")
             run(mocapd, "export", recorded, "-o", long)
             run(mocapd, "export", recorded, "-o", wide, "--wide")
             run(mocapd, "export", recorded, "-o", mcap)
@@ -79,6 +82,16 @@ def check(mocapd, path, tolerance_mm):
         largest_mm = float(np.nanmax(np.abs(take.positions_mm), initial=1.0))
         loose_mm = tolerance_mm + METRES * largest_mm
         attempt("mcap", lambda: compare.compare_csv(take, columns.read_mcap(mcap), loose_mm)[0])
+        tables, first = (sampled.expected(path) if take.oracle == "ezc3d" else {}), {}
+        for what, file, read in [
+            ("long", long, sampled.read_parquet),
+            ("wide", wide, sampled.read_parquet),
+            ("mcap", mcap, sampled.read_mcap),
+        ]:
+            attempt(
+                f"{what}, analog and force plates",
+                lambda file=file, read=read: sampled.complaints(tables, file, read, first),
+            )
     return lines
 
 
@@ -90,9 +103,10 @@ def main():
     arguments = parser.parse_args()
     settings = [float(tolerance) for tolerance in arguments.tolerances.split(",")]
     files = sorted(path for path in arguments.takes.iterdir() if path.suffix.lower() in SUFFIXES)
-    jobs = [(arguments.mocapd.resolve(), path, tolerance) for path in files for tolerance in settings]
     passed = failed = 0
-    with ProcessPoolExecutor(2) as pool:
+    with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
+        files += generated.sampled(Path(folder))
+        jobs = [(arguments.mocapd.resolve(), path, tolerance) for path in files for tolerance in settings]
         for lines in pool.map(check, *zip(*jobs)) if jobs else []:
             for line, good in lines:
                 print(line, flush=True)

@@ -4,6 +4,8 @@
 
 Every take of the folder is imported once, at 1 mm; generated ones of odd sizes without loss. All formats must hold the
 same bits, within the tolerance of the source. Events are put in by way of a TSV file, which is imported again.
+Analog channels, force plates, residuals and camera masks of C3D files, recorded and generated ones, must be those that
+ezc3d reads (sampled.py).
 One line for each take and format; the last line is `N passed, N failed`; exit code 1 when one failed.
 """
 
@@ -21,11 +23,13 @@ import compare
 import exports
 import generated
 import readers
+import sampled
 
 TOLERANCE_MM = 1.0
 SUFFIXES = {".c3d", ".trc", ".tsv", ".csv"}
 FORMATS = ["npz", "c3d", "trc", "tsv", "csv", "long.csv", "xdf", "bids"]
 HOLD_EVENTS = {"npz", "c3d", "tsv", "xdf", "bids"}
+HOLD_SAMPLES = {"npz": sampled.read_npz, "csv": sampled.read_csv, "xdf": sampled.read_xdf, "bids": sampled.read_bids}
 
 
 def run(*command):
@@ -142,8 +146,8 @@ def check_dataset(mocapd, recorded, folder, lines):
 
 
 def check(job):
-    """One take: a line and whether it passed for each format."""
-    mocapd, source, take = job
+    """One take: a line and whether it passed for each format, and, of a whole check, for its events and data set."""
+    mocapd, source, take, is_whole = job
     lossless = take is not None
     lines = []
     folder = Path(tempfile.mkdtemp())
@@ -153,13 +157,16 @@ def check(job):
         precision = ["--lossless"] if lossless else ["--tolerance", f"{TOLERANCE_MM}mm"]
         run(mocapd, "import", source, "-o", recorded, *precision)
         base = None
-        own_events = exports.c3d_events(source) if take.oracle == "ezc3d" else []
+        is_c3d = take.oracle == "ezc3d"
+        own_events = exports.c3d_events(source) if is_c3d else []
+        tables, first_tables = (sampled.expected(source) if is_c3d else {}), {}
         for kind in FORMATS:
             try:
                 path, _ = export(mocapd, recorded, kind, folder)
                 if kind == "c3d":
                     complaints = compare.compare_c3d(take, base, path)
                     complaints += complaints_of_events(exports.c3d_events(path), own_events, 1e-4)
+                    complaints += compare.compare_given_back(take, source, path) if is_c3d else []
                 else:
                     found = read(kind, path, take)
                     if base is None:
@@ -170,15 +177,18 @@ def check(job):
                     complaints += complaints_of(kind, found, take, base)
                     if kind in HOLD_EVENTS:
                         complaints += complaints_of_events(found.events, own_events, 0.51 / take.rate_hz)
+                if kind in HOLD_SAMPLES:
+                    complaints += sampled.complaints(tables, path, HOLD_SAMPLES[kind], first_tables)
                 if kind == "bids":
                     complaints += exports.validate_bids(path)
             except Exception as problem:  # any failure is this format's, the others still count
                 complaints = [f"{type(problem).__name__}: {problem}"]
             lines.append((not complaints, f"{kind} {'; '.join(complaints)}"))
-        events = folder / "events"
-        events.mkdir()
-        check_events(mocapd, recorded, take, events, lines)
-        check_dataset(mocapd, recorded, folder, lines)
+        if is_whole:
+            events = folder / "events"
+            events.mkdir()
+            check_events(mocapd, recorded, take, events, lines)
+            check_dataset(mocapd, recorded, folder, lines)
     except Exception as problem:
         lines.append((False, f"{type(problem).__name__}: {problem}"))
     finally:
@@ -193,10 +203,11 @@ def main():
     arguments = parser.parse_args()
     mocapd = arguments.mocapd.resolve()
     recorded = sorted(arguments.takes.iterdir()) if arguments.takes else []
-    jobs = [(mocapd, path, None) for path in recorded if path.suffix.lower() in SUFFIXES]
+    jobs = [(mocapd, path, None, True) for path in recorded if path.suffix.lower() in SUFFIXES]
     passed = failed = 0
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
-        jobs += [(mocapd, path, take) for path, take in generated.takes(Path(folder))]
+        jobs += [(mocapd, path, take, True) for path, take in generated.takes(Path(folder))]
+        jobs += [(mocapd, path, None, False) for path in generated.sampled(Path(folder))]
         for lines in pool.map(check, jobs):
             for good, line in lines:
                 print(line, flush=True)

@@ -1,8 +1,8 @@
 """Exports the force plates of C3D files to .mot, and compares every load with what ezc3d calculates from the C3D file.
 
-    python check_forces.py --mocapd target/release/mocapd --takes FOLDER
+    python check_forces.py --mocapd target/release/mocapd [--takes FOLDER]
 
-The .mot is read as OpenSim's Storage reads it: whatever that would refuse or misread is an error. One line for each file
+The files are those of the folder and generated ones. The .mot is read as OpenSim's Storage reads it: whatever that would refuse or misread is an error. One line for each file
 with force plates; the last line is `N passed, N failed`; exit code 1 when one failed.
 
 ezc3d 1.7.2 gives the centre of pressure of unloaded plates as well; below 20 N the .mot has zeros. Plates whose type
@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-THRESHOLD_N = 20.0
+import generated
+from sampled import THRESHOLD_N
 
 
 def read_mot(path):
@@ -106,19 +107,19 @@ def has_plates(path):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--mocapd", required=True)
-    parser.add_argument("--takes", type=Path, required=True)
+    parser.add_argument("--takes", type=Path, help="recorded takes; without them only the generated ones")
     arguments = parser.parse_args()
     passed = failed = 0
-    for path in sorted(arguments.takes.glob("*.c3d")):
-        if not has_plates(path):
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                wrong = complaints(arguments.mocapd, path, Path(folder))
-            except (RuntimeError, AssertionError) as error:
-                wrong = [str(error)]
-        passed, failed = (passed, failed + 1) if wrong else (passed + 1, failed)
-        print(f"{'FAILED' if wrong else 'passed'} {path.name}: {'; '.join(wrong)}" if wrong else f"passed {path.name}")
+    with tempfile.TemporaryDirectory() as own:
+        recorded = sorted(arguments.takes.glob("*.c3d")) if arguments.takes else []
+        for path in filter(has_plates, [*recorded, *generated.sampled(Path(own))]):
+            with tempfile.TemporaryDirectory() as folder:
+                try:
+                    wrong = complaints(arguments.mocapd, path, Path(folder))
+                except (RuntimeError, AssertionError) as error:
+                    wrong = [str(error)]
+            passed, failed = passed + (not wrong), failed + bool(wrong)
+            print(f"FAILED {path.name}: {'; '.join(wrong)}" if wrong else f"passed {path.name}")
     print(f"{passed} passed, {failed} failed")
     sys.exit(1 if failed or not passed else 0)
 

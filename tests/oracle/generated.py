@@ -1,8 +1,16 @@
-"""Motion of odd sizes, as CSV to import: what no recorded take has."""
+"""Motion of odd sizes, as CSV to import, and C3D files with analog channels: what no recorded take has, or what is to be
+compared where there are none."""
+
+import sys
+from pathlib import Path
 
 import numpy as np
 
 import readers
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "python" / "tests"))
+
+import c3d_files  # noqa: E402
 
 
 def takes(folder):
@@ -33,3 +41,39 @@ def write(folder, name, n_markers, n_frames, labels):
     unlabelled = lambda column, label: "" if label == f"u{column:03d}" else label
     labels = [unlabelled(column, label) for column, label in enumerate(labels, 1)]
     return path, readers.Take(labels, 100.0, 12, positions, 1.0, [], "generated")
+
+
+def sampled(folder):
+    """Paths of C3D files with EMG, force plates, residuals and camera masks: signed, unsigned and float samples."""
+    n_frames, ratio = 60, 10
+    time = np.arange(n_frames * ratio) / (100 * ratio)
+    emg = np.stack([900 * np.sin(260 * time) * np.sin(5 * time), 300 * np.cos(410 * time)], axis=1)
+    rise = np.clip(np.sin(6 * time), 0, None)
+    load = np.stack([40 * rise, -60 * rise * np.cos(9 * time), 800 * rise], axis=1)
+    at = np.stack([300 + 200 * time, 220 - 90 * time, 0 * time], axis=1)
+    plate = lambda kind, turn_deg: c3d_files.Plate(kind, (300.0, 200.0, 0.0), turn_deg, load, at, 8 * rise)
+    points = c3d_files.walk(n_frames)
+    # Residuals of 0 to 9 and cameras 1 to 7 in every combination.
+    number = np.arange(points.shape[0] * points.shape[1]).reshape(*points.shape[:2], 1)
+    common = {"fourth_words": number % 10 + 256 * (number % 128), "first_frame": 12}
+    def file(name, plates, scales, offsets, more=b"", **options):
+        """The channels of the plates, then two of EMG with the same label."""
+        stored = np.concatenate([*(plate.channels() for plate in plates), emg], axis=1) / scales + offsets
+        labels, units = [], []
+        for plate in plates:
+            labels += ["Fx1", "Fy1", "Fz1", "Mx1", "My1", "Mz1"]
+            units += ["V"] * 6 if plate.kind == 4 else ["N"] * 3 + ["Nmm"] * 3
+        labels, units = [*labels, "EMG", "EMG"], [*units, "mV", "mV"]
+        wrapped = np.array(offsets) & 0xFFFF
+        records = c3d_files.channel_records(len(labels), labels=labels, units=units, scales=scales, offsets=wrapped, more=more)
+        records += c3d_files.plate_records(plates) if plates else b""
+        records += c3d_files.texts(c3d_files.POINT, "DESCRIPTIONS", [f"marker {n}" for n in range(points.shape[1])])
+        path = folder / f"{name}.c3d"
+        path.write_bytes(c3d_files.c3d_file(points, stored, ratio, records, **options, **common))
+        return path
+
+    unsigned = c3d_files.texts(c3d_files.ANALOG, "FORMAT", ["UNSIGNED"])
+    scales = [0.01, 0.01, 0.05, 8.0, 8.0, 1.0, 0.05, 0.025]
+    yield file("signed", [plate(2, 0)], scales, [0, 0, 11, 0, 0, 3, -100, 7], scale=0.1)
+    yield file("unsigned", [], scales[-2:], [32768, 40000], unsigned, scale=0.1)
+    yield file("float", [plate(4, 37)], [1.0] * 6 + [0.5, 0.1], [0] * 8)

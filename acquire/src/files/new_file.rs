@@ -72,6 +72,15 @@ impl NewFile {
         Self { file: Some(file), sync: BackgroundSync::default(), hidden, path: path.to_owned() }
     }
 
+    /// Syncs what was written, so that giving the file its name takes no time.
+    ///
+    /// # Errors
+    /// When the disk fails.
+    pub fn sync(&mut self) -> io::Result<()> {
+        self.sync.finish()?;
+        self.file.as_ref().map_or(Ok(()), File::sync_all)
+    }
+
     /// Gives the file its name. A file that appeared there meanwhile is not overwritten.
     ///
     /// # Errors

@@ -2,8 +2,8 @@
 
 use std::{
     collections::HashMap,
-    fs,
-    io::{Seek, Write},
+    fs::{self, File},
+    io::{self, Seek, Write},
     os::unix::ffi::OsStrExt,
     path::{Path, PathBuf},
 };
@@ -107,9 +107,26 @@ fn with_ending(path: &Path, extension: &str) -> PathBuf {
 }
 
 /// An output that can seek.
-pub(crate) trait SeekWrite: Write + Seek {}
+pub(crate) trait SeekWrite: Write + Seek {
+    /// Syncs what was written, for outputs that get their names together.
+    ///
+    /// # Errors
+    /// When the disk fails.
+    fn sync(&mut self) -> io::Result<()>;
+}
 
-impl<T: Write + Seek> SeekWrite for T {}
+impl SeekWrite for NewFile {
+    fn sync(&mut self) -> io::Result<()> {
+        Self::sync(self)
+    }
+}
+
+/// What is copied to standard output, and has no name.
+impl SeekWrite for File {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
 
 /// Writes an output whole or not at all: a new file, or standard output. In an output folder, which is created if it is
 /// missing, a file with the same content stays. Returns the result of `write`, and whether the file is new.

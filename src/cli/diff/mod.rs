@@ -266,7 +266,7 @@ impl MotionReport {
 
 impl SamplePlace {
     fn text(&self) -> String {
-        format!(" at frame {}, {}", thousands(self.frame), plain(&self.marker))
+        format!(" at frame {} (from 0), {}", thousands(self.frame), plain(&self.marker))
     }
 }
 
@@ -335,7 +335,7 @@ fn times_text(times: &TimesDifference, out: &mut String) {
         first_frame,
     } = times;
     let Some(first) = first_frame else { return };
-    writeln!(out, "times: the first difference is at frame {}", thousands(*first)).ok();
+    writeln!(out, "times: the first difference is at frame {} (from 0)", thousands(*first)).ok();
     for (n, what) in [
         (ticks_differing, "different device ticks"),
         (arrivals_differing, "different arrivals"),
@@ -369,7 +369,7 @@ fn events_text(events: &[EventDifference], out: &mut String) {
     writeln!(out, "events").ok();
     for EventDifference { only_in, frame, kind, text } in events.iter().take(LISTED_MAX) {
         let side = if *only_in == "a" { '<' } else { '>' };
-        writeln!(out, "  {side} frame {}: {kind} {}", thousands(*frame), plain(text)).ok();
+        writeln!(out, "  {side} frame {} (from 0): {kind} {}", thousands(*frame), plain(text)).ok();
     }
     if events.len() > LISTED_MAX {
         writeln!(out, "  and {} more", thousands((events.len() - LISTED_MAX) as u64)).ok();

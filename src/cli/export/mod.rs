@@ -15,7 +15,7 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    files::{self, Kept, NewRecording, SparseFile},
+    files::{self, Kept, NewFile, NewRecording, SparseFile},
     parallel_frames::ParallelFrames,
 };
 use mocapd_service::units;
@@ -325,6 +325,7 @@ impl ExportPlan<'_> {
                 buffered.flush().with_context(writing)?;
                 drop(buffered);
                 if self.format.has_sampled_files() && !paths::is_dash(output) {
+                    out.sync().with_context(writing)?;
                     sampled.write(self, frames, output)?;
                 }
                 Ok((out.seek(SeekFrom::End(0))?, remarks))
@@ -366,22 +367,31 @@ impl SampledFiles {
         frames: &dyn FrameSource,
         output: &Path,
     ) -> anyhow::Result<()> {
+        let mut files = Vec::new();
         for mut table in plan.format.sampled_tables(frames.info())? {
             if plan.args.format.for_spreadsheet {
                 table.rename(format::escape);
             }
             let path = paths::sampled_path(output, table.kind());
             let writing = || format!("cannot write {}", path.display());
-            let (bytes, kept) = outputs::write_whole(&path, plan.is_folder, |out| {
-                let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut *out);
-                plan.format
-                    .write_sampled(&mut table, frames, &mut buffered)
-                    .with_context(writing)?;
-                buffered.flush().with_context(writing)?;
-                drop(buffered);
-                Ok(out.seek(SeekFrom::End(0))?)
-            })?;
-            self.bytes += bytes;
+            let mut file = match plan.is_folder {
+                true => NewFile::create_or_compare(&path)?,
+                false => NewFile::create(&path)?,
+            };
+            let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut file);
+            plan.format.write_sampled(&mut table, frames, &mut buffered).with_context(writing)?;
+            buffered.flush().with_context(writing)?;
+            drop(buffered);
+            self.bytes += file.seek(SeekFrom::End(0)).with_context(writing)?;
+            file.sync().with_context(writing)?;
+            files.push((path, file));
+        }
+        // All are complete, so an export that is interrupted before this moment leaves none.
+        for (path, file) in files {
+            let kept = match plan.is_folder {
+                true => file.keep_or_compare()?,
+                false => file.keep().map(|()| Kept::New)?,
+            };
             self.kept.push((path, kept));
         }
         Ok(())

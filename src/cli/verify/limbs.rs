@@ -223,6 +223,6 @@ impl LimbsReport {
 impl FrameSpan {
     fn text(&self) -> String {
         let Self { from_frame, to_frame, from_s, to_s } = self;
-        format!("{from_s:.3} s to {to_s:.3} s (frames {from_frame} to {to_frame})")
+        format!("{from_s:.3} s to {to_s:.3} s (frames {from_frame} to {to_frame}, from 0)")
     }
 }

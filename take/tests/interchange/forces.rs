@@ -488,7 +488,7 @@ fn table(text: &str) -> (Vec<&str>, Vec<Vec<f64>>) {
 }
 
 /// Three frames of two instants: loaded, and unloaded in the last frame. z is up.
-fn loaded_and_not() -> Motion {
+pub(crate) fn loaded_and_not() -> Motion {
     let channels = [as_f32(FORCE_N), as_f32(about_sensors().map(|m| m * 1000.0))].concat();
     let mut analog = channels.repeat(4);
     analog.extend(channels.iter().map(|v| v / 100.0).collect::<Vec<_>>().repeat(2));

@@ -4,6 +4,8 @@
 
 mod c3d;
 mod c3d_file;
+#[cfg(feature = "full")]
+mod columns;
 mod events;
 mod forces;
 mod given_back;

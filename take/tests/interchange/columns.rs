@@ -1,18 +1,19 @@
 //! Parquet and MCAP files, read back by their own libraries: content, absent samples, and memory.
 
-#![cfg(feature = "full")]
 #![expect(clippy::unwrap_used, reason = "a test stops there")]
 
 use std::collections::HashSet;
 
 use mocapd_take::{
-    interchange::Format,
+    interchange::{Format, SampledKind},
     motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis, is_gap},
 };
 use parquet::{
     file::reader::{FileReader, SerializedFileReader},
     record::Field,
 };
+
+use crate::forces::loaded_and_not;
 
 /// Markers with gaps: two share a label, and one is never visible.
 fn motion(n_frames: usize, n_markers: usize) -> Motion {
@@ -105,17 +106,124 @@ fn memory_is_bounded_by_row_groups() {
     }
 }
 
+/// A value of a file's metadata.
+fn about(file: &SerializedFileReader<bytes::Bytes>, name: &str) -> Option<String> {
+    let pairs = file.metadata().file_metadata().key_value_metadata().unwrap();
+    pairs.iter().find(|pair| pair.key == name).and_then(|pair| pair.value.clone())
+}
+
 #[test]
 fn metadata_say_what_the_numbers_are() {
     let file = reader(written(&motion(3, 2), Format::Parquet));
-    let about = file.metadata().file_metadata().key_value_metadata().unwrap();
-    let value =
-        |name: &str| about.iter().find(|pair| pair.key == name).and_then(|pair| pair.value.clone());
+    let value = |name: &str| about(&file, name);
     assert_eq!(value("mocapd.labels").unwrap(), r#"["M0","M0"]"#);
     assert_eq!(value("mocapd.rate_hz").unwrap(), "100");
     assert_eq!(value("mocapd.layout").unwrap(), "long");
     assert_eq!(value("mocapd.up_axis").unwrap(), "y");
     assert_eq!(value("mocapd.tolerance_mm"), None, "it is no take");
+}
+
+/// The tables of a motion with a force plate, and their rows as the table itself gives them.
+fn sampled(motion: &Motion, format: Format) -> Vec<(SampledKind, Vec<u8>, Vec<Vec<f32>>)> {
+    let frames = MotionFrames::new(motion);
+    let rows = |mut table: mocapd_take::interchange::SampledTable<'_>| {
+        let mut rows = Vec::new();
+        let put = |_, row: &[f32]| {
+            rows.push(row.to_vec());
+            Ok(())
+        };
+        table.for_each_row(&frames, put).unwrap();
+        rows
+    };
+    let tables = || format.sampled_tables(&motion.info).unwrap();
+    let files = tables().into_iter().zip(tables()).map(|(mut table, again)| {
+        let mut out = Vec::new();
+        format.write_sampled(&mut table, &frames, &mut out).unwrap();
+        (table.kind(), out, rows(again))
+    });
+    files.collect()
+}
+
+#[test]
+fn analog_channels_and_force_plates_are_files_with_a_row_a_sample() {
+    let motion = loaded_and_not();
+    for format in [Format::Parquet, Format::ParquetWide] {
+        let files = sampled(&motion, format);
+        let kinds: Vec<SampledKind> = files.iter().map(|(kind, ..)| *kind).collect();
+        assert_eq!(kinds, SampledKind::ALL);
+        for (kind, file, expected) in files {
+            let file = reader(file);
+            assert_eq!(about(&file, "mocapd.layout").unwrap(), kind.name());
+            assert_eq!(about(&file, "mocapd.sampled_rate_hz").unwrap(), "200");
+            assert_eq!(about(&file, "mocapd.units"), None);
+            let described = about(&file, "mocapd.columns").unwrap();
+            let is_plates = kind == SampledKind::ForcePlates;
+            let one = if is_plates {
+                r#""name":"force_plate_1.cop_y_mm","unit":"mm""#
+            } else {
+                r#""name":"A6","unit":"""#
+            };
+            assert!(described.contains(one), "{described}");
+            let mut n_missing = 0;
+            let mut n_rows = 0;
+            for (index, row) in file.get_row_iter(None).unwrap().enumerate() {
+                let columns = row.unwrap().into_columns();
+                assert_eq!(columns[0], ("time_s".to_owned(), Field::Double(index as f64 / 200.0)));
+                assert_eq!(columns.len(), 1 + expected[index].len());
+                for ((_, found), value) in columns[1..].iter().zip(&expected[index]) {
+                    let wanted = if value.is_nan() { Field::Null } else { Field::Float(*value) };
+                    assert_eq!(*found, wanted);
+                    n_missing += usize::from(value.is_nan());
+                }
+                n_rows += 1;
+            }
+            assert_eq!((n_rows, expected.len()), (6, 6));
+            // Without a load there is neither a centre of pressure nor a free moment, in two samples.
+            assert_eq!(n_missing, if is_plates { 12 } else { 0 });
+        }
+    }
+    // Without such channels there is no such file.
+    assert!(sampled(&self::motion(5, 2), Format::Parquet).is_empty());
+}
+
+/// The floats of a message whose first field is its time.
+fn values(message: &[u8]) -> Vec<f32> {
+    let mut rest = &message[2 + usize::from(message[1])..];
+    let mut values = Vec::new();
+    while !rest.is_empty() {
+        // A key of one or two bytes, of the wire type of 32 bits.
+        assert_eq!(rest[0] & 7, 5);
+        let key_bytes = if rest[0] & 0x80 == 0 { 1 } else { 2 };
+        values.push(f32::from_le_bytes(rest[key_bytes..key_bytes + 4].try_into().unwrap()));
+        rest = &rest[key_bytes + 4..];
+    }
+    values
+}
+
+#[test]
+fn mcap_has_a_message_a_sample_of_analog_channels_and_force_plates() {
+    let motion = loaded_and_not();
+    let expected = sampled(&motion, Format::Parquet);
+    let file = written(&motion, Format::Mcap);
+    for ((kind, _, rows), topic) in expected.iter().zip(["/analog", "/force_plates"]) {
+        let mut n_found = 0;
+        for message in mcap::MessageStream::new(&file).unwrap().map(Result::unwrap) {
+            if message.channel.topic != topic {
+                continue;
+            }
+            assert_eq!(message.log_time, n_found as u64 * 5_000_000);
+            let bits = |row: &[f32]| row.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+            assert_eq!(bits(&values(&message.data)), bits(&rows[n_found]), "{topic} {n_found}");
+            let described = &message.channel.metadata;
+            assert_eq!(described.len(), rows[0].len());
+            if *kind == SampledKind::ForcePlates {
+                let name = "force_plate_1.force_z_n (N)";
+                assert_eq!(described["force_plate_1_force_z_n"], name);
+            }
+            n_found += 1;
+        }
+        assert_eq!(n_found, rows.len());
+    }
 }
 
 #[test]
@@ -174,5 +282,11 @@ fn a_full_disk_is_an_error() {
         for room in [0, 100, 20_000] {
             assert!(format.write(&mut MotionFrames::new(&motion), &mut Full(room)).is_err());
         }
+    }
+    let motion = loaded_and_not();
+    for mut table in Format::Parquet.sampled_tables(&motion.info).unwrap() {
+        let frames = MotionFrames::new(&motion);
+        let written = Format::Parquet.write_sampled(&mut table, &frames, &mut Full(100));
+        assert!(written.is_err(), "{:?}", table.kind());
     }
 }
