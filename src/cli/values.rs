@@ -218,7 +218,7 @@ pub(crate) struct EffortArgs {
     #[arg(long, value_name = "N", value_parser = str::parse::<Effort>)]
     effort: Option<Effort>,
     /// Distance of key stretches, where reading can start and beyond which a damaged byte costs nothing: 50ms to 10s
-    /// [default: 10s, and up to 10min where nothing moves, from effort 2 on]
+    /// [default: 10s, and up to 5min where nothing moves, from effort 2 on]
     #[arg(long, value_name = "TIME", value_parser = key_distance)]
     keys: Option<Duration>,
 }
