@@ -208,19 +208,19 @@ impl StillSpans {
     }
 
     /// Whether no marker leaves a box of the size of the tolerance.
-    fn holds(&self, boxes: &[Bounds]) -> bool {
+    fn holds(&self, boxes: &[BoundingBox]) -> bool {
         boxes.iter().all(|bounds| bounds.diagonal_squared() <= self.diagonal_mm * self.diagonal_mm)
     }
 }
 
 /// The box around the samples of a channel.
 #[derive(Debug, Clone, Copy)]
-struct Bounds {
+struct BoundingBox {
     least: Position,
     most: Position,
 }
 
-impl Bounds {
+impl BoundingBox {
     const EMPTY: Self = Self { least: [f32::INFINITY; 3], most: [f32::NEG_INFINITY; 3] };
 
     fn of(positions: &[Position], present: &[bool]) -> Self {
@@ -261,10 +261,10 @@ struct StretchRows {
 
 impl StretchRows {
     /// The box of each channel.
-    fn boxes(&self) -> Vec<Bounds> {
+    fn boxes(&self) -> Vec<BoundingBox> {
         let columns =
             self.groups.iter().flat_map(|group| group.positions.iter().zip(&group.present));
-        columns.map(|(positions, present)| Bounds::of(positions, present)).collect()
+        columns.map(|(positions, present)| BoundingBox::of(positions, present)).collect()
     }
 
     /// Adds the rows of the next stretch.
