@@ -29,7 +29,7 @@ use super::{
 #[command(
     after_help = "Stretches within the range are copied. Two kinds of frames are stored as float32, because no lossy \
     resampler could encode them again to the same positions: those before the first key stretch of the range (at most \
-    10 s), and those of its last stretch, if that is only partly in the range. With --whole-stretches the range is \
+    10 s, or 5 min of an import where nothing moves), and those of its last stretch, if that is only partly in the range. With --whole-stretches the range is \
     extended so that everything is copied."
 )]
 pub(crate) struct Args {

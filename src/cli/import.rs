@@ -107,6 +107,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         settings: ImportSettings {
             codec,
             effort: args.effort.effort(&codec)?,
+            key_distance: args.effort.key_distance(&codec)?,
             options: ReadOptions { unit: args.unit, up: args.up },
             drops_foreign: args.drop_foreign,
             subject: args.subject.load()?,

@@ -5,6 +5,7 @@ use std::{
     io::Write,
     path::Path,
     sync::{Arc, atomic::AtomicU64},
+    time::Duration,
 };
 
 use anyhow::{Context, ensure};
@@ -145,6 +146,8 @@ pub(super) struct ImportSettings {
     pub(super) codec: Settings,
     /// Effort of the encoder.
     pub(super) effort: Effort,
+    /// Distance of key stretches, where it was chosen.
+    pub(super) key_distance: Option<Duration>,
     /// Unit and up axis.
     pub(super) options: ReadOptions,
     /// Whether everything but trajectories is left out.
@@ -205,6 +208,7 @@ impl<'a> Import<'a> {
         let name = &self.input.name;
         let mut header = header_of(self.reader.info(), name, codec);
         header.set_effort(self.settings.effort);
+        self.settings.key_distance.into_iter().for_each(|time| header.set_key_distance(time));
         header.settings.extend(options.settings());
         if self.settings.drops_foreign {
             header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));

@@ -46,6 +46,22 @@ pub(super) fn stretch(text: &str) -> Result<Duration, String> {
     Err(format!("a stretch of '{text}' is out of range: give 50ms to 10s"))
 }
 
+/// Parses the distance of key stretches in an import.
+///
+/// # Errors
+/// What is wrong, and what to type instead.
+pub(super) fn key_distance(text: &str) -> Result<Duration, String> {
+    let limit = "takes of this version have key stretches at most 10s apart: give 50ms to 10s";
+    if text == "none" {
+        return Err(limit.to_owned());
+    }
+    let distance = length(text)?;
+    if STRETCH_LENGTHS.contains(&distance) {
+        return Ok(distance);
+    }
+    Err(format!("a distance of '{text}' is out of range; {limit}"))
+}
+
 /// Parses the time between syncs; 0 syncs after each stretch.
 ///
 /// # Errors
@@ -194,16 +210,34 @@ pub(crate) struct CodecArgs {
 /// The default effort of an import: the most that takes at most four times as long as the least.
 const DEFAULT_EFFORT: u8 = 3;
 
-/// How hard to encode a whole take.
+/// How hard to encode a whole take, and in which stretches.
 #[derive(Debug, Args)]
 pub(crate) struct EffortArgs {
     /// Effort of the resampler dense, 1 to 9: higher levels need more time and make smaller files; recordings use 1
     /// [default: 3]
     #[arg(long, value_name = "N", value_parser = str::parse::<Effort>)]
     effort: Option<Effort>,
+    /// Distance of key stretches, where reading can start and beyond which a damaged byte costs nothing: 50ms to 10s
+    /// [default: 10s, and up to 5min where nothing moves, from effort 2 on]
+    #[arg(long, value_name = "TIME", value_parser = key_distance)]
+    keys: Option<Duration>,
 }
 
 impl EffortArgs {
+    /// The distance of key stretches, if one is given.
+    ///
+    /// # Errors
+    /// A usage error if one is given for a resampler that encodes a take as one stretch.
+    pub(crate) fn key_distance(&self, codec: &Settings) -> anyhow::Result<Option<Duration>> {
+        if self.keys.is_some() && !codec.kind.is_live() {
+            let kind = codec.kind;
+            bail!(UsageError(format!(
+                "--keys divides a take, and {kind} encodes it as one stretch: omit it"
+            )));
+        }
+        Ok(self.keys)
+    }
+
     /// The effort for a resampler, 1 for those that have one way to encode.
     ///
     /// # Errors

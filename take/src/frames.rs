@@ -123,8 +123,8 @@ impl<R: Read + Seek> TakeFrames<R> {
         &self.map.problems
     }
 
-    /// Skips to frame `row`. Stretches before the last key stretch, which begins at most ten seconds before `row`, are
-    /// not decoded. Frames that were read are not repeated.
+    /// Skips to frame `row`. Stretches before the last key stretch, which begins at most ten seconds before `row` (five
+    /// minutes in an import where nothing moves), are not decoded. Frames that were read are not repeated.
     ///
     /// # Errors
     /// `Unsupported`, `Io`.

@@ -4,15 +4,18 @@
 //! and the bytes do not depend on the number of threads. One stretch is read at a time, except for a resampler that
 //! needs the whole take.
 
-use std::{collections::VecDeque, fmt, io::Write};
+mod parts;
 
-use mocapd_codec::{
-    BlockEncoder, BlockReport, CodecError, Effort, GROUP_CHANNELS, Position, Rows, Settings,
-};
+use std::io::Write;
+
+use mocapd_codec::{BlockEncoder, BlockReport, Effort, GROUP_CHANNELS, Position, Settings};
+
+use self::parts::StillSpans;
+pub use self::parts::{EncodePart, EncodeParts};
 
 use crate::{
     TakeError, TakeWriter,
-    motion::{Foreign, FrameSource, GAP, Marker, MotionEvent, MotionInfo, is_gap},
+    motion::{Foreign, FrameSource, Marker, MotionEvent, MotionInfo},
     record::{Channel, Event, Header, Ledger},
     sampled::{EncodedSpan, SamplesPlan},
     statistics::{BlockTally, StretchTally},
@@ -23,7 +26,8 @@ use crate::{
     timeline::Timeline,
 };
 
-/// Duration of an import's stretches, and so the distance between its key stretches, in seconds.
+/// Duration of an import's stretches, and so the distance between its key stretches, in seconds, unless the header
+/// states a distance. Stretches in which nothing moves may be longer.
 const STRETCH_S: f64 = 10.0;
 
 /// Rows of a stretch at `rate_hz`. A resampler that needs the whole take at once gets a single stretch.
@@ -48,20 +52,6 @@ pub fn channels(markers: &[Marker]) -> Vec<Channel> {
     markers.iter().enumerate().map(channel).collect()
 }
 
-/// One group of channels over one stretch, with its samples: the unit that is encoded independently.
-#[derive(Debug, Clone)]
-pub struct EncodePart {
-    /// First row.
-    pub first_row: usize,
-    /// Number of rows.
-    pub n_rows: usize,
-    /// Column of the first marker.
-    pub first_marker: usize,
-    /// Number of markers.
-    pub n_markers: usize,
-    columns: ColumnBuffer,
-}
-
 /// An encoded block, and what the encoder reports of each of its channels.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EncodedPart {
@@ -78,7 +68,8 @@ pub struct EncodePlan {
     n_markers: usize,
     codec: Settings,
     effort: Effort,
-    stretch_rows: usize,
+    /// Most rows of a part.
+    part_rows: usize,
     shared: Vec<u8>,
 }
 
@@ -103,6 +94,7 @@ impl EncodePlan {
             )));
         }
         let stretch_rows = stretch_rows(&codec, header.rate_hz, n_rows, n_markers);
+        let stretch_rows = header.key_rows().map_or(stretch_rows, |rows| stretch_rows.min(rows));
         if stretch_rows as u64 > ROWS_MAX || (stretch_rows * n_markers) as u64 > SAMPLES_MAX {
             return Err(TakeError::InvalidArgument(format!(
                 "{n_rows} frames of {n_markers} markers are too many for {}, which encodes them \
@@ -110,24 +102,21 @@ impl EncodePlan {
                 codec.kind
             )));
         }
-        // The groups of one stretch.
-        let ready = VecDeque::with_capacity(n_markers.div_ceil(GROUP_CHANNELS).max(1));
-        let mut parts = EncodeParts { frames, n_rows, stretch_rows, next_row: 0, ready };
+        let still = StillSpans::of(header, &codec, n_markers);
+        let part_rows = still.as_ref().map_or(0, StillSpans::rows_max).max(stretch_rows);
+        let mut parts = EncodeParts::new(frames, n_rows, stretch_rows, still);
         let mut shared = Vec::new();
         if !codec.kind.is_live() {
-            parts.read_stretch()?;
-            let columns: Result<Vec<_>, _> =
-                parts.ready.iter().map(|part| part.columns.rows()).collect();
-            shared = codec.plan(&columns?.concat())?;
+            shared = codec.plan(&parts.first_stretch()?)?;
         }
         let effort = header.effort();
-        Ok((Self { n_rows, n_markers, codec, effort, stretch_rows, shared }, parts))
+        Ok((Self { n_rows, n_markers, codec, effort, part_rows, shared }, parts))
     }
 
     /// Memory that the samples of a part take, in bytes.
     #[must_use]
     pub fn part_bytes(&self) -> usize {
-        let n_samples = self.stretch_rows.min(self.n_rows) * self.n_markers.min(GROUP_CHANNELS);
+        let n_samples = self.part_rows.min(self.n_rows) * self.n_markers.min(GROUP_CHANNELS);
         n_samples * (size_of::<Position>() + size_of::<bool>())
     }
 
@@ -135,81 +124,6 @@ impl EncodePlan {
     #[must_use]
     pub fn encoder(&self) -> PartEncoder<'_> {
         PartEncoder { plan: self, encoder: self.codec.encoder_with(self.effort) }
-    }
-}
-
-/// The parts of a motion, read from its frames.
-pub struct EncodeParts<'f> {
-    frames: &'f mut dyn FrameSource,
-    n_rows: usize,
-    stretch_rows: usize,
-    /// First row of the next stretch.
-    next_row: usize,
-    /// The parts of the last stretch that were not yet handed out.
-    ready: VecDeque<EncodePart>,
-}
-
-impl EncodeParts<'_> {
-    /// The description of the motion.
-    #[must_use]
-    pub fn info(&self) -> &MotionInfo {
-        self.frames.info()
-    }
-
-    /// Reads the next stretch, if there is one.
-    fn read_stretch(&mut self) -> Result<(), TakeError> {
-        let first_row = self.next_row;
-        let n_rows = self.stretch_rows.min(self.n_rows - first_row);
-        if n_rows == 0 {
-            return Ok(());
-        }
-        let n_all = self.frames.info().markers.len();
-        // A take without markers still has its stretches.
-        let groups = (0..n_all.max(1)).step_by(GROUP_CHANNELS).map(|first_marker| {
-            let n_markers = GROUP_CHANNELS.min(n_all - first_marker);
-            let columns = ColumnBuffer::new(n_markers, n_rows);
-            EncodePart { first_row, n_rows, first_marker, n_markers, columns }
-        });
-        self.ready = groups.collect();
-        let mut row = vec![GAP; n_all];
-        for index in 0..n_rows {
-            if !self.frames.next_frame(&mut row)? {
-                return Err(TakeError::InvalidArgument(format!(
-                    "expected {} frames, got {}: the source has fewer than it announces",
-                    self.n_rows,
-                    first_row + index
-                )));
-            }
-            for (part, positions) in self.ready.iter_mut().zip(row.chunks(GROUP_CHANNELS)) {
-                part.columns.push(positions);
-            }
-        }
-        self.next_row += n_rows;
-        Ok(())
-    }
-}
-
-impl Iterator for EncodeParts<'_> {
-    type Item = Result<EncodePart, TakeError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        if self.ready.is_empty()
-            && let Err(error) = self.read_stretch()
-        {
-            // Nothing follows an error.
-            self.ready.clear();
-            self.next_row = self.n_rows;
-            return Some(Err(error));
-        }
-        self.ready.pop_front().map(Ok)
-    }
-}
-
-impl fmt::Debug for EncodeParts<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut debug = f.debug_struct("EncodeParts");
-        debug.field("n_rows", &self.n_rows).field("next_row", &self.next_row);
-        debug.finish_non_exhaustive()
     }
 }
 
@@ -229,7 +143,7 @@ impl PartEncoder<'_> {
         let mut coded = EncodedPart::default();
         if part.n_markers > 0 {
             coded.reports.resize(part.n_markers, BlockReport::default());
-            let channels = part.columns.rows()?;
+            let channels = part.rows()?;
             let EncodedPart { block, tally, reports } = &mut coded;
             self.encoder.encode(&channels, &self.plan.shared, true, block, reports)?;
             *tally = BlockTally::of_encoded(block, &channels, reports, self.encoder.kept_rows());
@@ -326,7 +240,7 @@ impl<'a, W: Write> MotionWriter<'a, W> {
     pub fn push(&mut self, part: &EncodePart, coded: &EncodedPart) -> Result<(), TakeError> {
         let n_markers = self.plan.n_markers;
         let alone = n_markers <= GROUP_CHANNELS;
-        let number = (part.first_row / self.plan.stretch_rows % usize::from(NUMBERS)) as u8;
+        let number = (part.stretch % usize::from(NUMBERS)) as u8;
         let (first_row, n_rows) = (part.first_row as u64, part.n_rows as u32);
         let span = Span { first_row, n_rows, key: true, number };
         if part.first_marker == 0 {
@@ -362,36 +276,5 @@ impl<'a, W: Write> MotionWriter<'a, W> {
         };
         let (out, bytes) = self.take.finish(&ledger)?;
         Ok((ledger, out, bytes))
-    }
-}
-
-/// The samples of one part, column by column.
-#[derive(Debug, Clone, Default)]
-struct ColumnBuffer {
-    positions: Vec<Vec<Position>>,
-    present: Vec<Vec<bool>>,
-}
-
-impl ColumnBuffer {
-    fn new(n_markers: usize, n_rows: usize) -> Self {
-        Self {
-            positions: (0..n_markers).map(|_| Vec::with_capacity(n_rows)).collect(),
-            present: (0..n_markers).map(|_| Vec::with_capacity(n_rows)).collect(),
-        }
-    }
-
-    /// Adds a row.
-    fn push(&mut self, row: &[Position]) {
-        let columns = self.positions.iter_mut().zip(&mut self.present);
-        for ((positions, present), &position) in columns.zip(row) {
-            positions.push(position);
-            present.push(!is_gap(position));
-        }
-    }
-
-    /// The rows of each channel.
-    fn rows(&self) -> Result<Vec<Rows<'_>>, CodecError> {
-        let columns = self.positions.iter().zip(&self.present);
-        columns.map(|(positions, present)| Rows::new(positions, present)).collect()
     }
 }

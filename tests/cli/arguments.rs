@@ -55,6 +55,26 @@ fn tolerances() {
 }
 
 #[test]
+fn distances_of_keys() {
+    let folder = folder();
+    let import = ["import", "jump.csv", "-o", "new.take"];
+    let limit = "50ms to 10s";
+    for distance in ["none", "11s", "1h", "49ms"] {
+        value_refused(&folder, &import, "--keys", distance, &["at most 10s apart", limit]);
+    }
+    for distance in ["0", "-1s", "soon", "3mm"] {
+        value_refused(&folder, &import, "--keys", distance, &[]);
+    }
+    let whole = [&import[..], &["--resampler", "spline", "--keys", "1s"]].concat();
+    refused_with(&folder, &whole, &["--keys", "spline", "one stretch"]);
+    // What is written has the distance, and is found again with it.
+    let again = [&import[..3], &["new", "--keys", "250ms"]].concat();
+    std::fs::create_dir(folder.path("new")).unwrap();
+    folder.run(&again).with_code(0);
+    assert_mentions(&folder.run(&again).with_code(0).stdout, &["unchanged"]);
+}
+
+#[test]
 fn rates_and_lengths() {
     let folder = folder();
     let record = ["record", "-d", "serial:/dev/null", "-o", "new.take"];

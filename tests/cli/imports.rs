@@ -236,6 +236,8 @@ fn another_file_or_setting_is_another_take_and_the_same_is_the_same() {
         ("jump.c3d", &["--drop-foreign"]),
         ("jump.c3d", &["--effort", "1"]),
         ("jump.c3d", &["--effort", "5"]),
+        ("jump.c3d", &["--keys", "10s"]),
+        ("jump.c3d", &["--keys", "250ms"]),
     ] {
         let other = id(&import(file, more));
         assert!(!ids.contains(&other), "{file} {more:?}");

@@ -3,6 +3,7 @@
 use std::{
     io::{ErrorKind, Read},
     ops::RangeInclusive,
+    time::Duration,
 };
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
@@ -14,6 +15,7 @@ use super::{CONFIG, LIMIT_BYTES, Record, Subject};
 use crate::{
     TakeError,
     chunk::{self, ChunkParse, types},
+    quantity,
     stretch::CHANNELS_MAX,
     up_axis::UpAxis,
     varint::{self, Cursor},
@@ -120,6 +122,9 @@ const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);
 /// The key in the settings of an import with the size of its file.
 const SOURCE_BYTES: &str = "source_bytes";
 
+/// The key in the settings of an import with the distance of its key stretches, where it was chosen.
+const KEYS: &str = "keys";
+
 /// The key in the settings of an import with the effort of its encoder, where it is above the least.
 const EFFORT: &str = "effort";
 
@@ -149,6 +154,24 @@ impl Header {
     pub fn effort(&self) -> Effort {
         let stated = self.settings.iter().find(|(key, _)| key == EFFORT);
         stated.and_then(|(_, level)| level.parse().ok()).unwrap_or_default()
+    }
+
+    /// Sets the distance of the key stretches of an import, and the rows of its full stretches, which are at most those
+    /// set before.
+    pub fn set_key_distance(&mut self, distance: Duration) {
+        self.settings.retain(|(key, _)| key != KEYS);
+        self.settings.push((KEYS.to_owned(), format!("{distance:?}")));
+        if let Some(rows) = self.key_rows() {
+            self.stretch_rows = self.stretch_rows.min(rows as u32);
+        }
+    }
+
+    /// The rows between the key stretches of an import, at least one, if their distance was chosen.
+    #[must_use]
+    pub fn key_rows(&self) -> Option<usize> {
+        let (_, distance) = self.settings.iter().find(|(key, _)| key == KEYS)?;
+        let distance = quantity::duration_above_zero(distance).ok()?;
+        Some(((distance.as_secs_f64() * self.rate_hz) as usize).max(1))
     }
 
     /// Sets the size of the imported file in bytes.
