@@ -18,6 +18,7 @@ use mocapd_acquire::{
 };
 use mocapd_codec::{Effort, Settings};
 use mocapd_take::{
+    foreign::tolerance::AnalogTolerance,
     interchange::{Format, MotionReader, ReadOptions, ReaderSettings},
     motion::{FrameSource, Motion, MotionInfo},
     record::{Header, ImportSource, Subject},
@@ -145,6 +146,8 @@ pub(super) struct ImportSettings {
     pub(super) codec: Settings,
     /// Effort of the encoder.
     pub(super) effort: Effort,
+    /// Tolerances of analog channels.
+    pub(super) analog: AnalogTolerance,
     /// Unit and up axis.
     pub(super) options: ReadOptions,
     /// Whether everything but trajectories is left out.
@@ -182,6 +185,7 @@ impl<'a> Import<'a> {
         if settings.drops_foreign {
             foreign_dropped.extend(info.foreign.drain(..).map(|part| part.kind));
         }
+        settings.analog.apply(info, files::scratch).with_context(|| reading(&input.name))?;
         info.subject.clone_from(&settings.subject);
         Ok(Self { settings, input, reader, foreign_dropped })
     }
@@ -205,6 +209,7 @@ impl<'a> Import<'a> {
         let name = &self.input.name;
         let mut header = header_of(self.reader.info(), name, codec);
         header.set_effort(self.settings.effort);
+        header.set_analog_tolerance(&self.settings.analog);
         header.settings.extend(options.settings());
         if self.settings.drops_foreign {
             header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));

@@ -79,17 +79,33 @@ fn measure(path: &Path, block_s: f64) -> Result<Option<Row>> {
         return Ok(None);
     };
     let content = part.data.to_vec(u64::MAX)?.ok_or("analog samples were not kept")?;
-    let (channels, ratio) = columns(&content).ok_or("an unknown layout of analog samples")?;
+    let (mut channels, ratio) = columns(&content).ok_or("an unknown layout of analog samples")?;
     let n_samples = channels.first().map_or(0, Vec::len);
     if n_samples == 0 {
         return Ok(None);
+    }
+    if let Some(tol) = std::env::args().nth(3) {
+        for channel in &mut channels {
+            let mut survey = mocapd_codec::sampled::ChannelSurvey::default();
+            survey.add(channel);
+            let bound = if tol == "count" {
+                let Some(q) = survey.quantum() else { continue };
+                q + survey.spacing()
+            } else {
+                survey.range() * tol.parse::<f64>()?
+            };
+            let Some(b) = mocapd_codec::sampled::SampleBound::new(&survey, bound) else {
+                continue;
+            };
+            b.apply(channel);
+        }
     }
     let mut deflate = DeflateEncoder::new(Vec::new(), Compression::best());
     deflate.write_all(&content)?;
     let mut row = Row {
         raw: 4 * n_samples * channels.len(),
         deflate: deflate.finish()?.len(),
-        xz: xz(&content)?,
+        xz: if std::env::args().nth(3).is_some() { 1 } else { xz(&content)? },
         blocks: 0,
         encode_s: 0.0,
         decode_s: 0.0,

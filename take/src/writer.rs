@@ -194,7 +194,7 @@ impl<W: Write> TakeWriter<W> {
         };
         let markers = &self.header.channels;
         let marker = |column: usize| markers.get(column).map(|marker| marker.label.clone());
-        let plan = SamplesPlan::new(&part.kind, &part.data, context, |kind, numbers| {
+        let plan = SamplesPlan::new(part, context, |kind, numbers| {
             let marker = |column| marker(column).unwrap_or_default();
             c3d::describe_sampled(kind, numbers, &self.parameters, marker)
         })?;

@@ -14,6 +14,7 @@ use super::{CONFIG, LIMIT_BYTES, Record, Subject};
 use crate::{
     TakeError,
     chunk::{self, ChunkParse, types},
+    foreign::tolerance::AnalogTolerance,
     stretch::CHANNELS_MAX,
     up_axis::UpAxis,
     varint::{self, Cursor},
@@ -123,6 +124,9 @@ const SOURCE_BYTES: &str = "source_bytes";
 /// The key in the settings of an import with the effort of its encoder, where it is above the least.
 const EFFORT: &str = "effort";
 
+/// The key in the settings of an import with a tolerance of analog channels, in the order in which they were given.
+const ANALOG_TOLERANCE: &str = "analog_tolerance";
+
 impl Header {
     /// The code of the up axis in this HEADER chunk, if no axis has it.
     #[must_use]
@@ -149,6 +153,14 @@ impl Header {
     pub fn effort(&self) -> Effort {
         let stated = self.settings.iter().find(|(key, _)| key == EFFORT);
         stated.and_then(|(_, level)| level.parse().ok()).unwrap_or_default()
+    }
+
+    /// Sets the tolerances of analog channels that the take was imported with.
+    pub fn set_analog_tolerance(&mut self, tolerance: &AnalogTolerance) {
+        self.settings.retain(|(key, _)| key != ANALOG_TOLERANCE);
+        let stated = tolerance.0.iter();
+        let stated = stated.map(|one| (ANALOG_TOLERANCE.to_owned(), one.to_string()));
+        self.settings.extend(stated);
     }
 
     /// Sets the size of the imported file in bytes.

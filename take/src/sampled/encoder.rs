@@ -8,11 +8,11 @@ use mocapd_codec::{GROUP_CHANNELS, sampled::SampledEncoder};
 use super::{SampleContent, SampleSpan, block_rows_max};
 use crate::{
     TakeError,
-    foreign::content::{Content, ContentSlice},
+    foreign::{Foreign, content::ContentSlice},
     interchange::c3d::columns::{
         ANALOG, ColumnReader, MODEL_OUTPUTS, RESIDUALS, SampleHeader, value,
     },
-    record::{SampleForm, SampledChannel, SampledGroup},
+    record::{SampleBounds, SampleForm, SampledChannel, SampledGroup},
 };
 
 /// Distance of key blocks in seconds: that of the key stretches of an import, so that a reader that wants a part of a
@@ -55,11 +55,11 @@ impl<'a> SamplesPlan<'a> {
     /// # Errors
     /// Those of the scratch file that the part may be in.
     pub(crate) fn new(
-        kind: &str,
-        content: &'a Content,
+        part: &'a Foreign,
         context: PartContext,
         describe: impl FnOnce(&str, &[u32]) -> Vec<SampledChannel>,
     ) -> io::Result<Option<Self>> {
+        let (kind, content) = (part.kind.as_str(), &part.data);
         let Some(&(_, per_signal)) = KINDS.iter().find(|(known, _)| *known == kind) else {
             return Ok(None);
         };
@@ -98,6 +98,7 @@ impl<'a> SamplesPlan<'a> {
             number: context.first_group.saturating_add(i),
             first_channel: i * GROUP_CHANNELS as u32,
             channels: channels.to_vec(),
+            bounds: SampleBounds(bounds_of(part, i as usize)),
             ..group.clone()
         });
         Ok(Some(Self { groups: groups.collect(), header, columns, n_samples }))
@@ -137,6 +138,12 @@ impl<'a> SamplesPlan<'a> {
         let (width, n_channels) = (self.header.width, group.channels.len());
         ColumnReader::new(columns, width, n_channels, self.n_samples, BUFFER_BYTES)
     }
+}
+
+/// The bounds of a group of the part, by its place among the groups; empty if it is exact.
+fn bounds_of(part: &Foreign, group: usize) -> Vec<f64> {
+    let bounds = part.bounds.chunks(GROUP_CHANNELS).nth(group).unwrap_or_default();
+    if bounds.iter().all(|bound| *bound == 0.0) { Vec::new() } else { bounds.to_vec() }
 }
 
 fn form_of(width: usize, is_unsigned: bool) -> SampleForm {

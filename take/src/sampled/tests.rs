@@ -45,7 +45,7 @@ fn part(kind: &str, width: usize, ratio: usize, columns: &[Vec<u32>]) -> Foreign
         let words = column.iter().copied();
         ColumnWriter::new(width).write(&mut data, at, length, words).unwrap();
     }
-    Foreign { kind: kind.to_owned(), data }
+    Foreign::exact(kind, data)
 }
 
 /// Columns of a walk, as integers of 16 bits or as floats of the same shape.
@@ -155,7 +155,7 @@ fn parts_without_samples_or_of_an_unknown_layout_stay_foreign() {
     let mut later = bytes.clone();
     later[0] = 2;
     for data in [later, bytes[..bytes.len() - 1].to_vec(), bytes[..26].to_vec(), Vec::new()] {
-        let part = Foreign { kind: ANALOG.to_owned(), data: data.into() };
+        let part = Foreign::exact(ANALOG, data);
         let take = take_of(std::slice::from_ref(&part));
         assert_eq!(read(&take), (vec![part], Vec::new()));
         assert!(chunks(&take).iter().any(|(kind, ..)| *kind == types::FOREIGN));

@@ -332,7 +332,7 @@ fn analog_part() -> Foreign {
         data.extend([0; SAMPLES]);
         data.extend(noise(column, SAMPLES).iter().map(|byte| byte >> 4));
     }
-    Foreign { kind: "c3d/analog".to_owned(), data: data.into() }
+    Foreign::exact("c3d/analog", data)
 }
 
 fn take(kind: &str, timed: bool) -> Vec<u8> {
