@@ -47,14 +47,25 @@ def read_group(payload):
     body = inflated.decompress(payload[2:])
     if not inflated.eof or inflated.unused_data:
         raise Corrupt("a description that does not inflate")
-    r = Record(payload[:2] + body, 1)
+    version = int.from_bytes(payload[:2], "little")
+    r = Record(payload[:2] + body, 2 if version == 2 else 1)
     group = Group(
         r.unsigned(), r.unsigned(), r.string(), r.unsigned(), r.unsigned(), r.unsigned(), r.unsigned(),
         r.double(), r.unsigned(), r.optional(r.unsigned),
         r.list(lambda: (r.string(), r.string(), r.unsigned(), r.double(), r.double())),
     )  # fmt: skip
+    if version == 2:
+        group.bounds = [r.double() for _ in group.channels]
+        check_bounds(group)
     r.finish()
     return group
+
+
+def check_bounds(group):
+    """A bound of an error is a size, and of integers an integer."""
+    for bound in group.bounds:
+        if not (math.isfinite(bound) and bound >= 0) or group.form != 0 and bound != int(bound):
+            raise Corrupt("a bound that is none")
 
 
 def read_samples(payload, groups):
