@@ -9,16 +9,17 @@ use mocapd_testkit::random::Random;
 
 use super::{BLOCK_ROWS_MAX, SampleContent, SampleSpan};
 use crate::{
-    TakeFrames, TakeMap, TakeWriter,
+    TakeError, TakeFrames, TakeMap, TakeWriter,
     chunk::{self, ChunkParse, types},
     damage::Problem,
     foreign::{
         Foreign,
-        content::{Content, MemoryScratch, ScratchFile},
+        content::{Content, MemoryScratch, PartStore, ScratchFile},
     },
     interchange::c3d::columns::{
         ANALOG, ColumnReader, ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, value,
     },
+    interchange::c3d::sample_parts,
     motion::FrameSource,
     record::{
         CODEC_VERSION, Header, Ledger, Record, SampleBounds, SampleForm, SampledChannel,

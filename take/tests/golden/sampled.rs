@@ -23,6 +23,14 @@ pub(crate) fn parts() -> Vec<Foreign> {
     ]
 }
 
+/// States errors, of which those of an import are counts.
+pub(crate) fn bound(parts: &mut Vec<Foreign>) {
+    parts.truncate(2);
+    if let Some(analog) = parts.last_mut() {
+        analog.bounds = vec![2.0, 0.0, 7.0, 1.0];
+    }
+}
+
 /// A noisy signal of a converter.
 fn integers(random: &mut Random, n: usize) -> Vec<u32> {
     let (mut at, mut speed) = (0.0, 0.0);

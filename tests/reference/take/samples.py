@@ -1,6 +1,7 @@
 """Groups of sampled channels in a take, and the foreign parts that they stand for: docs/take-format.md, "Sampled
 channels", and docs/foreign.md."""
 
+import math
 import zlib
 from dataclasses import dataclass
 
@@ -30,6 +31,7 @@ class Group:
     channels: list  # (name, unit, index, scale, offset)
 
     def __post_init__(self):
+        self.bounds = []  # of each channel, in stored samples; none for exact ones
         self.decoder = SampledDecoder()
         self.samples = [[] for _ in self.channels]  # by channel: the bits of each sample, None for a lost one
 
