@@ -209,7 +209,8 @@ impl<'a> Import<'a> {
         let name = &self.input.name;
         let mut header = header_of(self.reader.info(), name, codec);
         header.set_effort(self.settings.effort);
-        header.set_analog_tolerance(&self.settings.analog);
+        let tolerances = self.settings.analog.0.iter().map(ToString::to_string);
+        header.set_analog_tolerances(tolerances);
         header.settings.extend(options.settings());
         if self.settings.drops_foreign {
             header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));

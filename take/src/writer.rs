@@ -191,10 +191,11 @@ impl<W: Write> TakeWriter<W> {
             rate_hz: self.header.rate_hz,
             is_unsigned: c3d::is_analog_unsigned(&self.parameters),
             first_group: self.n_groups,
+            bounds: &part.bounds,
         };
         let markers = &self.header.channels;
         let marker = |column: usize| markers.get(column).map(|marker| marker.label.clone());
-        let plan = SamplesPlan::new(part, context, |kind, numbers| {
+        let plan = SamplesPlan::new(&part.kind, &part.data, context, |kind, numbers| {
             let marker = |column| marker(column).unwrap_or_default();
             c3d::describe_sampled(kind, numbers, &self.parameters, marker)
         })?;

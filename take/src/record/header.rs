@@ -14,7 +14,6 @@ use super::{CONFIG, LIMIT_BYTES, Record, Subject};
 use crate::{
     TakeError,
     chunk::{self, ChunkParse, types},
-    foreign::tolerance::AnalogTolerance,
     stretch::CHANNELS_MAX,
     up_axis::UpAxis,
     varint::{self, Cursor},
@@ -155,12 +154,11 @@ impl Header {
         stated.and_then(|(_, level)| level.parse().ok()).unwrap_or_default()
     }
 
-    /// Sets the tolerances of analog channels that the take was imported with.
-    pub fn set_analog_tolerance(&mut self, tolerance: &AnalogTolerance) {
+    /// Sets the tolerances of analog channels that the take was imported with, in the order in which they were given.
+    pub fn set_analog_tolerances(&mut self, stated: impl IntoIterator<Item = String>) {
         self.settings.retain(|(key, _)| key != ANALOG_TOLERANCE);
-        let stated = tolerance.0.iter();
-        let stated = stated.map(|one| (ANALOG_TOLERANCE.to_owned(), one.to_string()));
-        self.settings.extend(stated);
+        let stated = stated.into_iter();
+        self.settings.extend(stated.map(|one| (ANALOG_TOLERANCE.to_owned(), one)));
     }
 
     /// Sets the size of the imported file in bytes.

@@ -8,7 +8,7 @@ use mocapd_codec::{GROUP_CHANNELS, sampled::SampledEncoder};
 use super::{SampleContent, SampleSpan, block_rows_max};
 use crate::{
     TakeError,
-    foreign::{Foreign, content::ContentSlice},
+    foreign::content::{Content, ContentSlice},
     interchange::c3d::columns::{
         ANALOG, ColumnReader, MODEL_OUTPUTS, RESIDUALS, SampleHeader, value,
     },
@@ -30,13 +30,15 @@ const KINDS: [(&str, usize); 3] = [(ANALOG, 1), (RESIDUALS, 1), (MODEL_OUTPUTS, 
 
 /// What the samples of a part mean, and where it stands in the take.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct PartContext {
+pub(crate) struct PartContext<'b> {
     /// Frames in a second.
     pub(crate) rate_hz: f64,
     /// Whether integers are unsigned.
     pub(crate) is_unsigned: bool,
     /// Number of the first group.
     pub(crate) first_group: u32,
+    /// The largest error of each column; empty if all are exact.
+    pub(crate) bounds: &'b [f64],
 }
 
 /// How the samples of a foreign part are encoded.
@@ -55,11 +57,11 @@ impl<'a> SamplesPlan<'a> {
     /// # Errors
     /// Those of the scratch file that the part may be in.
     pub(crate) fn new(
-        part: &'a Foreign,
-        context: PartContext,
+        kind: &str,
+        content: &'a Content,
+        context: PartContext<'_>,
         describe: impl FnOnce(&str, &[u32]) -> Vec<SampledChannel>,
     ) -> io::Result<Option<Self>> {
-        let (kind, content) = (part.kind.as_str(), &part.data);
         let Some(&(_, per_signal)) = KINDS.iter().find(|(known, _)| *known == kind) else {
             return Ok(None);
         };
@@ -98,7 +100,7 @@ impl<'a> SamplesPlan<'a> {
             number: context.first_group.saturating_add(i),
             first_channel: i * GROUP_CHANNELS as u32,
             channels: channels.to_vec(),
-            bounds: SampleBounds(bounds_of(part, i as usize)),
+            bounds: SampleBounds(bounds_of(context.bounds, i as usize)),
             ..group.clone()
         });
         Ok(Some(Self { groups: groups.collect(), header, columns, n_samples }))
@@ -141,8 +143,8 @@ impl<'a> SamplesPlan<'a> {
 }
 
 /// The bounds of a group of the part, by its place among the groups; empty if it is exact.
-fn bounds_of(part: &Foreign, group: usize) -> Vec<f64> {
-    let bounds = part.bounds.chunks(GROUP_CHANNELS).nth(group).unwrap_or_default();
+fn bounds_of(bounds: &[f64], group: usize) -> Vec<f64> {
+    let bounds = bounds.chunks(GROUP_CHANNELS).nth(group).unwrap_or_default();
     if bounds.iter().all(|bound| *bound == 0.0) { Vec::new() } else { bounds.to_vec() }
 }
 
