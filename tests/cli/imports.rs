@@ -342,7 +342,7 @@ fn plate_file() -> Vec<u8> {
     file.words(2, "USED", &[2]);
     file.floats(2, "RATE", &[200.0]);
     file.floats(2, "GEN_SCALE", &[1.0]);
-    file.floats(2, "SCALE", &[0.5, 0.001]);
+    file.floats(2, "SCALE", &[0.5, 1.0 / 1024.0]);
     file.words(2, "OFFSET", &[0, 0]);
     file.texts(2, "LABELS", &["Fz", "EMG"]);
     file.texts(2, "UNITS", &["N", "V"]);
@@ -370,9 +370,9 @@ fn analog_channels_are_within_a_tolerance_if_one_is_given() {
     };
     assert_eq!(errors("exact.take"), [0.0, 0.0]);
     assert_eq!(errors("zero.take"), [0.0, 0.0]);
-    assert_eq!(errors("both.take"), [2.0, 0.003]);
+    assert_eq!(errors("both.take"), [2.0, 3.0 / 1024.0]);
     let text = folder.run(&["info", "both.take", "--markers"]).with_code(0).stdout;
-    assert_mentions(&text, &["max error", "2.000e0", "3.000e-3"]);
+    assert_mentions(&text, &["max error", "2.000e0", "2.930e-3"]);
 
     // Every sample is compared with the source, and with the exact take.
     for original in ["walk.c3d", "exact.take"] {
@@ -392,11 +392,11 @@ fn analog_channels_are_within_a_tolerance_if_one_is_given() {
     assert_mentions(&ran.stderr, &["samples of 2 analog channels", "not those of the source"]);
     folder.run(&["verify", "both.take", "--against", "again.c3d"]).with_code(0);
     folder.run(&["cut", "both.take", "--from", "1s", "--to", "9s", "-o", "cut.take"]).with_code(0);
-    assert_eq!(errors("cut.take"), [2.0, 0.003]);
+    assert_eq!(errors("cut.take"), [2.0, 3.0 / 1024.0]);
     folder.run(&["verify", "cut.take", "--against", "walk.c3d"]).with_code(0);
 
     // The same import is done already, one with another tolerance is another take, and mistakes list the channels.
-    fs::create_dir(folder.path("takes")).unwrap();
+    std::fs::create_dir(folder.path("takes")).unwrap();
     let unchanged = |tolerance: &str| {
         let tolerances = ["--analog-tolerance", tolerance, "--json"];
         let all = [&["import", "walk.c3d", "-o", "takes/"][..], &tolerances].concat();
