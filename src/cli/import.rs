@@ -18,6 +18,7 @@ use mocapd_codec::{Effort, Settings};
 use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
     TakeEnds,
+    foreign::tolerance::{AnalogTolerance, ChannelTolerance},
     interchange::{Direction, LengthUnit, ReadOptions},
     motion::{Ambiguity, MotionInfo},
     record::Header,
@@ -55,6 +56,11 @@ pub(crate) struct Args {
     codec: CodecArgs,
     #[command(flatten)]
     effort: EffortArgs,
+    /// Largest error of analog channels of C3D files, which are exact otherwise: in steps of the converter (1count), in
+    /// the unit of the channel (0.5N, or 0.5 for whichever unit it has), or in % of the channel's range (0.1%); for some
+    /// channels with a pattern of * and ? before it (EMG*=0.1%, F?z*=0.5N). Can be repeated: the last that matches holds
+    #[arg(long, value_name = "[PATTERN=]VALUE", value_parser = str::parse::<ChannelTolerance>, conflicts_with = "drop_foreign")]
+    analog_tolerance: Vec<ChannelTolerance>,
     #[command(flatten)]
     subject: SubjectArgs,
     /// Unit of length of the files, if they state none or a wrong one: mm, cm, dm, m, um, in, ft
@@ -108,6 +114,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             codec,
             effort: args.effort.effort(&codec)?,
             key_distance: args.effort.key_distance(&codec)?,
+            analog: AnalogTolerance(args.analog_tolerance.clone()),
             options: ReadOptions { unit: args.unit, up: args.up },
             drops_foreign: args.drop_foreign,
             subject: args.subject.load()?,

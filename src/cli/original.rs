@@ -19,6 +19,7 @@ use mocapd_acquire::{
 };
 use mocapd_codec::{Effort, Settings};
 use mocapd_take::{
+    foreign::tolerance::AnalogTolerance,
     interchange::{Format, MotionReader, ReadOptions, ReaderSettings},
     motion::{FrameSource, Motion, MotionInfo},
     record::{Header, ImportSource, Subject},
@@ -148,6 +149,8 @@ pub(super) struct ImportSettings {
     pub(super) effort: Effort,
     /// Distance of key stretches, where it was chosen.
     pub(super) key_distance: Option<Duration>,
+    /// Tolerances of analog channels.
+    pub(super) analog: AnalogTolerance,
     /// Unit and up axis.
     pub(super) options: ReadOptions,
     /// Whether everything but trajectories is left out.
@@ -185,6 +188,7 @@ impl<'a> Import<'a> {
         if settings.drops_foreign {
             foreign_dropped.extend(info.foreign.drain(..).map(|part| part.kind));
         }
+        settings.analog.apply(info, files::scratch).with_context(|| reading(&input.name))?;
         info.subject.clone_from(&settings.subject);
         Ok(Self { settings, input, reader, foreign_dropped })
     }
@@ -209,6 +213,8 @@ impl<'a> Import<'a> {
         let mut header = header_of(self.reader.info(), name, codec);
         header.set_effort(self.settings.effort);
         self.settings.key_distance.into_iter().for_each(|time| header.set_key_distance(time));
+        let tolerances = self.settings.analog.0.iter().map(ToString::to_string);
+        header.set_analog_tolerances(tolerances);
         header.settings.extend(options.settings());
         if self.settings.drops_foreign {
             header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));

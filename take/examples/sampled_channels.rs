@@ -1,7 +1,10 @@
 //! How many bytes the analog samples of C3D files need as blocks of sampled channels, beside DEFLATE, as takes of earlier
 //! versions have them, and `xz -9` of the same columns; and the processor time of both directions.
 //!
-//! `cargo run --release -p mocapd-take --example sampled_channels -- FOLDER [SECONDS]`
+//! `cargo run --release -p mocapd-take --example sampled_channels -- FOLDER [SECONDS [TOLERANCE]]`
+//!
+//! With a tolerance, such as `1count` or `EMG*=0.1%`, all columns are those of the samples that an import with
+//! `--analog-tolerance` keeps.
 //!
 //! Blocks hold ten seconds, as in a take, or as many as are given, and are all key blocks. Every block is decoded and compared
 //! bit for bit. Files of 16-bit integers count as float32 of the same values. Times are those of this thread, in MB of
@@ -11,14 +14,26 @@
 
 mod measure;
 
-use std::{fs, io::Write, path::Path};
+use std::{
+    fs::{self, File},
+    io::{self, Write},
+    os::unix::fs::FileExt,
+    path::Path,
+    sync::Arc,
+};
 
 use flate2::{Compression, write::DeflateEncoder};
 use mocapd_codec::{
     GROUP_CHANNELS,
     sampled::{SampledDecoder, SampledEncoder},
 };
-use mocapd_take::interchange::Format;
+use mocapd_take::{
+    foreign::{
+        content::ScratchFile,
+        tolerance::{AnalogTolerance, ChannelTolerance},
+    },
+    interchange::Format,
+};
 
 use self::measure::{Result, processor_s, xz};
 
@@ -28,6 +43,9 @@ const HEADER_BYTES: usize = 26;
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1).ok_or("a folder of C3D files is needed")?;
     let block_s: f64 = std::env::args().nth(2).map_or(Ok(10.0), |seconds| seconds.parse())?;
+    let tolerance: Option<ChannelTolerance> =
+        std::env::args().nth(3).map(|tolerance| tolerance.parse()).transpose()?;
+    let tolerance = AnalogTolerance(tolerance.into_iter().collect());
     let mut paths: Vec<_> = fs::read_dir(folder)?
         .map(|entry| entry.map(|entry| entry.path()))
         .collect::<std::io::Result<_>>()?;
@@ -40,7 +58,7 @@ fn main() -> Result<()> {
     );
     let (mut product, mut product_xz, mut n_files) = (1.0, 1.0, 0);
     for path in &paths {
-        let Some(row) = measure(path, block_s)? else { continue };
+        let Some(row) = measure(path, block_s, &tolerance)? else { continue };
         let (blocks, of) = (row.blocks as f64, |bytes: usize| bytes as f64 / row.blocks as f64);
         println!(
             "| {} | {} | {} | {} | {blocks} | {:.2} | {:.2} | {:.1} | {:.1} |",
@@ -73,8 +91,9 @@ struct Row {
 }
 
 /// Measures a file in blocks of `block_s` seconds; `None` if it has no analog samples, or cannot be read.
-fn measure(path: &Path, block_s: f64) -> Result<Option<Row>> {
-    let Ok(motion) = Format::C3d.read(&fs::read(path)?) else { return Ok(None) };
+fn measure(path: &Path, block_s: f64, tolerance: &AnalogTolerance) -> Result<Option<Row>> {
+    let Ok(mut motion) = Format::C3d.read(&fs::read(path)?) else { return Ok(None) };
+    tolerance.apply(&mut motion.info, scratch)?;
     let Some(part) = motion.info.foreign.iter().find(|part| part.kind == "c3d/analog") else {
         return Ok(None);
     };
@@ -116,6 +135,24 @@ fn measure(path: &Path, block_s: f64) -> Result<Option<Row>> {
         }
     }
     Ok(Some(row))
+}
+
+/// A temporary file for long parts.
+#[derive(Debug)]
+struct Temporary(File);
+
+impl ScratchFile for Temporary {
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        self.0.read_exact_at(bytes, at)
+    }
+
+    fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        self.0.write_all_at(bytes, at)
+    }
+}
+
+fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
+    Ok(Arc::new(Temporary(tempfile::tempfile()?)))
 }
 
 /// The columns of a block of columns as float32, and the number of samples in a frame.

@@ -1,11 +1,13 @@
 //! Compares two motions sample by sample, as `verify --against` does for a take and its original.
 
+mod analog;
 mod content;
 mod times;
 
 use std::{fmt, io};
 
 pub use self::{
+    analog::{AnalogDifference, ChannelDifference, compare_analog},
     content::{ContentDifference, EventDifference, FieldDifference},
     times::{TimesDifference, compare_times},
 };

@@ -5,6 +5,7 @@ pub mod content;
 pub(crate) mod force_plate;
 pub mod force_plates;
 pub mod parameters;
+pub mod tolerance;
 
 use std::{
     io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom},
@@ -33,6 +34,17 @@ pub struct Foreign {
     pub kind: String,
     /// The content, in the layout that docs/foreign.md gives for its kind.
     pub data: Content,
+    /// The largest error of each column, in its stored samples, if samples were replaced by others within a tolerance;
+    /// empty if all are those of the file.
+    pub bounds: Vec<f64>,
+}
+
+impl Foreign {
+    /// A part whose content is that of the file.
+    #[must_use]
+    pub fn exact(kind: impl Into<String>, data: impl Into<Content>) -> Self {
+        Self { kind: kind.into(), data: data.into(), bounds: Vec::new() }
+    }
 }
 
 /// The payload of a FOREIGN chunk.
@@ -161,6 +173,12 @@ impl ForeignPart {
         }
     }
 
+    /// The largest error of each column, as in [`Foreign::bounds`].
+    #[must_use]
+    pub fn bounds(&self) -> Vec<f64> {
+        self.sampled().map(SampledPart::bounds).unwrap_or_default()
+    }
+
     /// Its groups of sampled channels; `None` if it is stored in a FOREIGN chunk.
     #[must_use]
     pub fn sampled(&self) -> Option<&SampledPart> {
@@ -204,7 +222,7 @@ impl ForeignPart {
             }
             StoredPart::Sampled(part) => part.read(input, spool)?,
         };
-        Ok((Foreign { kind: self.kind.clone(), data }, undecodable))
+        Ok((Foreign { kind: self.kind.clone(), data, bounds: self.bounds() }, undecodable))
     }
 
     /// Reads the content like [`read`](Self::read), for another take: samples have the form of the source. Returns also
@@ -220,7 +238,11 @@ impl ForeignPart {
         match &self.stored {
             StoredPart::Sampled(part) if self.source_bytes() <= DATA_BYTES_MAX => {
                 let (data, lost, undecodable) = part.read_source_form(input, spool)?;
-                Ok((Foreign { kind: self.kind.clone(), data }, lost, undecodable))
+                Ok((
+                    Foreign { kind: self.kind.clone(), data, bounds: self.bounds() },
+                    lost,
+                    undecodable,
+                ))
             }
             _ => {
                 let (part, undecodable) = self.read(input, spool)?;
@@ -357,10 +379,8 @@ mod tests {
     #[test]
     fn comes_back_and_damage_is_an_error() {
         for len in [0, 5, 4000, 100_000] {
-            let part = Foreign {
-                kind: "c3d/analog".into(),
-                data: (0..len).map(|i: u64| (i * i / 3) as u8).collect::<Vec<_>>().into(),
-            };
+            let data: Vec<_> = (0..len).map(|i: u64| (i * i / 3) as u8).collect();
+            let part = Foreign::exact("c3d/analog", data);
             let payload = to_payload(&part);
             assert!(may_begin_with(&payload));
             assert_eq!(read(&payload).unwrap(), part);
@@ -384,7 +404,7 @@ mod tests {
             };
             let bytes: Vec<u8> = (0..len).map(byte).collect();
             let spooled = spool.put(&mut &bytes[..], len).unwrap();
-            let part = |data| Foreign { kind: "c3d/analog".into(), data };
+            let part = |data| Foreign::exact("c3d/analog", data);
             let in_memory = to_payload(&part(bytes.into()));
             assert!(in_memory == to_payload(&part(spooled)), "{len} bytes, {smooth}");
             assert!(
@@ -396,14 +416,14 @@ mod tests {
 
     #[test]
     fn a_part_longer_than_a_take_can_hold_is_refused_without_its_content() {
-        let part = Foreign { kind: "a".into(), data: Content::omitted(DATA_BYTES_MAX + 1) };
+        let part = Foreign::exact("a", Content::omitted(DATA_BYTES_MAX + 1));
         let error = ForeignPayload::of(&part).unwrap_err();
         assert!(error.to_string().contains("import with --drop-foreign"), "{error}");
     }
 
     #[test]
     fn another_length_than_stated_is_an_error() {
-        let part = Foreign { kind: "a".into(), data: vec![7; 300].into() };
+        let part = Foreign::exact("a", vec![7; 300]);
         let mut payload = to_payload(&part);
         assert_eq!(payload[2..4], [0xac, 0x02]);
         for stated in [0xab, 0xad] {

@@ -74,7 +74,8 @@ impl<R: Read + Seek> TakeFrames<R> {
                 continue;
             }
             if !wanted(kind) {
-                info.foreign.push(Foreign { kind: kind.clone(), data: Content::default() });
+                let bounds = part.bounds();
+                info.foreign.push(Foreign { kind: kind.clone(), data: Content::default(), bounds });
                 continue;
             }
             foreign_bytes = foreign_bytes.saturating_add(part.source_bytes());

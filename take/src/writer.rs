@@ -201,6 +201,7 @@ impl<W: Write> TakeWriter<W> {
             rate_hz: self.header.rate_hz,
             is_unsigned: c3d::is_analog_unsigned(&self.parameters),
             first_group: self.n_groups,
+            bounds: &part.bounds,
         };
         let markers = &self.header.channels;
         let marker = |column: usize| markers.get(column).map(|marker| marker.label.clone());

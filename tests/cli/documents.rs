@@ -230,6 +230,7 @@ fn info_and_verify() {
             verify(&["subject.take", "--skeleton"]),
             verify(&["swapped.take", "--skeleton"]),
             verify(&["zeros.take", "--against", "zeros.trc"]),
+            verify(&["walk.take", "--against", "walk.c3d"]),
         ],
     );
 

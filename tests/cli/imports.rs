@@ -160,7 +160,7 @@ fn analog_samples_become_sampled_channels() {
     assert_eq!((&first["samples"], &first["samples_lost"]), (&4200.into(), &0.into()));
     assert_eq!(
         first["channels"][0],
-        serde_json::json!({ "name": "Fz", "unit": "N", "scale": 0.125, "offset": 3.0 })
+        serde_json::json!({ "name": "Fz", "unit": "N", "scale": 0.125, "offset": 3.0, "max_error": 0.0 })
     );
     assert_eq!(first["channels"][2]["name"], "A3");
     let info = folder.run(&["info", "1.take", "--markers"]).with_code(0).stdout;
@@ -320,4 +320,102 @@ fn foreign_parts_are_kept_reported_and_dropped_on_request() {
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
     assert_mentions(&ran.stderr, &["kept.csv", "c3d/parameters", "z"]);
     assert_eq!(folder.run(&["export", "kept.take", "-o", "kept.c3d"]).with_code(0).stderr, "");
+}
+
+/// A C3D file of 16-bit integers with the analog channels Fz, a force plate in N with exact zeros, and EMG, noise in V.
+fn plate_file() -> Vec<u8> {
+    let mut state = 7_u32;
+    let mut noise = move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 22) as f32 - 512.0
+    };
+    let mut frame = |i: usize| {
+        let mut samples = vec![i as f32, 200.0, 300.0, 0.0];
+        for sample in 2 * i..2 * i + 2 {
+            let force = if sample % 400 < 150 { 0.0 } else { 700.0 + (noise() / 20.0).round() };
+            samples.extend([force, noise()]);
+        }
+        samples
+    };
+    let mut file = C3dFile::new(1, (0..1500).map(&mut frame).collect());
+    file.analog = (2, 2);
+    file.scale = 0.1;
+    file.texts(1, "LABELS", &["head"]);
+    file.records.extend(file.group(2, "ANALOG"));
+    file.words(2, "USED", &[2]);
+    file.floats(2, "RATE", &[200.0]);
+    file.floats(2, "GEN_SCALE", &[1.0]);
+    file.floats(2, "SCALE", &[0.5, 1.0 / 1024.0]);
+    file.words(2, "OFFSET", &[0, 0]);
+    file.texts(2, "LABELS", &["Fz", "EMG"]);
+    file.texts(2, "UNITS", &["N", "V"]);
+    file.bytes()
+}
+
+#[test]
+fn analog_channels_are_within_a_tolerance_if_one_is_given() {
+    let folder = Folder::new();
+    folder.write("walk.c3d", plate_file());
+    let import = |take: &str, tolerances: &[&str]| {
+        let given = tolerances.iter().flat_map(|tolerance| ["--analog-tolerance", tolerance]);
+        let all: Vec<&str> = ["import", "walk.c3d", "-o", take].into_iter().chain(given).collect();
+        folder.run(&all)
+    };
+    import("exact.take", &[]).with_code(0);
+    import("zero.take", &["0"]).with_code(0);
+    import("both.take", &["1%", "F?*=2N", "EMG=3count"]).with_code(0);
+    let [exact, both] = ["exact.take", "both.take"].map(|take| folder.read(take).len());
+    assert!(both * 5 < exact * 4, "{both} of {exact} bytes");
+    let errors = |take: &str| -> Vec<f64> {
+        let report = folder.run(&["info", take, "--json"]).with_code(0).json();
+        let channels = report["sampled_groups"][0]["channels"].as_array().unwrap().clone();
+        channels.iter().map(|channel| channel["max_error"].as_f64().unwrap()).collect()
+    };
+    assert_eq!(errors("exact.take"), [0.0, 0.0]);
+    assert_eq!(errors("zero.take"), [0.0, 0.0]);
+    assert_eq!(errors("both.take"), [2.0, 3.0 / 1024.0]);
+    let text = folder.run(&["info", "both.take", "--markers"]).with_code(0).stdout;
+    assert_mentions(&text, &["max error", "2.000e0", "2.930e-3"]);
+
+    // Every sample is compared with the source, and with the exact take.
+    for original in ["walk.c3d", "exact.take"] {
+        let report = folder.run(&["verify", "both.take", "--against", original, "--json"]);
+        let analog = report.with_code(0).json()["against"]["analog"].clone();
+        assert_eq!((&analog["samples"], &analog["beyond_stated"]), (&6000.into(), &0.into()));
+        assert_eq!(analog["channels"][0]["max_error"], 2.0);
+        assert!(analog["samples_differing"].as_u64().unwrap() > 3000, "{analog}");
+    }
+    // The exact take does not state an error, so that of the other one is too large for it.
+    folder.run(&["export", "both.take", "-o", "both.c3d"]).with_code(0);
+    let ran = folder.run(&["verify", "exact.take", "--against", "both.c3d"]).with_code(1);
+    assert_mentions(&ran.stdout, &["ERROR ABOVE the one that the channel states"]);
+
+    // Exports say so, and have the samples of the take; edited takes state the bounds, and replace nothing again.
+    let ran = folder.run(&["export", "both.take", "-o", "again.c3d"]).with_code(0);
+    assert_mentions(&ran.stderr, &["samples of 2 analog channels", "not those of the source"]);
+    folder.run(&["verify", "both.take", "--against", "again.c3d"]).with_code(0);
+    folder.run(&["cut", "both.take", "--from", "1s", "--to", "9s", "-o", "cut.take"]).with_code(0);
+    assert_eq!(errors("cut.take"), [2.0, 3.0 / 1024.0]);
+    let ran = folder.run(&["verify", "cut.take", "--against", "walk.c3d", "--json"]);
+    // The source has more frames; of those that both have, every sample is within the bounds.
+    let analog = ran.with_code(1).json()["against"]["analog"].clone();
+    assert_eq!((&analog["samples"], &analog["beyond_stated"]), (&3200.into(), &0.into()));
+
+    // The same import is done already, one with another tolerance is another take, and mistakes list the channels.
+    std::fs::create_dir(folder.path("takes")).unwrap();
+    let unchanged = |tolerance: &str| {
+        let tolerances = ["--analog-tolerance", tolerance, "--json"];
+        let all = [&["import", "walk.c3d", "-o", "takes/"][..], &tolerances].concat();
+        folder.run(&all).json()["unchanged"] == true
+    };
+    assert!(!unchanged("1count"));
+    assert!(unchanged("1count"));
+    for (wrong, code, why) in [
+        ("EKG*=1", 1, "Fz (N), EMG (V)"),
+        ("0.5N", 1, "EMG is in `V`, not in `N`"),
+        ("much", 2, "expected [PATTERN=]VALUE"),
+    ] {
+        let ran = import("wrong.take", &[wrong]).with_code(code);
+        assert_mentions(&ran.stderr, &[why]);
+    }
 }

@@ -150,7 +150,7 @@ def golden_words(take):
         yield (
             f"group {group.number} of {group.kind}: form {group.form}, from channel {group.first_channel} of {group.part_channels}, "
             f"{group.samples_per_frame} a frame, {group.rate_hz!r} Hz, from frame {group.first_frame}, "
-            f"{group.n_samples} samples, {digest(channels)}"
+            f"{group.n_samples} samples, {digest(channels)}{f', bounds {group.bounds}' if group.bounds else ''}"
         )
     for kind, data in parts(take.groups):
         yield f"part {kind}: {len(data)} bytes, {digest([data])}"

@@ -33,8 +33,8 @@ pub struct SourceFailed(pub io::Error);
 /// Those of the scratch file that a foreign part may be in.
 pub fn sample_count(info: &MotionInfo) -> io::Result<u64> {
     let of_markers = info.n_frames.saturating_mul(info.markers.len() as u64);
-    let of_parts = info.foreign.iter().map(sampled::sample_count);
-    of_parts.fold(Ok(of_markers), |sum, n| Ok(sum?.saturating_add(n?)))
+    let mut of_parts = info.foreign.iter().map(sampled::sample_count);
+    of_parts.try_fold(of_markers, |sum: u64, n| Ok(sum.saturating_add(n?)))
 }
 
 /// Encodes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
@@ -261,7 +261,7 @@ mod tests {
         let mut data = vec![1, 2, 3, 0, 0, 0, 10, 0, 0, 0];
         data.extend([1_u64, 4].map(u64::to_le_bytes).concat());
         data.extend([0; 2 * 3 * 10 * 4]);
-        let analog = Foreign { kind: "c3d/analog".to_owned(), data: data.into() };
+        let analog = Foreign::exact("c3d/analog", data);
         let info = MotionInfo {
             rate_hz: 100.0,
             n_frames: 4,

@@ -85,18 +85,7 @@ impl Fit {
         samples: &[f32],
         before: Before<'_>,
     ) -> (Head, &Cells) {
-        self.sorted.clear();
-        self.sorted.extend(
-            samples.iter().filter(|sample| sample.is_finite()).map(|&sample| ordered(sample)),
-        );
-        self.sorted.sort_unstable();
-        let mode = self.mode();
-        self.values.clear();
-        for &value in &self.sorted {
-            if self.values.last() != Some(&value) && Some(value) != mode {
-                self.values.push(value);
-            }
-        }
+        let mode = self.sort(samples);
         let mode = mode.map(|mode| from_ordered(mode).to_bits());
         let change = mean_change(samples);
         let is_kept = track.is_started
@@ -128,6 +117,34 @@ impl Fit {
             self.choose_events(samples, track.parity as usize, &mut head);
         }
         (head, &self.cells)
+    }
+
+    /// Sorts the samples of a block. Returns the most frequent value, if it is much more frequent than every other.
+    fn sort(&mut self, samples: &[f32]) -> Option<i32> {
+        self.sorted.clear();
+        self.sorted.extend(
+            samples.iter().filter(|sample| sample.is_finite()).map(|&sample| ordered(sample)),
+        );
+        self.sorted.sort_unstable();
+        let mode = self.mode();
+        self.values.clear();
+        for &value in &self.sorted {
+            if self.values.last() != Some(&value) && Some(value) != mode {
+                self.values.push(value);
+            }
+        }
+        mode
+    }
+
+    /// Quantum and offset of the lattice that almost all samples of a block are on, if there is one that saves bits.
+    pub(super) fn lattice_of(&mut self, samples: &[f32]) -> Option<[f64; 2]> {
+        self.sort(samples);
+        match self.lattice(mean_change(samples))? {
+            (saved, CellForm::Lattice { quantum, offset }) if saved > 0.25 => {
+                Some([quantum, offset])
+            }
+            _ => None,
+        }
     }
 
     /// The most frequent value, if it is much more frequent than every other.
@@ -487,7 +504,7 @@ fn log2(number: f64) -> f64 {
 }
 
 /// The distance of float32s at a magnitude, at most.
-fn spacing(magnitude: f64) -> f64 {
+pub(super) fn spacing(magnitude: f64) -> f64 {
     let bits = ((magnitude as f32).to_bits() >> 23).max(1);
     // 2^(exponent - 23)
     f64::from_bits(u64::from(bits + 1023 - 127 - 23) << 52)

@@ -9,6 +9,7 @@
 //!
 //! `docs/sampled-channels.md` specifies every byte. Takes hold such blocks, so that the format is frozen.
 
+mod bounded;
 mod cells;
 mod distribution;
 mod fit;
@@ -19,6 +20,7 @@ mod predictor;
 mod tests;
 mod walk;
 
+pub use self::bounded::{ChannelSurvey, SampleBound};
 pub(crate) use positions::Predictive;
 
 use self::{

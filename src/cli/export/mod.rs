@@ -22,7 +22,7 @@ use mocapd_service::units;
 use mocapd_take::{
     TakeFrames,
     interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz},
-    motion::{FrameSource, UpAxis},
+    motion::{FrameSource, MotionInfo, UpAxis},
     record::Ledger,
 };
 use serde::Serialize;
@@ -234,6 +234,7 @@ impl ExportPlan<'_> {
             }
         };
         attempt.written.remarks.extend(remark_on_axes(format, of_take, args.up));
+        attempt.written.remarks.extend(remark_on_bounds(format, frames.info()));
         attempt.written.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
@@ -418,6 +419,21 @@ fn remark_on_axes(format: Format, of_take: UpAxis, given: Option<UpAxis>) -> Opt
             "the take states no up axis, so its axes were kept; OpenSim expects y up".to_owned(),
         ),
     }
+}
+
+/// A remark on analog samples that are not those of the source, for a format that otherwise restores them bit by bit.
+fn remark_on_bounds(format: Format, info: &MotionInfo) -> Option<String> {
+    let bounds = info.foreign.iter().flat_map(|part| &part.bounds);
+    let n_replaced = bounds.filter(|bound| **bound > 0.0).count();
+    (format == Format::C3d && n_replaced > 0).then(|| {
+        format!(
+            "{} not those of the source bit by bit, but within the tolerance of the import",
+            match n_replaced {
+                1 => "the samples of 1 analog channel are".to_owned(),
+                n => format!("the samples of {n} analog channels are"),
+            }
+        )
+    })
 }
 
 impl ExportReport {

@@ -33,6 +33,8 @@ struct SampledChannelReport {
     unit: String,
     scale: f64,
     offset: f64,
+    /// In the unit; 0 for exact samples.
+    max_error: f64,
 }
 
 impl SampledGroupReport {
@@ -45,11 +47,12 @@ impl SampledGroupReport {
     fn new(found: &GroupSamples) -> Self {
         let lost = found.lost();
         let group = &found.group;
-        let channel = |channel: &SampledChannel| SampledChannelReport {
+        let channel = |(i, channel): (usize, &SampledChannel)| SampledChannelReport {
             name: channel.name.clone(),
             unit: channel.unit.clone(),
             scale: channel.scale,
             offset: channel.offset,
+            max_error: group.bound(i) * channel.scale.abs(),
         };
         Self {
             kind: group.kind.clone(),
@@ -62,7 +65,7 @@ impl SampledGroupReport {
                 .iter()
                 .fold(0, |sum: u64, LostSamples { n, .. }| sum.saturating_add(*n)),
             stored_bytes: found.stored_bytes,
-            channels: group.channels.iter().map(channel).collect(),
+            channels: group.channels.iter().enumerate().map(channel).collect(),
         }
     }
 }
@@ -99,13 +102,21 @@ pub(super) fn table(groups: &[SampledGroupReport], out: &mut String) {
     let (rate_hz, samples) = ("rate Hz", "samples");
     writeln!(
         out,
-        "{:<width$} {rate_hz:>10} {samples:>10} {:>13}  unit",
-        "sampled channel", "scale"
+        "{:<width$} {rate_hz:>10} {samples:>10} {:>13} {:>11}  unit",
+        "sampled channel", "scale", "max error"
     )
     .ok();
     for (name, (group, channel)) in names.iter().zip(all()) {
         let (samples, unit) = (thousands(group.samples), plain(&channel.unit));
         let (rate_hz, scale) = (group.rate_hz, channel.scale);
-        writeln!(out, "{name:<width$} {rate_hz:>10} {samples:>10} {scale:>13.6e}  {unit}").ok();
+        let error = match channel.max_error {
+            0.0 => "exact".to_owned(),
+            error => format!("{error:.3e}"),
+        };
+        writeln!(
+            out,
+            "{name:<width$} {rate_hz:>10} {samples:>10} {scale:>13.6e} {error:>11}  {unit}"
+        )
+        .ok();
     }
 }

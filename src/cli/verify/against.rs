@@ -5,16 +5,17 @@ use std::{io::BufReader, path::Path, sync::Arc};
 
 use anyhow::Context;
 use mocapd::outcome::UsageError;
-use mocapd_acquire::files::SparseFile;
+use mocapd_acquire::files::{self, SparseFile};
 use mocapd_report::{
     ReportError,
     derivative::{DerivativeError, by_marker},
 };
 use mocapd_take::{
     TakeFrames,
-    compare::{Difference, compare},
+    compare::{AnalogDifference, ChannelDifference, Difference, compare, compare_analog},
+    foreign::analog::is_needed,
     interchange::ReadOptions,
-    motion::{Ambiguity, FrameSource},
+    motion::{Ambiguity, FrameSource, MotionInfo},
 };
 use serde::Serialize;
 
@@ -23,7 +24,7 @@ use crate::cli::{
     original::{MotionSource, open_motion},
     output::plain,
     paths,
-    values::count,
+    values::{count, thousands},
 };
 
 /// Most labels that the text lists; the JSON has all of them.
@@ -34,6 +35,8 @@ pub(crate) struct AgainstReport {
     within_tolerance: bool,
     /// Ambiguities in the original: places that could also be read in another way.
     ambiguities: Vec<AmbiguityReport>,
+    /// The analog samples; `None` unless both have some.
+    analog: Option<AnalogDifference>,
     #[serde(flatten)]
     difference: Difference,
 }
@@ -61,27 +64,33 @@ pub(crate) fn against(
     tolerance_mm: f64,
 ) -> anyhow::Result<AgainstReport> {
     let open = |path: &Path| {
-        TakeFrames::open(BufReader::new(SparseFile::open(path)?))
+        let file = BufReader::new(SparseFile::open(path)?);
+        TakeFrames::open_with(file, is_needed, files::scratch)
             .with_context(|| format!("cannot read {}", path.display()))
     };
+    let comparing = || format!("cannot compare {} with {}", take.display(), original.display());
     let take_frames = open(take)?;
+    let (take_info, is_damaged) = (take_frames.info().clone(), !take_frames.problems().is_empty());
+    let analog_of = |original: &MotionInfo| {
+        compare_analog(&take_info, original, is_damaged).with_context(comparing)
+    };
     let cut_off = !take_frames.map().finished;
     let (mut ambiguities, mut notes) = (Vec::new(), Vec::new());
-    let (difference, exact) = if paths::is_take(original) {
+    let (difference, exact, analog) = if paths::is_take(original) {
         let original = open(original)?;
         let exact = original.map().header.tolerance_mm == 0.0;
-        (compare(take_frames, original), exact)
+        let analog = analog_of(original.info())?;
+        (compare(take_frames, original), exact, analog)
     } else {
         let options = read_options(&take_frames);
         let source = MotionSource::file(original)?;
-        let motion = open_motion(&source, &options, false, &Arc::default())?;
+        let motion = open_motion(&source, &options, true, &Arc::default())?;
         ambiguities.extend(motion.info().source.ambiguities.iter().map(AmbiguityReport::from));
         notes.extend(note_of(&options));
-        (compare(take_frames, motion), true)
+        let analog = analog_of(motion.info())?;
+        (compare(take_frames, motion), true, analog)
     };
-    let mut difference = difference.with_context(|| {
-        format!("cannot compare {} with {}", take.display(), original.display())
-    })?;
+    let mut difference = difference.with_context(comparing)?;
     if cut_off {
         // The frames behind the cut are lost; that is not a difference.
         difference.frames_lost += difference.frames_after_take;
@@ -93,7 +102,10 @@ pub(crate) fn against(
     }
     notes.append(&mut difference.notes);
     difference.notes = notes;
-    Ok(AgainstReport { ambiguities, ..AgainstReport::new(difference, tolerance_mm) })
+    let report = AgainstReport::new(difference, tolerance_mm);
+    let is_analog_within = analog.as_ref().is_none_or(AnalogDifference::is_within);
+    let within_tolerance = report.within_tolerance && is_analog_within;
+    Ok(AgainstReport { within_tolerance, ambiguities, analog, ..report })
 }
 
 /// The note that the original was read with the options of the import, if there were any.
@@ -107,7 +119,7 @@ fn note_of(options: &ReadOptions) -> Option<String> {
 impl AgainstReport {
     pub(crate) fn new(difference: Difference, tolerance_mm: f64) -> Self {
         let within_tolerance = difference.is_within(tolerance_mm);
-        Self { within_tolerance, ambiguities: Vec::new(), difference }
+        Self { within_tolerance, ambiguities: Vec::new(), analog: None, difference }
     }
 
     /// Whether the take agrees with the original within the tolerance.
@@ -141,6 +153,7 @@ impl AgainstReport {
             let text = plain(&ambiguity.text);
             out += &format!("  the original is ambiguous; it was read as in the import: {text}\n");
         }
+        out += &self.analog.as_ref().map(analog_text).unwrap_or_default();
         if found.frames_lost > 0 {
             let frames = count(found.frames_lost, "frame");
             out += &format!("  not compared, lost in the take: {frames}\n");
@@ -167,6 +180,35 @@ impl AgainstReport {
         }
         out
     }
+}
+
+/// A line about the analog samples, and one for each channel with an error.
+fn analog_text(found: &AnalogDifference) -> String {
+    let samples = count(found.samples, "analog sample");
+    let mut out = match found.samples_differing {
+        0 => format!("  {samples}, all exact\n"),
+        n => format!("  {samples}, {} replaced within the tolerance\n", thousands(n)),
+    };
+    let with_error = found.channels.iter().filter(|channel| channel.max_error > 0.0);
+    for ChannelDifference { name, unit, stated_max_error, max_error } in with_error {
+        let (name, unit) = (plain(name), plain(unit));
+        out += &format!(
+            "    {name}: max error {max_error:.3e} {unit}, stated {stated_max_error:.3e}\n"
+        );
+    }
+    if found.samples_lost > 0 {
+        let samples = count(found.samples_lost, "analog sample");
+        out += &format!("  not compared, lost in the take: {samples}\n");
+    }
+    if found.beyond_stated > 0 {
+        let samples = count(found.beyond_stated, "analog sample");
+        out += &format!("  ERROR ABOVE the one that the channel states: {samples}\n");
+    }
+    if found.channels_missing > 0 {
+        let channels = count(found.channels_missing as u64, "analog channel");
+        out += &format!("  in only one of the two: {channels}\n");
+    }
+    out
 }
 
 #[derive(Debug, Serialize)]

@@ -241,7 +241,7 @@ mod tests {
         let mut a = TakeMap { events: vec![event(3, "b"), event(1, "a")], ..TakeMap::default() };
         let mut b = TakeMap { events: vec![event(1, "a"), event(3, "b")], ..TakeMap::default() };
         (a.ledger, b.ledger) = (Some(Ledger::default()), Some(Ledger::default()));
-        let part = [Foreign { kind: "c3d/analog".to_owned(), data: vec![1, 2].into() }];
+        let part = [Foreign::exact("c3d/analog", vec![1, 2])];
         assert!(ContentDifference::between((&a, &part), (&b, &part)).is_none());
     }
 
@@ -279,7 +279,7 @@ mod tests {
             ending: Some(TakeEnding::default()),
             ..TakeMap::default()
         };
-        let part = [Foreign { kind: "trc/header".to_owned(), data: vec![0; 9].into() }];
+        let part = [Foreign::exact("trc/header", vec![0; 9])];
         let found = ContentDifference::between((&a, &part), (&b, &[]));
         assert_eq!(names(&found.header), ["rate_hz"]);
         assert_eq!(names(&found.settings), ["unit", "x"]);

@@ -494,7 +494,7 @@ fn analog(n_frames: usize) -> Foreign {
         let at = (from + signal * length * width) as u64;
         ColumnWriter::new(width).write(&mut data, at, length, samples).unwrap();
     }
-    Foreign { kind: ANALOG.to_owned(), data }
+    Foreign::exact(ANALOG, data)
 }
 
 /// The analog samples of a take, their form, and those that are lost.

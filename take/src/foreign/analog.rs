@@ -180,7 +180,7 @@ impl<'a> AnalogSamples<'a> {
 ///
 /// # Errors
 /// `InvalidArgument` if they were not read, or have another layout; `Io` if their scratch file cannot be read.
-pub(super) fn parameters(info: &MotionInfo) -> Result<Option<Parameters>, TakeError> {
+pub(crate) fn parameters(info: &MotionInfo) -> Result<Option<Parameters>, TakeError> {
     let Some(part) = info.foreign.iter().find(|part| part.kind == c3d::PARAMETERS) else {
         return Ok(None);
     };

@@ -76,7 +76,7 @@ pub(super) fn open(
         markers: text::markers(&labels, width),
         up: options.up(UpAxis::Unknown, &mut notes),
         source: unit.into_source("trc", first_frame, frames_missing, notes),
-        foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
+        foreign: vec![Foreign::exact(HEADER, header.lines)],
         ..MotionInfo::default()
     };
     Ok((info, frames))

@@ -83,7 +83,7 @@ pub(super) fn open(
         up,
         source: unit.into_source("tsv", first_frame, frames_missing, notes),
         events,
-        foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
+        foreign: vec![Foreign::exact(HEADER, header.lines)],
         ..MotionInfo::default()
     };
     Ok((info, frames))

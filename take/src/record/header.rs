@@ -128,6 +128,9 @@ const KEYS: &str = "keys";
 /// The key in the settings of an import with the effort of its encoder, where it is above the least.
 const EFFORT: &str = "effort";
 
+/// The key in the settings of an import with a tolerance of analog channels, in the order in which they were given.
+const ANALOG_TOLERANCE: &str = "analog_tolerance";
+
 impl Header {
     /// The code of the up axis in this HEADER chunk, if no axis has it.
     #[must_use]
@@ -172,6 +175,13 @@ impl Header {
         let (_, distance) = self.settings.iter().find(|(key, _)| key == KEYS)?;
         let distance = quantity::duration_above_zero(distance).ok()?;
         Some(((distance.as_secs_f64() * self.rate_hz) as usize).max(1))
+    }
+
+    /// Sets the tolerances of analog channels that the take was imported with, in the order in which they were given.
+    pub fn set_analog_tolerances(&mut self, stated: impl IntoIterator<Item = String>) {
+        self.settings.retain(|(key, _)| key != ANALOG_TOLERANCE);
+        let stated = stated.into_iter();
+        self.settings.extend(stated.map(|one| (ANALOG_TOLERANCE.to_owned(), one)));
     }
 
     /// Sets the size of the imported file in bytes.

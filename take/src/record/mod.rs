@@ -29,7 +29,7 @@ pub use clock::{
 pub(crate) use header::MoreChannels;
 pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource, RATES_HZ};
 pub(crate) use sampled_group::SAMPLES_MAX;
-pub use sampled_group::{SampleForm, SampledChannel, SampledGroup};
+pub use sampled_group::{SampleBounds, SampleForm, SampledChannel, SampledGroup};
 pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};
 pub use summary::{DETAIL_BYTES_MAX, EndingKind, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding};
 

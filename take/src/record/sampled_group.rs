@@ -1,9 +1,9 @@
 //! `SAMPLED_GROUP`: a group of scalar channels that have a rate of their own, such as those of force plates and electrodes.
 
-use bincode::{Decode, Encode};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use mocapd_codec::GROUP_CHANNELS;
 
-use super::{Record, deflate, inflate};
+use super::{CONFIG, Record, deflate, inflate};
 use crate::{TakeError, chunk::types};
 
 /// The numbers that the samples of a channel were before they became float32, which an export restores.
@@ -45,6 +45,25 @@ pub struct SampledChannel {
     pub offset: f64,
 }
 
+/// The largest error of each channel of a group, in stored samples; empty if all samples are those of the source. It is
+/// not part of version 1 of the record, which is that of exact groups; version 2 has it behind all else.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SampleBounds(pub Vec<f64>);
+
+bincode::impl_borrow_decode!(SampleBounds);
+
+impl Encode for SampleBounds {
+    fn encode<E: Encoder>(&self, _: &mut E) -> Result<(), EncodeError> {
+        Ok(())
+    }
+}
+
+impl<C> Decode<C> for SampleBounds {
+    fn decode<D: Decoder<Context = C>>(_: &mut D) -> Result<Self, DecodeError> {
+        Ok(Self::default())
+    }
+}
+
 /// Up to 64 channels that are sampled together and coded in common blocks. Groups of one kind that follow each other
 /// form a part: the first of them has the channels from 0 on.
 #[derive(Debug, Clone, PartialEq, Default, Encode, Decode)]
@@ -71,6 +90,8 @@ pub struct SampledGroup {
     pub n_samples: Option<u64>,
     /// The channels.
     pub channels: Vec<SampledChannel>,
+    /// Their largest errors.
+    pub bounds: SampleBounds,
 }
 
 impl Record for SampledGroup {
@@ -78,6 +99,9 @@ impl Record for SampledGroup {
     const KIND: u8 = types::SAMPLED_GROUP;
     const VERSION: u16 = 1;
 }
+
+/// The version of a group with bounds.
+const BOUNDED: u16 = 2;
 
 /// Most samples of a channel, so that no sum overflows: 36 years at 1 MHz.
 pub(crate) const SAMPLES_MAX: u64 = 1 << 50;
@@ -93,26 +117,54 @@ impl SampledGroup {
         })?;
         let payload = self.to_payload()?;
         let (version, body) = payload.split_at(2);
-        Ok(deflate(version.to_vec(), body)?)
+        if self.bounds.0.is_empty() {
+            return Ok(deflate(version.to_vec(), body)?);
+        }
+        let bounds = self.bounds.0.iter().flat_map(|bound| bound.to_le_bytes());
+        let body: Vec<u8> = body.iter().copied().chain(bounds).collect();
+        Ok(deflate(BOUNDED.to_le_bytes().to_vec(), &body)?)
     }
 
     /// Decodes the payload of the chunk at file offset `offset`, whose CRC matched.
     ///
     /// # Errors
-    /// `Unsupported` for another version, `Corrupt` for invalid content.
+    /// `Unsupported` for a later version, `Corrupt` for invalid content.
     pub fn from_chunk_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
         let corrupt = |why| TakeError::corrupt(Self::NAME, offset, why);
         let Some((version, deflated)) = payload.split_first_chunk::<2>() else {
             return Err(corrupt("shorter than its version"));
         };
         let (found, supported) = (u16::from_le_bytes(*version), Self::VERSION);
-        if found != supported {
+        if found != supported && found != BOUNDED {
+            let supported = BOUNDED;
             return Err(TakeError::Unsupported { what: Self::NAME, found, supported });
         }
         let body = inflate(deflated).ok_or_else(|| corrupt("invalid DEFLATE data"))?;
-        let group = Self::from_payload(&[&version[..], &body].concat(), offset)?;
+        let group = if found == BOUNDED {
+            Self::with_bounds(&body).map_err(corrupt)?
+        } else {
+            Self::from_payload(&[&version[..], &body].concat(), offset)?
+        };
         group.check().map_err(corrupt)?;
         Ok(group)
+    }
+
+    /// Parses the record of a group with bounds: a float64 of each channel behind all else.
+    fn with_bounds(body: &[u8]) -> Result<Self, &'static str> {
+        let (mut group, used): (Self, usize) =
+            bincode::decode_from_slice(body, CONFIG).map_err(|_| "cannot be decoded")?;
+        let (bounds, rest) = body.get(used..).unwrap_or_default().as_chunks::<8>();
+        if bounds.is_empty() || !rest.is_empty() {
+            return Err("its bounds are missing or incomplete");
+        }
+        group.bounds.0 = bounds.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect();
+        Ok(group)
+    }
+
+    /// The largest error of a channel of the group, in stored samples; 0 if it is exact.
+    #[must_use]
+    pub fn bound(&self, channel: usize) -> f64 {
+        self.bounds.0.get(channel).copied().unwrap_or(0.0)
     }
 
     fn check(&self) -> Result<(), &'static str> {
@@ -126,6 +178,14 @@ impl SampledGroup {
             Err("its rate is not a positive number")
         } else if self.n_samples.is_some_and(|n| n > SAMPLES_MAX) {
             Err("it has more samples than a take can hold")
+        } else if !matches!(self.bounds.0.len() as u64, n if n == 0 || n == n_channels) {
+            Err("it has not one bound for each channel")
+        } else if !self.bounds.0.iter().all(|bound| bound.is_finite() && *bound >= 0.0) {
+            Err("a bound is no size of an error")
+        } else if self.form != SampleForm::Float32
+            && self.bounds.0.iter().any(|bound| bound.fract() != 0.0)
+        {
+            Err("a bound of integers is none")
         } else {
             Ok(())
         }

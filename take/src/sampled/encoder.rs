@@ -13,7 +13,7 @@ use crate::{
         ANALOG, ColumnReader, MODEL_OUTPUTS, RESIDUALS, SampleHeader, value,
     },
     motion::Foreign,
-    record::{SampleForm, SampledChannel, SampledGroup},
+    record::{SampleBounds, SampleForm, SampledChannel, SampledGroup},
     timeline::LossCauses,
 };
 
@@ -41,13 +41,15 @@ const KINDS: [(&str, usize); 3] = [(ANALOG, 1), (RESIDUALS, 1), (MODEL_OUTPUTS, 
 
 /// What the samples of a part mean, and where it stands in the take.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct PartContext {
+pub(crate) struct PartContext<'b> {
     /// Frames in a second.
     pub(crate) rate_hz: f64,
     /// Whether integers are unsigned.
     pub(crate) is_unsigned: bool,
     /// Number of the first group.
     pub(crate) first_group: u32,
+    /// The largest error of each column; empty if all are exact.
+    pub(crate) bounds: &'b [f64],
 }
 
 /// How the samples of a foreign part are encoded.
@@ -113,7 +115,7 @@ impl<'a> SamplesPlan<'a> {
     pub(crate) fn new(
         kind: &str,
         content: &'a Content,
-        context: PartContext,
+        context: PartContext<'_>,
         describe: impl FnOnce(&str, &[u32]) -> Vec<SampledChannel>,
     ) -> io::Result<Option<Self>> {
         let Some(layout) = PartLayout::of(kind, content)? else { return Ok(None) };
@@ -142,6 +144,7 @@ impl<'a> SamplesPlan<'a> {
             number: context.first_group.saturating_add(i),
             first_channel: i * GROUP_CHANNELS as u32,
             channels: channels.to_vec(),
+            bounds: SampleBounds(bounds_of(context.bounds, i as usize)),
             ..group.clone()
         });
         let (groups, lost) = (groups.collect(), Vec::new());
@@ -191,6 +194,12 @@ impl<'a> SamplesPlan<'a> {
         let (width, n_channels) = (self.header.width, group.channels.len());
         ColumnReader::new(columns, width, n_channels, self.n_samples, BUFFER_BYTES)
     }
+}
+
+/// The bounds of a group of the part, by its place among the groups; empty if it is exact.
+fn bounds_of(bounds: &[f64], group: usize) -> Vec<f64> {
+    let bounds = bounds.chunks(GROUP_CHANNELS).nth(group).unwrap_or_default();
+    if bounds.iter().all(|bound| *bound == 0.0) { Vec::new() } else { bounds.to_vec() }
 }
 
 fn form_of(width: usize, is_unsigned: bool) -> SampleForm {

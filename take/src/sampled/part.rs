@@ -12,7 +12,9 @@ use super::{SampleContent, SampleSpan, SamplesChunk, fits};
 use crate::{
     TakeError,
     foreign::content::{Content, ScratchFile, Spool},
-    interchange::c3d::columns::{ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered},
+    interchange::c3d::columns::{
+        ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered, word,
+    },
     record::{SampleForm, SampledGroup},
     timeline::LossCauses,
 };
@@ -251,6 +253,17 @@ impl SampledPart {
         self.first().map_or("", |first| &first.kind)
     }
 
+    /// The largest error of each channel; empty if all are exact.
+    pub(crate) fn bounds(&self) -> Vec<f64> {
+        if self.groups.iter().all(|found| found.group.bounds.0.is_empty()) {
+            return Vec::new();
+        }
+        let of_group = |found: &GroupSamples| {
+            (0..found.group.channels.len()).map(|i| found.group.bound(i)).collect::<Vec<_>>()
+        };
+        self.groups.iter().flat_map(of_group).collect()
+    }
+
     /// Adds the next group of the part. Gives it back if it belongs to another one.
     #[expect(clippy::result_large_err, reason = "it is no error: the group begins another part")]
     pub(crate) fn push_group(&mut self, group: GroupSamples) -> Result<(), GroupSamples> {
@@ -466,7 +479,7 @@ impl SampledPart {
                     let from = front.len() as u64 + at * column_bytes;
                     match samples.as_mut().and_then(Iterator::next) {
                         Some(samples) => {
-                            let words = samples.iter().map(|&sample| word(sample, width));
+                            let words = samples.iter().map(|&sample| word(width, sample));
                             column.write(&mut data, from, length, words)?;
                         }
                         None => {
@@ -495,14 +508,5 @@ impl SampledPart {
     pub fn check(&self, input: &mut (impl Read + Seek)) -> Result<Vec<LostSamples>, TakeError> {
         let groups = self.groups.iter().map(|group| group.decode(input, |_, _| Ok(())));
         Ok(groups.collect::<Result<Vec<_>, _>>()?.concat())
-    }
-}
-
-/// A sample as a column of words of `width` bytes holds it.
-fn word(sample: f32, width: usize) -> u32 {
-    match width {
-        4 => ordered(sample.to_bits()),
-        // A number of 16 bits, signed or not.
-        _ => u32::from(sample as i32 as u16),
     }
 }

@@ -9,18 +9,22 @@ use mocapd_testkit::random::Random;
 
 use super::{BLOCK_ROWS_MAX, SampleContent, SampleSpan};
 use crate::{
-    TakeFrames, TakeMap, TakeWriter,
+    TakeError, TakeFrames, TakeMap, TakeWriter,
     chunk::{self, ChunkParse, types},
     damage::Problem,
     foreign::{
         Foreign,
-        content::{Content, MemoryScratch, ScratchFile},
+        content::{Content, MemoryScratch, PartStore, ScratchFile},
     },
     interchange::c3d::columns::{
         ANALOG, ColumnReader, ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, value,
     },
+    interchange::c3d::sample_parts,
     motion::FrameSource,
-    record::{CODEC_VERSION, Header, Ledger, Record, SampleForm, SampledChannel, SampledGroup},
+    record::{
+        CODEC_VERSION, Header, Ledger, Record, SampleBounds, SampleForm, SampledChannel,
+        SampledGroup,
+    },
     recovery::RecoveryScan,
     timeline::LossCauses,
 };
@@ -45,7 +49,7 @@ fn part(kind: &str, width: usize, ratio: usize, columns: &[Vec<u32>]) -> Foreign
         let words = column.iter().copied();
         ColumnWriter::new(width).write(&mut data, at, length, words).unwrap();
     }
-    Foreign { kind: kind.to_owned(), data }
+    Foreign::exact(kind, data)
 }
 
 /// Columns of a walk, as integers of 16 bits or as floats of the same shape.
@@ -155,7 +159,7 @@ fn parts_without_samples_or_of_an_unknown_layout_stay_foreign() {
     let mut later = bytes.clone();
     later[0] = 2;
     for data in [later, bytes[..bytes.len() - 1].to_vec(), bytes[..26].to_vec(), Vec::new()] {
-        let part = Foreign { kind: ANALOG.to_owned(), data: data.into() };
+        let part = Foreign::exact(ANALOG, data);
         let take = take_of(std::slice::from_ref(&part));
         assert_eq!(read(&take), (vec![part], Vec::new()));
         assert!(chunks(&take).iter().any(|(kind, ..)| *kind == types::FOREIGN));
@@ -502,6 +506,32 @@ fn chunks_that_cannot_be_are_refused() {
     assert!(SampleSpan::parse(&payload).is_err());
 }
 
+/// Bounds come back with the samples, group by group, through a cut and through a join.
+#[test]
+fn bounds_of_parts_come_back() {
+    let mut whole = part(ANALOG, 4, 10, &walks(5, 70, 300, 4));
+    whole.bounds = vec![0.0; 70];
+    whole.bounds[66] = 0.25;
+    let take = take_of(std::slice::from_ref(&whole));
+    let versions = chunks(&take).into_iter().filter(|(kind, ..)| *kind == types::SAMPLED_GROUP);
+    let head = |(_, start, _): (u8, usize, usize)| {
+        let ChunkParse::Whole { payload, .. } = chunk::parse(&take[start..]) else { panic!() };
+        payload[0]
+    };
+    assert_eq!(versions.map(head).collect::<Vec<_>>(), [1, 2], "the first group is exact");
+    let (parts, problems) = read(&take);
+    assert!(problems.is_empty());
+    assert_eq!(parts, [whole.clone()]);
+
+    let mut store = PartStore::new(true, &memory_scratch);
+    let cut = sample_parts::cut(&whole, &(13..20), &mut store).unwrap().unwrap();
+    assert_eq!(cut.0.bounds, whole.bounds);
+    let mut other = whole.clone();
+    (other.bounds[0], other.bounds[66]) = (0.5, 0.125);
+    let joined = sample_parts::join(&[(&whole, 30), (&other, 30)], &mut store).unwrap().unwrap();
+    assert_eq!((joined.bounds[0], joined.bounds[66]), (0.5, 0.25));
+}
+
 #[test]
 fn descriptions_come_back_and_impossible_ones_are_refused() {
     let channel = |i: u32| SampledChannel {
@@ -527,6 +557,22 @@ fn descriptions_come_back_and_impossible_ones_are_refused() {
     assert_eq!(SampledGroup::from_chunk_payload(&payload, 0).unwrap(), group);
     for cut in 0..payload.len() {
         assert!(SampledGroup::from_chunk_payload(&payload[..cut], 0).is_err(), "{cut}");
+    }
+    assert_eq!(payload[..2], [1, 0], "exact groups are of version 1");
+    let bounds = SampleBounds(vec![0.0, 1.0, 0.0, 7.0, 0.0, 2.0]);
+    let bounded = SampledGroup { bounds, ..group.clone() };
+    let stored = bounded.to_chunk_payload().unwrap();
+    assert_eq!(stored[..2], [2, 0]);
+    assert_eq!(SampledGroup::from_chunk_payload(&stored, 0).unwrap(), bounded);
+    for cut in 0..stored.len() {
+        assert!(SampledGroup::from_chunk_payload(&stored[..cut], 0).is_err(), "{cut}");
+    }
+    let later = [&[3, 0], &stored[2..]].concat();
+    let error = SampledGroup::from_chunk_payload(&later, 0).unwrap_err();
+    assert!(matches!(error, TakeError::Unsupported { found: 3, .. }), "{error}");
+    for bounds in [vec![1.0; 5], vec![0.5; 6], vec![-1.0; 6], vec![f64::NAN; 6]] {
+        let refused = SampledGroup { bounds: SampleBounds(bounds), ..group.clone() };
+        assert!(refused.to_chunk_payload().is_err(), "{refused:?}");
     }
     let extended = [&payload[..], &[0]].concat();
     assert!(SampledGroup::from_chunk_payload(&extended, 0).is_err());

@@ -16,11 +16,19 @@ pub(crate) fn parts() -> Vec<Foreign> {
     let outputs: Vec<Vec<u32>> = (0..8).map(|i| floats(&mut random, i, 700)).collect();
     let residuals: Vec<Vec<u32>> = (0..66).map(|i| flags(&mut random, i, 60)).collect();
     vec![
-        Foreign { kind: "c3d/parameters".to_owned(), data: parameters().into() },
+        Foreign::exact("c3d/parameters", parameters()),
         block("c3d/analog", 2, 4, &[], &analog),
         block("c3d/residuals", 4, 1, &[], &residuals),
         block("c3d/model-outputs", 4, 1, &[5, 9], &outputs),
     ]
+}
+
+/// States errors, of which those of an import are counts.
+pub(crate) fn bound(parts: &mut Vec<Foreign>) {
+    parts.truncate(2);
+    if let Some(analog) = parts.last_mut() {
+        analog.bounds = vec![2.0, 0.0, 7.0, 1.0];
+    }
 }
 
 /// A noisy signal of a converter.
@@ -89,7 +97,7 @@ fn block(kind: &str, width: usize, ratio: u32, points: &[u32], columns: &[Vec<u3
             data.extend(differences.iter().map(|difference| (difference >> (8 * plane)) as u8));
         }
     }
-    Foreign { kind: kind.to_owned(), data: data.into() }
+    Foreign::exact(kind, data)
 }
 
 /// Parameters that describe the channels and points.

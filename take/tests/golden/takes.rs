@@ -38,7 +38,7 @@ pub(crate) struct Written {
 }
 
 /// All golden takes, with as many markers as keep them small in total.
-pub(crate) const GOLDENS: [Golden; 9] = [
+pub(crate) const GOLDENS: [Golden; 10] = [
     Golden {
         name: "dense-0.1mm",
         resampler: "dense",
@@ -100,6 +100,13 @@ pub(crate) const GOLDENS: [Golden; 9] = [
         resampler: "spline:worst-sample",
         tolerance_mm: 20.0,
         n_markers: 3,
+        has_samples: true,
+    },
+    Golden {
+        name: "sampled-bounded",
+        resampler: "sync:worst-sample",
+        tolerance_mm: 20.0,
+        n_markers: 2,
         has_samples: true,
     },
 ];
@@ -166,7 +173,11 @@ impl Golden {
         let mut encoder = settings.encoder();
         let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
         if self.has_samples {
-            sampled::parts().iter().for_each(|part| take.foreign(part).unwrap());
+            let mut parts = sampled::parts();
+            if self.name == "sampled-bounded" {
+                sampled::bound(&mut parts);
+            }
+            parts.iter().for_each(|part| take.foreign(part).unwrap());
         }
         let mut front = StretchHeaderWriter::new(STRETCH_ROWS);
         let mut ledger = Ledger { finished: true, ..Ledger::default() };

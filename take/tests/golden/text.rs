@@ -98,9 +98,13 @@ fn of_group(group: &SampledGroup) -> String {
         let SampledChannel { name, unit, index, scale, offset } = channel;
         format!("{name} {unit} {index} {scale:?} {offset:?}\n").into_bytes()
     });
+    let bounds = match &group.bounds.0[..] {
+        [] => String::new(),
+        bounds => format!(", bounds {bounds:?}"),
+    };
     let SampledGroup { number, kind, first_channel, part_channels, .. } = group;
     format!(
-        "group {number} of {kind}: form {}, from channel {first_channel} of {part_channels}, {} a frame, {:?} Hz, from frame {}, {} samples, {}",
+        "group {number} of {kind}: form {}, from channel {first_channel} of {part_channels}, {} a frame, {:?} Hz, from frame {}, {} samples, {}{bounds}",
         group.form as u8,
         group.samples_per_frame,
         group.rate_hz,

@@ -311,7 +311,7 @@ fn a_valid_long_chunk_is_skipped_and_found_behind_damage() {
     let scratch = || Ok(Arc::new(Scratch(tempfile::tempfile()?)) as Arc<dyn ScratchFile>);
     let frames = TakeFrames::open_with(Cursor::new(&with_long[..]), |_| true, scratch).unwrap();
     let kept = &mocapd_take::motion::FrameSource::info(&frames).foreign;
-    assert_eq!(kept[0], Foreign { kind: "c3d/analog".to_owned(), data: data.into() });
+    assert_eq!(kept[0], Foreign::exact("c3d/analog", data));
     let mut recovered = Vec::new();
     let scan = RecoveryScan::read(&with_long).unwrap();
     scan.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();

@@ -321,8 +321,9 @@ fn damaged_takes() -> Vec<Vec<u8>> {
     takes().into_iter().flat_map(damaged).collect()
 }
 
-/// Three analog channels of 16-bit integers, four samples in each of thirty frames.
-fn analog_part() -> Foreign {
+/// Three analog channels of 16-bit integers, four samples in each of thirty frames; with bounds
+/// of their errors, of which one is that of an exact channel, or without.
+fn analog_part(is_bounded: bool) -> Foreign {
     const SAMPLES: usize = 120;
     let mut data = vec![1, 2];
     data.extend([3_u32, 4].iter().flat_map(|number| number.to_le_bytes()));
@@ -332,7 +333,8 @@ fn analog_part() -> Foreign {
         data.extend([0; SAMPLES]);
         data.extend(noise(column, SAMPLES).iter().map(|byte| byte >> 4));
     }
-    Foreign { kind: "c3d/analog".to_owned(), data: data.into() }
+    let bounds = if is_bounded { vec![1.0, 0.0, 3.0] } else { Vec::new() };
+    Foreign { bounds, ..Foreign::exact("c3d/analog", data) }
 }
 
 fn take(kind: &str, timed: bool) -> Vec<u8> {
@@ -365,7 +367,7 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
     let mut writer = TakeWriter::new(Vec::new(), &header).expect("a header");
     writer.channels(&channels[2..]).expect("a channel");
     if kind == "lossless" {
-        writer.foreign(&analog_part()).expect("a short part");
+        writer.foreign(&analog_part(timed)).expect("a short part");
     }
     let event = Event {
         kind: EventKind::Mark,

@@ -1,6 +1,7 @@
 """Groups of sampled channels in a take, and the foreign parts that they stand for: docs/take-format.md, "Sampled
 channels", and docs/foreign.md."""
 
+import math
 import zlib
 from dataclasses import dataclass
 
@@ -30,6 +31,7 @@ class Group:
     channels: list  # (name, unit, index, scale, offset)
 
     def __post_init__(self):
+        self.bounds = []  # of each channel, in stored samples; none for exact ones
         self.decoder = SampledDecoder()
         self.samples = [[] for _ in self.channels]  # by channel: the bits of each sample, None for a lost one
 
@@ -47,14 +49,25 @@ def read_group(payload):
     body = inflated.decompress(payload[2:])
     if not inflated.eof or inflated.unused_data:
         raise Corrupt("a description that does not inflate")
-    r = Record(payload[:2] + body, 1)
+    version = int.from_bytes(payload[:2], "little")
+    r = Record(payload[:2] + body, 2 if version == 2 else 1)
     group = Group(
         r.unsigned(), r.unsigned(), r.string(), r.unsigned(), r.unsigned(), r.unsigned(), r.unsigned(),
         r.double(), r.unsigned(), r.optional(r.unsigned),
         r.list(lambda: (r.string(), r.string(), r.unsigned(), r.double(), r.double())),
     )  # fmt: skip
+    if version == 2:
+        group.bounds = [r.double() for _ in group.channels]
+        check_bounds(group)
     r.finish()
     return group
+
+
+def check_bounds(group):
+    """A bound of an error is a size, and of integers an integer."""
+    for bound in group.bounds:
+        if not (math.isfinite(bound) and bound >= 0) or group.form != 0 and bound != int(bound):
+            raise Corrupt("a bound that is none")
 
 
 def read_samples(payload, groups):

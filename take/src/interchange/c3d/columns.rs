@@ -95,6 +95,15 @@ pub(crate) fn value(width: usize, sample: u32, is_unsigned: bool) -> f32 {
     }
 }
 
+/// The inverse of [`value`]: a sample as a column of words of `width` bytes holds it.
+pub(crate) fn word(width: usize, sample: f32) -> u32 {
+    match width {
+        4 => ordered(sample.to_bits()),
+        // A number of 16 bits, signed or not.
+        _ => u32::from(sample as i32 as u16),
+    }
+}
+
 /// Writes a column to its place in a part, piece by piece.
 #[derive(Debug, Clone)]
 pub(crate) struct ColumnWriter {

@@ -89,7 +89,7 @@ impl ColumnsPart {
     }
 
     fn into_foreign(self) -> Foreign {
-        Foreign { kind: self.kind.to_owned(), data: self.data }
+        Foreign::exact(self.kind, self.data)
     }
 }
 
@@ -154,7 +154,7 @@ impl SampleParts {
 
 /// The part with the header and the parameters.
 pub(super) fn parameters_part(header: &C3dHeader, parameters: &Parameters) -> Foreign {
-    Foreign { kind: PARAMETERS.to_owned(), data: parameters_data(header, parameters).into() }
+    Foreign::exact(PARAMETERS, parameters_data(header, parameters))
 }
 
 /// Rotates the parts that are positions in space: force plate corners and coordinates under gaps.
@@ -168,8 +168,8 @@ pub(in crate::interchange) fn rotate(
 ) -> io::Result<()> {
     let parameters = kept_parameters(foreign)?.map(|(header, mut parameters)| {
         parameters.rotate(rotation);
-        let data = parameters_data(&header, &parameters).into();
-        Foreign { kind: PARAMETERS.to_owned(), data }
+        let data = parameters_data(&header, &parameters);
+        Foreign::exact(PARAMETERS, data)
     });
     let gap_coordinates = gap_coordinates::rotated(foreign, n_markers, rotation)?;
     for new in parameters.into_iter().chain(gap_coordinates) {

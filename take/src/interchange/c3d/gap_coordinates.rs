@@ -192,7 +192,7 @@ impl GapWriter {
 
 /// The part with this content.
 pub(super) fn part(data: Content) -> Foreign {
-    Foreign { kind: KIND.to_owned(), data }
+    Foreign::exact(KIND, data)
 }
 
 impl MarkerWriter {

@@ -1,11 +1,16 @@
 //! Foreign parts that hold samples frame by frame (`c3d/analog`, `c3d/residuals`, `c3d/model-outputs`), restricted to a
 //! range of frames, or joined one after another. No sample changes.
 
-use std::{io, ops::Range};
+use std::{
+    io::{self, Read},
+    ops::Range,
+};
 
-use super::columns::{ColumnReader, ColumnWriter, MODEL_OUTPUTS, SampleHeader};
+use mocapd_codec::sampled::{ChannelSurvey, SampleBound};
+
+use super::columns::{ColumnReader, ColumnWriter, MODEL_OUTPUTS, SampleHeader, value, word};
 use crate::{
-    foreign::content::{ContentSlice, PartStore},
+    foreign::content::{Content, ContentSlice, PartStore},
     motion::Foreign,
 };
 
@@ -56,6 +61,25 @@ impl<'a> SamplePart<'a> {
         ColumnReader::new(column, self.header.width, 1, n_samples, BLOCK_BYTES)
     }
 
+    /// Gives all samples of a column, piece by piece.
+    fn pieces(
+        &self,
+        column: usize,
+        is_unsigned: bool,
+        mut each: impl FnMut(&mut [f32]) -> io::Result<()>,
+    ) -> io::Result<()> {
+        let Some(mut samples) = self.column(column) else { return Ok(()) };
+        let mut piece = Vec::new();
+        while let Some(&[sample]) = samples.next()? {
+            piece.push(value(self.header.width, sample, is_unsigned));
+            if piece.len() == PIECE_SAMPLES {
+                each(&mut piece)?;
+                piece.clear();
+            }
+        }
+        each(&mut piece)
+    }
+
     /// Whether the samples of `other` can follow these.
     fn is_like(&self, other: &Self) -> bool {
         let shape = |part: &Self| (part.header.width, part.header.n_signals, part.header.ratio);
@@ -103,7 +127,7 @@ fn write(
             }
         }
     }
-    Ok(Some(Foreign { kind: kind.to_owned(), data }))
+    Ok(Some(Foreign { kind: kind.to_owned(), data, bounds: Vec::new() }))
 }
 
 /// The samples of the frames with the numbers `frames`, and their range among those of the part; `None` if it is damaged.
@@ -124,8 +148,9 @@ pub(crate) fn cut(
     let n = ((end - first) as usize).min(n_frames - before);
     let header = SampleHeader { first_frame: first, n_frames: n, ..samples.header };
     let range = (before * ratio) as u64..((before + n) * ratio) as u64;
-    let part = write(&part.kind, &header, &[(samples, before..before + n)], store)?;
-    Ok(part.map(|part| (part, range)))
+    let kept = write(&part.kind, &header, &[(samples, before..before + n)], store)?;
+    let bounds = part.bounds.clone();
+    Ok(kept.map(|kept| (Foreign { bounds, ..kept }, range)))
 }
 
 /// The samples of several parts of one kind one after another, each with its number of frames in the joined take;
@@ -152,7 +177,78 @@ pub(crate) fn join(
     };
     let n_frames = all.iter().map(|(_, frames)| frames.len()).sum();
     let header = SampleHeader { n_frames, ..first.header };
-    write(&part.kind, &header, &all, store)
+    let joined = write(&part.kind, &header, &all, store)?;
+    let n_bounds = parts.iter().map(|(part, _)| part.bounds.len()).max().unwrap_or(0);
+    let of_column = |column: usize| {
+        let bounds = parts.iter().filter_map(|(part, _)| part.bounds.get(column));
+        bounds.fold(0.0, |largest: f64, &bound| largest.max(bound))
+    };
+    let bounds = (0..n_bounds).map(of_column).collect();
+    Ok(joined.map(|joined| Foreign { bounds, ..joined }))
+}
+
+/// Number of signals of a part; 0 if it is damaged.
+///
+/// # Errors
+/// Those of the scratch file.
+pub(crate) fn n_signals(part: &Foreign) -> io::Result<usize> {
+    Ok(SamplePart::parse(part)?.map_or(0, |samples| samples.header.n_signals))
+}
+
+/// The part with the samples of columns replaced by others within a bound: `bound_of` gives it for a column, in stored
+/// samples; `None` and 0 stand for exact ones. `None` if no sample is replaced, or the part is damaged.
+///
+/// # Errors
+/// Those of reading the part, and of the scratch file.
+pub(crate) fn bounded(
+    part: &Foreign,
+    is_unsigned: bool,
+    store: &mut PartStore<'_>,
+    mut bound_of: impl FnMut(usize, &ChannelSurvey) -> Option<f64>,
+) -> io::Result<Option<Foreign>> {
+    let Some(samples) = SamplePart::parse(part)? else { return Ok(None) };
+    let (width, length) = (samples.header.width, samples.header.samples().unwrap_or(0));
+    let column_bytes = (width * length) as u64;
+    let front_bytes = part.data.len() - column_bytes * samples.n_columns as u64;
+    let (mut bounds, mut data) = (vec![0.0_f64; samples.n_columns], None);
+    for (column, stated) in bounds.iter_mut().enumerate() {
+        let mut survey = match (width, is_unsigned) {
+            (4, _) => ChannelSurvey::default(),
+            (_, false) => ChannelSurvey::of_integers([i16::MIN.into(), i16::MAX.into()]),
+            (_, true) => ChannelSurvey::of_integers([0.0, u16::MAX.into()]),
+        };
+        samples.pieces(column, is_unsigned, |piece| {
+            survey.add(piece);
+            Ok(())
+        })?;
+        let bound = bound_of(column, &survey).unwrap_or(0.0);
+        let Some(replacing) = SampleBound::new(&survey, bound) else { continue };
+        let data = match &mut data {
+            Some(data) => data,
+            none => none.insert(copy_of(part, store)?),
+        };
+        let from = front_bytes + column as u64 * column_bytes;
+        let mut writer = ColumnWriter::new(width);
+        samples.pieces(column, is_unsigned, |piece| {
+            *stated = stated.max(replacing.apply(piece));
+            let words = piece.iter().map(|&sample| word(width, sample));
+            writer.write(data, from, length, words)
+        })?;
+    }
+    Ok(data.map(|data| Foreign { kind: part.kind.clone(), data, bounds }))
+}
+
+/// A copy of the content of a part, which can be written.
+fn copy_of(part: &Foreign, store: &mut PartStore<'_>) -> io::Result<Content> {
+    let mut copy = store.zeros(part.data.len())?;
+    let (mut input, mut at) = (part.data.reader(), 0);
+    let mut bytes = Vec::new();
+    while input.by_ref().take(BLOCK_BYTES as u64).read_to_end(&mut bytes)? > 0 {
+        copy.write_at(at, &bytes)?;
+        at += bytes.len() as u64;
+        bytes.clear();
+    }
+    Ok(copy)
 }
 
 #[cfg(test)]
@@ -160,7 +256,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::foreign::content::{Content, MemoryScratch};
+    use crate::foreign::content::MemoryScratch;
 
     fn with_store<T>(act: impl FnOnce(&mut PartStore<'_>) -> io::Result<T>) -> T {
         act(&mut PartStore::new(true, &|| Ok(Arc::new(MemoryScratch::default())))).unwrap()
@@ -191,7 +287,7 @@ mod tests {
             let mut writer = ColumnWriter::new(width);
             writer.write(&mut data, from, length, column.iter().copied()).unwrap();
         }
-        Foreign { kind: kind.to_owned(), data }
+        Foreign::exact(kind, data)
     }
 
     /// Columns whose samples differ in every byte that they have.
@@ -243,7 +339,7 @@ mod tests {
         assert!(join(&[(&one, 4), (&more, 4)]).is_none());
         let bytes = one.data.to_vec(1 << 20).unwrap().unwrap();
         for cut_at in 0..bytes.len() {
-            let damaged = Foreign { kind: one.kind.clone(), data: bytes[..cut_at].to_vec().into() };
+            let damaged = Foreign::exact(one.kind.clone(), bytes[..cut_at].to_vec());
             assert!(cut(&damaged, &(11..12)).is_none(), "{cut_at}");
         }
     }

@@ -68,7 +68,7 @@ pub(super) fn open(
         markers: columns.into_iter().map(|column| column.marker).collect(),
         up: options.up(UpAxis::Unknown, &mut notes),
         source: unit.into_source("csv", first_frame, frames_missing, notes),
-        foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
+        foreign: vec![Foreign::exact(HEADER, header.lines)],
         ..MotionInfo::default()
     };
     Ok((info, frames))

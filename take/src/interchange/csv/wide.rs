@@ -49,7 +49,7 @@ pub(super) fn open(
     let (n_frames, first_frame) = (table.n_frames(), table.first_frame().unwrap_or(1));
     let mut frames = table.into_frames(n_markers)?;
     frames.examine(&unit, AtOrigin::Doubtful, &mut notes)?;
-    let foreign = Foreign { kind: HEADER.to_owned(), data: header.lines.into() };
+    let foreign = Foreign::exact(HEADER, header.lines);
     let info = MotionInfo {
         rate_hz,
         n_frames,
