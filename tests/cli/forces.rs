@@ -305,7 +305,7 @@ fn sizes_include_the_analog_channels() {
     let (raw, take) = (bench("walk.c3d"), bench("walk.take"));
     let analog = |file: &serde_json::Value| {
         let parts = file["sampled"].as_array().unwrap().iter();
-        let part = parts.filter(|part| part["kind"] == "c3d/analog").last().unwrap().clone();
+        let part = parts.filter(|part| part["kind"] == "c3d/analog").next_back().unwrap().clone();
         (part["channels"].clone(), part["samples"].clone(), part["bytes"].clone())
     };
     assert_eq!(analog(&raw), analog(&take));
