@@ -304,8 +304,8 @@ fn sizes_include_the_analog_channels() {
     };
     let (raw, take) = (bench("walk.c3d"), bench("walk.take"));
     let analog = |file: &serde_json::Value| {
-        let parts = file["sampled"].as_array().unwrap().iter();
-        let part = parts.filter(|part| part["kind"] == "c3d/analog").next_back().unwrap().clone();
+        let mut parts = file["sampled"].as_array().unwrap().iter();
+        let part = parts.rfind(|part| part["kind"] == "c3d/analog").unwrap().clone();
         (part["channels"].clone(), part["samples"].clone(), part["bytes"].clone())
     };
     assert_eq!(analog(&raw), analog(&take));
