@@ -219,7 +219,7 @@ pub(crate) struct EffortArgs {
     effort: Option<Effort>,
     /// Distance of key stretches, where reading can start and beyond which a damaged byte costs nothing: 50ms to 10s
     /// [default: 10s, and up to 5min where nothing moves, from effort 2 on]
-    #[arg(long, value_name = "TIME", value_parser = key_distance)]
+    #[arg(long, value_name = "TIME", value_parser = key_distance, allow_hyphen_values = true)]
     keys: Option<Duration>,
 }
 
