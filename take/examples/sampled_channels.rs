@@ -48,7 +48,7 @@ fn main() -> Result<()> {
     let tolerance = AnalogTolerance(tolerance.into_iter().collect());
     let mut paths: Vec<_> = fs::read_dir(folder)?
         .map(|entry| entry.map(|entry| entry.path()))
-        .collect::<std::io::Result<_>>()?;
+        .collect::<io::Result<_>>()?;
     paths.retain(|path| {
         path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("c3d"))
     });
