@@ -58,7 +58,7 @@ pub(crate) struct Args {
     effort: EffortArgs,
     /// Largest error of analog channels of C3D files, which are exact otherwise: in steps of the converter (1count), in
     /// the unit of the channel (0.5N, or 0.5 for whichever unit it has), or in % of the channel's range (0.1%); for some
-    /// channels with a pattern of * and ? before it (EMG*=0.1%, F?z*=0.5N). Can be repeated: the last that matches holds
+    /// channels with a pattern of * and ? before it (EMG*=0.1%, F?z*=0.5N). Can be repeated: the last match applies
     #[arg(long, value_name = "[PATTERN=]VALUE", value_parser = str::parse::<ChannelTolerance>, conflicts_with = "drop_foreign")]
     analog_tolerance: Vec<ChannelTolerance>,
     #[command(flatten)]
@@ -67,10 +67,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "UNIT")]
     unit: Option<LengthUnit>,
     /// Axis that points up in the files, if they state none or a wrong one: x, y, z; with -x, -y or -z the takes are
-    /// rotated so that the axis points up
+    /// rotated by 180 degrees, so that the positive axis points up
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Direction>,
-    /// Import marker trajectories only, without analog channels, model outputs and other parameters
+    /// Import marker trajectories only, without analog channels, residuals, model outputs and parameters
     #[arg(long)]
     drop_foreign: bool,
     /// Compare each take with its source, sample by sample, after it is written

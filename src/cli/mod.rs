@@ -74,19 +74,19 @@ enum Command {
     Export(export::Args),
     /// Show what is in a take: header, sizes and ledger; samples, gaps, kept samples and error of each marker
     Info(info::Args),
-    /// Show the gaps of each marker, and write each gap with its cause to a CSV file
+    /// Show the gaps of each marker, or, with -o, write each gap with its cause to a CSV file
     Gaps(gaps::Args),
     /// Check a take: every checksum and block, the ledger, and with --against every sample
     Verify(verify::Args),
     /// Write a new take from what can be read of a truncated or damaged one
     Recover(recover::Args),
-    /// Write a part of a take as a new take; no sample changes
+    /// Write a part of a take as a new take; samples stay unchanged
     Cut(cut::Args),
-    /// Join takes with the same markers one after another; no sample changes
+    /// Join takes with the same markers one after another; samples stay unchanged
     Concat(concat::Args),
     /// Show how two takes differ: markers, frames, gaps, samples, times, events, ledger, header and settings
     Diff(diff::Args),
-    /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, marker quality
+    /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, analog channels, force plates, marker quality
     #[command(subcommand)]
     Plot(plot::Plot),
     /// Repeat the study of Shi et al. 2012 on your takes: its tables and figures, and file sizes
@@ -96,7 +96,7 @@ enum Command {
     Subject(subject::SubjectCommand),
     /// Control a running service: status, arm, start, stop, mark, takes, events
     Ctl(ctl::Args),
-    /// Check whether this machine can record, and show how to fix what is in the way
+    /// Check whether this machine can record, and show how to fix what prevents it
     Doctor(doctor::Args),
     /// Check a configuration of the service, or print an example with every key
     #[command(subcommand)]

@@ -197,8 +197,7 @@ pub(crate) struct CodecArgs {
     /// Largest allowed distance between a sample and its reconstruction: 0.5mm, 100um, 2cm [default: 0.5mm]
     #[arg(long, value_name = "LENGTH", value_parser = tolerance, allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
-    /// Keep every bit: --resampler lossless:predictive for whole takes, which is smaller; --resampler lossless for
-    /// recordings, which is faster
+    /// Keep every bit: short for --resampler lossless (record: faster) or lossless:predictive (import: smaller)
     #[arg(long, conflicts_with_all = ["tolerance", "resampler"])]
     lossless: bool,
     /// Resampler: dense, fast, lossless or lossless:predictive; for whole takes (import, bench codec) also
@@ -217,8 +216,8 @@ pub(crate) struct EffortArgs {
     /// [default: 3]
     #[arg(long, value_name = "N", value_parser = str::parse::<Effort>)]
     effort: Option<Effort>,
-    /// Distance of key stretches, where reading can start and beyond which a damaged byte costs nothing: 50ms to 10s
-    /// [default: 10s, and up to 5min where nothing moves, from effort 2 on]
+    /// Longest time from one key stretch to the next; reading can start at each, and damage ends at the next: 50ms to
+    /// 10s [default: 10s; with an effort of 2 or more, up to 5min where nothing moves]
     #[arg(long, value_name = "TIME", value_parser = key_distance, allow_hyphen_values = true)]
     keys: Option<Duration>,
 }

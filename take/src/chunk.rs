@@ -22,11 +22,12 @@ pub const PAYLOAD_BYTES_MAX: u64 = 1 << 30;
 /// most 4 MiB. A longer chunk is a STRETCH, a FOREIGN, or of a type that this version does not know.
 pub const CHUNK_HELD_MAX: u64 = (8 << 20) + (64 << 10);
 
-/// Most bytes that a reader buffers while it searches for the next chunk after damage. Half of them hold the end of any
+/// Maximum number of bytes that a reader buffers while it searches for the next chunk after damage. Half of them hold
+/// the end of any
 /// chunk that begins in the other half.
 pub const WINDOW_BYTES: usize = 16 << 20;
 
-/// Most bytes of type and length.
+/// Maximum size of type and length, bytes.
 pub(crate) const HEAD_BYTES_MAX: usize = 6;
 
 /// Size of the CRC-32.
@@ -88,7 +89,7 @@ pub fn put(out: &mut Vec<u8>, kind: u8, payload: &[u8]) -> Result<(), TakeError>
 pub(crate) fn put_head(out: &mut Vec<u8>, kind: u8, payload_bytes: u64) -> Result<(), TakeError> {
     if payload_bytes > PAYLOAD_BYTES_MAX {
         return Err(TakeError::InvalidArgument(format!(
-            "a chunk of {payload_bytes} bytes is longer than a take can hold ({PAYLOAD_BYTES_MAX})"
+            "a chunk of {payload_bytes} bytes is longer than a take can hold (at most {PAYLOAD_BYTES_MAX} bytes)"
         )));
     }
     out.push(kind);

@@ -7,7 +7,7 @@ use mocapd_codec::Tolerance;
 /// A quantity that is written as a number and a unit.
 struct Quantity {
     name: &'static str,
-    /// The spellings of its units, each with its factor; that of a bare number is empty.
+    /// The spellings of its units, each with its factor; the empty spelling stands for a bare number.
     units: &'static [(&'static str, f64)],
     /// The units that a message lists.
     listed: &'static str,
@@ -86,7 +86,7 @@ impl Quantity {
     }
 }
 
-/// Parses a length from 0 on: `0.5mm`, `100um`, `2cm` or `0.001m`; a bare number is millimetres.
+/// Parses a length of 0 or more: `0.5mm`, `100um`, `2cm` or `0.001m`; a bare number is millimetres.
 ///
 /// # Errors
 /// What is wrong and what to write.
@@ -159,7 +159,7 @@ pub fn size_bytes(text: &str) -> Result<u64, String> {
 pub fn rate_hz(text: &str) -> Result<f64, String> {
     let hz = RATE.parse(text)?;
     if !(1.0..=10_000.0).contains(&hz) {
-        return Err(format!("{hz} Hz is not a usable frame rate: use 1 to 10000"));
+        return Err(format!("{hz} Hz is not a usable frame rate: use 1 to 10000 Hz"));
     }
     Ok(hz)
 }

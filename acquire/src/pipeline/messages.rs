@@ -107,7 +107,7 @@ pub(super) struct StretchReport {
     pub(super) tally: StretchTally,
 }
 
-/// A message from the reader to the writer, beside the samples.
+/// A message from the reader to the writer, other than samples.
 #[derive(Debug)]
 pub(super) enum Control {
     Channel(NewChannel),
@@ -147,7 +147,7 @@ pub(super) fn reader_to_writer() -> (ToWriter, FromReader) {
 pub(super) struct NewChannel {
     pub(super) slot: usize,
     pub(super) marker_id: u16,
-    /// Its label, and whether the device knows the marker; without a label it is named after its slot.
+    /// Its label, and whether the device gave it; without a label it is named after its slot.
     pub(super) named: Option<(String, bool)>,
 }
 

@@ -22,12 +22,13 @@ use mocapd_take::{
 use super::{TakeAccount, messages::PartReport};
 use crate::threads::ResamplerFailed;
 
-/// The source of the frames could not be read: what failed is not the take.
+/// The source of the frames could not be read; writing the take did not fail.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub struct SourceFailed(pub io::Error);
 
-/// Samples that [`write_frames`] encodes and counts: those of markers, missing ones included, and of sampled channels.
+/// Number of samples that [`write_frames`] encodes and counts: those of markers, missing ones included, and of sampled
+/// channels.
 ///
 /// # Errors
 /// Those of the scratch file that a foreign part may be in.
@@ -70,7 +71,7 @@ pub fn write_frames<W: Write>(
     let mut take =
         MotionWriter::begin(&plan, info, header, out).context("cannot write the take's header")?;
     write_foreign(&mut take, info, n_workers, progress)
-        .context("cannot write the take's data beside the trajectories")?;
+        .context("cannot write the take's data other than the trajectories")?;
     let mut report = PartReport::default();
     let worker = || {
         let mut encoder = plan.encoder();
@@ -95,7 +96,7 @@ pub fn write_frames<W: Write>(
     Ok((TakeAccount { ledger, file_bytes, samples, kept, max_error_mm, ..Default::default() }, out))
 }
 
-/// Encodes and writes everything beside the trajectories.
+/// Encodes and writes everything except the trajectories.
 fn write_foreign<W: Write>(
     take: &mut MotionWriter<'_, W>,
     info: &MotionInfo,
@@ -141,7 +142,7 @@ const QUEUED_PER_WORKER: usize = 4;
 /// markers at 240 Hz take 2 MiB.
 const QUEUED_BYTES_MAX: usize = 64 << 20;
 
-/// Most parts of `part_bytes` bytes that are handed out.
+/// Maximum number of parts of `part_bytes` bytes that are handed out.
 fn queued_parts_max(n_workers: usize, part_bytes: usize) -> usize {
     let by_memory = QUEUED_BYTES_MAX / part_bytes.max(1);
     by_memory.clamp(n_workers, QUEUED_PER_WORKER * n_workers)

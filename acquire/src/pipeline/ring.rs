@@ -68,7 +68,7 @@ impl<T: Copy> RingConsumer<T> {
         self.0.try_pop()
     }
 
-    /// Whether no item will come: the producer is gone, and the ring is empty.
+    /// Whether no more items will come: the producer is gone, and the ring is empty.
     pub(super) fn is_over(&self) -> bool {
         !self.0.write_is_held() && self.0.is_empty()
     }
@@ -91,8 +91,8 @@ impl<T> fmt::Debug for RingConsumer<T> {
     }
 }
 
-/// Interval between displayed frames: 30 a second, and a little shorter, so that aliasing with the
-/// device's rate does not make it 20.
+/// Interval between displayed frames: a little shorter than 1/30 s, so that aliasing with the
+/// device's rate does not reduce them to 20 per second.
 const DISPLAY_INTERVAL_NS: u64 = 32_000_000;
 
 /// Consecutive frames of a burst: enough for 12 fourth differences and 10 sixth ones.
@@ -179,7 +179,7 @@ impl PreviewReceiver {
         Some(head)
     }
 
-    /// Whether no frame will come.
+    /// Whether no more frames will come.
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.heads.is_over()

@@ -1,4 +1,4 @@
-//! Receives the results of a series' takes, in order, and settles their files, so that the writer need not.
+//! Receives the results of a series' takes, in order, and finds where their files are now, so that the writer need not.
 
 use std::path::PathBuf;
 

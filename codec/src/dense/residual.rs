@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{Result, coding::isa::Kernel, ensure};
 
-/// Weights, in 1/256, of the magnitudes around a row in its expected magnitude, by which contexts are chosen: of the
+/// Weights, in units of 1/256, of the magnitudes around a row in the sum that chooses its contexts: those of the
 /// activity, the row before in the level, the one before that, the two neighbours, and the references. The format
 /// fixes them; no derivation is on record.
 const ACTIVITY_WEIGHT: i32 = 115;
@@ -40,7 +40,7 @@ pub(super) struct Neighbourhood {
     pub(super) activity: [i32; 4],
 }
 
-/// Codes whether a row is moved from its prediction: whether its residual is nonzero on any axis.
+/// Codes whether a row differs from its prediction: whether its residual is nonzero on any axis.
 #[inline(always)]
 pub(super) fn moving(
     coder: &mut impl ModelCoder,
@@ -239,7 +239,8 @@ impl<C: ModelCoder> Residual<'_, C> {
         Ok(self.mantissa(expected, exponent, rest) - 1 + UNARY as u64)
     }
 
-    /// Codes the bits below the highest: the top two with contexts (exponents and upper mantissa bits in contexts are
+    /// Codes the bits below the highest: the top two with contexts (coding exponents and upper mantissa bits with
+    /// contexts is
     /// part of a gain of 0.4 %), the others plain.
     #[inline(always)]
     fn mantissa(&mut self, expected: usize, exponent: usize, rest: u64) -> u64 {

@@ -18,7 +18,7 @@ use super::{
 };
 
 /// Baud rate when the URI gives none: the highest that the common USB adapters (FT232R,
-/// CP2102N) reach by their data sheets.
+/// CP2102N) reach according to their data sheets.
 pub const BAUD_DEFAULT: u32 = 3_000_000;
 
 /// Bits per byte on an 8N1 line: a start bit, eight data bits, a stop bit.

@@ -1,4 +1,4 @@
-//! The study of (Shi et al. 2012), repeated on given takes: their two tables, the size on disk that their measures
+//! The study of Shi et al. (2012), repeated on given takes: their two tables, the size on disk that their measures
 //! leave out, both readings of their second step, and the default resampler for comparison.
 
 mod measure;
@@ -108,7 +108,7 @@ impl Results {
 pub struct Sum {
     /// Number of pieces.
     pub n: u64,
-    /// Number of pieces for which asynchronous resampling needs fewer items than synchronous (10).
+    /// Number of pieces for which asynchronous resampling needs fewer items than synchronous resampling (equation 10).
     pub wins: u64,
     /// The summed counts.
     pub counts: Counts,

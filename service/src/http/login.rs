@@ -58,7 +58,8 @@ pub(super) async fn login(app: State<Shared>, request: Request) -> Result<Respon
     let mut response = Redirect::to("/").into_response();
     if app.auth.is_on() {
         let id = app.auth.open_session();
-        let id = id.map_err(|error| Problem::internal(format!("no random bytes: {error}")))?;
+        let id =
+            id.map_err(|error| Problem::internal(format!("cannot get random bytes: {error}")))?;
         set_cookie(&mut response, &id, SESSION_MAX)?;
     }
     Ok(response)

@@ -36,7 +36,7 @@ enum Command {
     /// Start.
     #[command(after_help = serve::EXAMPLES)]
     Serve(Box<serve::ServeArgs>),
-    /// Generate a data set of jumps: one C3D file per jump, and the phases of all
+    /// Generate a data set of jumps: one C3D file per jump, and phases.csv with the phases of all jumps
     ///
     /// The default has the size of the data set of Shi et al. 2012: 326 standing long jumps by 10 subjects at 60 Hz.
     /// The folder appears when it is complete.

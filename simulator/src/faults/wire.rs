@@ -18,13 +18,13 @@ use crate::device::{FaultCounts, SentFrame};
 /// With this many damaged bytes waiting for the line, no more are taken from the device: as many as a kernel pty holds.
 const OUT_BYTES_MAX: usize = 64 << 10;
 
-/// Most copies of one frame; each copy has its own stream of random numbers.
+/// Maximum number of copies of one frame; each copy has its own stream of random numbers.
 const COPIES_MAX: u64 = 4;
 
 /// First random stream of messages that are not frames: above the streams of all frames.
 const OTHER_STREAMS: u64 = 1 << 40;
 
-/// Appends what becomes of a hit byte; the second argument selects a bit.
+/// Appends the damaged form of a byte; the second argument selects the bit to damage.
 type Damage = fn(u8, usize, &mut Vec<u8>);
 
 /// A frame that is held back.
@@ -41,7 +41,7 @@ struct LateFrame {
 pub(super) struct WireFaults {
     script: Arc<Script>,
     pub(super) fates: FateTracker,
-    /// An undamaged decoder, to tell the kinds of messages apart.
+    /// A decoder of the undamaged messages, to tell the kinds of messages apart.
     reader: HostLink,
     late: Vec<LateFrame>,
     /// Bytes for the line.
@@ -53,7 +53,7 @@ pub(super) struct WireFaults {
     /// Kinds that destroyed the 0x00 of the last message, which now runs into the next one.
     unterminated: Kinds,
     scratch: Vec<u8>,
-    /// Counts beyond those that follow from the frames' fates.
+    /// Counts that cannot be derived from the frames' fates.
     pub(super) counts: FaultCounts,
 }
 
@@ -127,7 +127,7 @@ impl WireFaults {
                 }
             }
             MessageKind::Hello => self.garbage(),
-            // The last frame is out: no more follow for late ones to wait for.
+            // No frame follows the last one, so late frames are sent now.
             MessageKind::End => self.release(u32::MAX),
             MessageKind::Other => {}
         }

@@ -16,7 +16,8 @@ const RESET_COUNTER: &str = "80";
 /// How long the last frame of a motion stays available, so that a slow line can still fetch it.
 const LAST_FRAME_NS: u64 = SECOND_NS;
 
-/// Most unfetched frames that wait for a later request. Beyond it (a minute at 60 Hz) they count as dropped, whatever
+/// Maximum number of unfetched frames that wait for a later request. Beyond it (a minute at 60 Hz) they count as
+/// dropped, whatever
 /// the host does next.
 const MISSED_MAX: usize = 4096;
 
@@ -54,7 +55,7 @@ impl Tracking {
         self.ended && self.end_reported
     }
 
-    /// The number of frames whose fate is open.
+    /// The number of frames whose fate is not decided yet.
     pub(super) fn waiting(&self) -> u64 {
         let current = self.current.is_some_and(|frame| !frame.fetched);
         self.missed.len() as u64 + u64::from(current)

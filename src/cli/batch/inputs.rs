@@ -55,7 +55,7 @@ pub(crate) struct InputArgs {
     /// With folders, also read the files in their subfolders
     #[arg(short, long)]
     pub(crate) recursive: bool,
-    /// Largest input on standard input, which is kept in a temporary file: 500MB, 8GiB
+    /// Size limit of standard input, which is copied to a temporary file: 500MB, 8GiB
     #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = units::size_bytes)]
     pub(crate) max_input: u64,
 }

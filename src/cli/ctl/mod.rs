@@ -73,9 +73,9 @@ enum CtlCommand {
         #[arg(default_value = "")]
         text: String,
     },
-    /// Save the pre-roll as a take, and stay armed
+    /// Save the end of the pre-roll as a take; the service stays armed or continues recording
     SaveLast {
-        /// Length to save, up to the present
+        /// Length to save, counted back from now
         #[arg(value_name = "TIME", value_parser = values::length)]
         length: Duration,
         /// Name of the take [default: as configured]

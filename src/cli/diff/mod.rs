@@ -35,7 +35,7 @@ use crate::cli::{
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit codes: 0 no difference, 1 different, 2 usage error, 3 a take is damaged or was cut off, so that \
+    after_help = "Exit codes: 0 no difference, 1 different or failed, 2 usage error, 3 a take is damaged or its end is missing, so that \
     not all of it was compared"
 )]
 pub(crate) struct Args {

@@ -106,8 +106,8 @@ pub(crate) struct PictureArgs {
     /// `-` writes to standard output [default: beside each file]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Format of the plots: svg or png [default: by the extension of the output, else svg]; or, for `plot trajectory`
-    /// only, a time: plot frames before it
+    /// Format of the plots: svg or png [default: by the extension of the output, else svg]; or, for `trajectory`, `analog`
+    /// and `forces`, a time: plot frames before it
     #[arg(long, value_name = "FORMAT|TIME", allow_hyphen_values = true, value_parser = time_or_format::<PictureFormat>(), hide_possible_values = true)]
     to: Vec<TimeOrFormat<PictureFormat>>,
     #[command(flatten)]

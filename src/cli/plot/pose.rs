@@ -33,7 +33,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME,...", value_delimiter = ',', value_parser = units::duration)]
     at: Vec<Duration>,
     /// Bones to draw between markers: a skeleton.json, or a text file with one bone per line, two labels separated by a
-    /// comma [default: the take's skeleton, else lines by the marker labels]
+    /// comma [default: the take's skeleton, else the lines of the known marker set that matches the labels best]
     ///
     /// A face in the take is drawn where its markers are.
     #[arg(long, value_name = "FILE")]

@@ -57,7 +57,8 @@ pub(crate) struct Args {
     /// Wait this long for a disconnected device to come back before ending the take; 0s ends it at once
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = units::duration, allow_hyphen_values = true)]
     reconnect: Duration,
-    /// Write to the file at this interval, 50ms to 10s: a killed process loses no more; shorter ones make larger files
+    /// Write to the file at this interval, 50ms to 10s: a killed process loses no more than this; shorter intervals
+    /// make larger files
     #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = values::stretch, allow_hyphen_values = true)]
     stretch: Duration,
     /// Sync the file to disk at this interval: a power cut loses no more than this plus a stretch
@@ -66,7 +67,7 @@ pub(crate) struct Args {
     /// End the take when no more than this is free on the disk: 256MiB, 2GB; 0 uses the whole disk
     #[arg(long, value_name = "SIZE", default_value = KEEP_FREE, value_parser = units::size_bytes, allow_hyphen_values = true)]
     keep_free: u64,
-    /// Also log every byte of the line to this file; `mocapd-sim serve` replays it as the device
+    /// Also log every byte to and from the device to this file; `mocapd-sim serve` replays it as the device
     #[arg(long, value_name = "LOG")]
     raw: Option<PathBuf>,
     #[command(flatten)]

@@ -43,7 +43,7 @@ pub(crate) struct SubjectArgs {
     /// Face of the subject, to store in the take: a face.json of `mocapd subject face`
     #[arg(long, value_name = "FILE")]
     face: Option<PathBuf>,
-    /// Positions of the markers on the face: a mapping of labels to vertices of the wireframe
+    /// JSON file that maps marker labels to vertices of the wireframe (docs/subject-face-format.md)
     #[arg(long, value_name = "FILE", requires = "face")]
     face_markers: Option<PathBuf>,
 }

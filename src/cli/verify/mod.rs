@@ -45,8 +45,8 @@ pub(crate) struct Args {
     /// Format of standard input
     #[arg(long, value_name = "FORMAT")]
     format: Option<InputFormatName>,
-    /// The original: a .c3d, .trc, .tsv or .csv file, or another .take; or a folder in which each take has an original
-    /// of its name
+    /// The original: a .c3d, .trc, .tsv or .csv file, or another .take; or a folder with an original of the
+    /// same name for each take
     #[arg(long, value_name = "FILE")]
     against: Option<PathBuf>,
     /// With --against, also report errors of velocities and accelerations, low-passed at this cutoff: 6Hz

@@ -55,7 +55,7 @@ pub fn cut<W: Write>(
     let n_rows = source.map().n_rows;
     if rows.start >= rows.end || rows.end > n_rows {
         return Err(TakeError::InvalidArgument(format!(
-            "frames {} to {} are not in a take of {n_rows}",
+            "frames {} to {} are not in a take of {n_rows} frames",
             rows.start, rows.end
         )));
     }
@@ -96,7 +96,9 @@ impl CutReport {
         if self.rows == rows.end - rows.start {
             return Ok(self);
         }
-        Err(TakeError::InvalidArgument("another program changed the take during the read".into()))
+        Err(TakeError::InvalidArgument(
+            "another program changed the take while it was being read".into(),
+        ))
     }
 }
 
@@ -120,7 +122,7 @@ fn header_of_part(
     let note = origin.to_setting(map.n_rows, context.software);
     header.settings.push((CUT.to_owned(), note));
     if *rows != (0..map.n_rows) {
-        // The part is not of the size of the whole file.
+        // The size of the source file is not that of the part.
         header.unset_source_bytes();
     }
     SeriesPlace::advance(&mut header, rows.start);
@@ -185,7 +187,7 @@ impl<'a, W: Write> Cutter<'a, W> {
         })
     }
 
-    /// Writes what the part has of a stretch that was decoded.
+    /// Writes the rows of a decoded stretch that belong to the part.
     fn stretch(&mut self, stretch: &Stretch<'_>, progress: &Progress) -> Result<(), TakeError> {
         let (from_row, end_row) = (stretch.from_row(), stretch.span.end_row());
         self.next_row = end_row;
@@ -195,7 +197,7 @@ impl<'a, W: Write> Cutter<'a, W> {
         let is_whole = stretch.span.first_row >= self.rows.start && end_row <= self.rows.end;
         let can_copy = is_whole && (stretch.span.key || self.in_step);
         let is_outside = end_row.min(self.rows.end) <= from_row.max(self.rows.start);
-        // A stretch that accounts for no row overlaps nothing. Behind the start it is copied, so that the next one can
+        // A stretch that accounts for no row overlaps nothing. After the start it is copied, so that the next one can
         // continue it.
         if is_outside && !(can_copy && from_row > self.rows.start) {
             self.in_step = false;
@@ -242,13 +244,13 @@ impl<'a, W: Write> Cutter<'a, W> {
         };
         self.take.stretch(span, &self.payload, &tally)?;
         self.number = (self.number + 1) % NUMBERS;
-        // A stretch without rows changes nothing for the blocks behind it.
+        // A stretch without rows changes nothing for the blocks after it.
         self.in_step = can_copy && (n_rows > 0 || self.in_step);
         self.report.rows = span.end_row();
         Ok(())
     }
 
-    /// A time line of the take at its rows in the part.
+    /// Moves a timeline of the take to its rows in the part.
     fn moved(&self, timeline: Timeline) -> Timeline {
         Timeline { first_row: timeline.first_row - self.rows.start, ..timeline }
     }

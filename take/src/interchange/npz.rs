@@ -11,7 +11,7 @@
 //! | `event_frame`, `event_time_s`, `event_kind`, `event_label` | events | i64, f64, text, text | the events; frames count from 0 |
 //! | `time_s` | frames | f64 | seconds from the first frame |
 //! | `positions_mm` | frames, markers, 3 | f32 | NaN where a sample is missing |
-//! | `analog_rate_hz`, `analog_time_s` | , samples | f64 | of an imported C3D file: analog samples a second, and seconds from the first frame |
+//! | `analog_rate_hz`, `analog_time_s` | none; samples | f64 | of an imported C3D file: analog samples a second, and seconds from the first frame |
 //! | `analog_labels`, `analog_units` | channels | text | the channels' names, made unique, and their units |
 //! | `analog` | samples, channels | f32 | the values; NaN where a sample is missing |
 //! | `force_plate_numbers` | plates | i64 | the numbers of the force plates that can be used |
@@ -33,7 +33,7 @@ use crate::{
 
 /// The length of a `.npy` header is a multiple of this number of bytes, so that elements are aligned.
 const ALIGNMENT: usize = 64;
-/// Most bytes of a text array: every element is as long as the longest text.
+/// Maximum size of a text array, bytes: every element is as long as the longest text.
 const TEXT_BYTES_MAX: u64 = 1 << 26;
 
 /// Writes an archive at the current position of `out`. The writer seeks back to fill in the checksums of the long

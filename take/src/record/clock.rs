@@ -10,7 +10,8 @@ use crate::{
     varint::{self, Cursor},
 };
 
-/// Most probes, and most points, of one record. A recorder writes a record well before it has so many, and a reader
+/// Maximum number of probes, and of points, in one record. A recorder writes a record well before it has so many, and a
+/// reader
 /// needs memory for no more.
 pub const CLOCK_ENTRIES_MAX: usize = 4096;
 

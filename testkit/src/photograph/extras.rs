@@ -13,11 +13,12 @@ pub struct Occlusions {
     pub light: Option<[f64; 3]>,
 }
 
-/// Centre and semi-axes of the rim around an eye.
+/// Centre and semi-axes of the rim around an eye, mm.
 const RIM: ([f64; 2], [f64; 2]) = ([33.0, -3.0], [24.0, 19.0]);
+/// Position of the bridge and half its width, mm.
 const BRIDGE: ([f64; 2], f64) = ([0.0, 4.0], 9.0);
 const HAIRLINE_MM: f64 = 66.0;
-/// Upper edge of a beard, in the middle and at the ears.
+/// Upper edge of a beard in the middle, and x and y of it at the ears, mm.
 const MOUSTACHE_MM: f64 = -47.0;
 const CHEEKS: (f64, f64) = (45.0, -30.0);
 

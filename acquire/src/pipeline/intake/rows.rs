@@ -32,7 +32,7 @@ impl Intake {
         self.has_room_for(1 + if self.open_rows > 0 { self.pending.rows() as usize } else { 0 })
     }
 
-    /// Whether so many rows fit.
+    /// Whether this many rows fit.
     pub(super) fn has_room_for(&mut self, rows: usize) -> bool {
         if self.rows_free < rows {
             let active = &self.rings[..self.n_channels];
@@ -115,7 +115,7 @@ impl Intake {
 
     pub(super) fn end_stretch(&mut self, n_rows: u32, last: bool) {
         let first_row = if n_rows > 0 { self.open_first_row } else { self.next_row };
-        // The next stretch would begin too late.
+        // The next stretch would begin too late to be the key stretch.
         let key = first_row.saturating_add(u64::from(self.stretch_rows)) > self.next_key_row;
         if key {
             self.next_key_row = first_row.saturating_add(self.key_every);
@@ -125,7 +125,7 @@ impl Intake {
         self.send(self.end_of(span, last));
     }
 
-    /// Sends a boundary between two stretches, the way of stretches.
+    /// Sends a boundary between two stretches, through the same queue as stretches.
     pub(super) fn end_boundary(&mut self) {
         self.send(self.boundary());
     }
@@ -136,7 +136,7 @@ impl Intake {
     }
 
     /// Divides the recording before this frame, for which there is room, if a take ends here. Rows lost before it
-    /// belong to the take that has their place.
+    /// belong to the take whose range contains them.
     pub(super) fn split_before_frame(&mut self) {
         let row = self.next_row + self.pending.rows();
         let is_asked = self.open_rows == 0 && self.progress.split_is_due.load(Ordering::Relaxed);
@@ -174,7 +174,8 @@ impl Intake {
 const ANNOUNCED_MAX: usize = 1 << 16;
 
 impl Intake {
-    /// Announces markers of the device's table. New ones become channels with the next frame, while the pool lasts.
+    /// Announces markers of the device's table. New ones become channels with the next frame, as long as free channels
+    /// remain.
     /// A table may come in several messages: all messages before that frame form one.
     pub fn announce(&mut self, markers: &[MarkerInfo]) {
         self.announced.extend_from_slice(markers);

@@ -12,7 +12,7 @@ use crate::cli::Failure;
 /// The line between device and host.
 #[derive(Debug, Args)]
 pub(super) struct LineArgs {
-    /// Serve on a pty; with PATH, create a symbolic link to it there, as its stable name
+    /// Serve on a pty; with PATH, also create a symbolic link PATH to it, whose name stays the same
     ///
     /// `--pty PATH` and `--pty=PATH` are the same. A file that can be played is never taken for the link:
     /// `--pty jump.c3d` plays jump.c3d on a pty without a link.
@@ -33,7 +33,7 @@ impl LineArgs {
     /// The value of `--pty`, if it is a file to play: it has the extension of a motion, or is a file already.
     pub(super) fn file_after_pty(&self) -> Option<PathBuf> {
         let path = self.pty.as_ref()?.as_ref()?;
-        // A link to a pty is no regular file, dead or alive.
+        // A link to a pty is not a regular file, whether or not the pty still exists.
         (is_motion(path) || path.is_file()).then(|| path.clone())
     }
 

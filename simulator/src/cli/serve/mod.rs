@@ -59,7 +59,8 @@ pub(super) struct ServeArgs {
     /// Play this many times faster, 0.001 to 1000; the device's rate scales with it
     #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = number, allow_hyphen_values = true)]
     speed: f64,
-    /// Limit the line to this speed, and refuse frame rates that do not fit; an NDI system refuses higher line speeds
+    /// Limit the line to this speed in baud, and refuse frame rates that do not fit; an NDI system refuses higher line
+    /// speeds
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(50..))]
     baud: Option<u32>,
     /// Drift of the device's clock against the host's, ppm: positive is slow, negative is fast
@@ -92,16 +93,16 @@ pub(super) struct ServeArgs {
     /// Play only this much of the motion: 10s, 500ms, 2min; with --generate, its length [default: one jump]
     #[arg(long, value_name = "TIME", value_parser = duration_above_zero, allow_hyphen_values = true)]
     seconds: Option<Duration>,
-    /// With --generate: number of markers
+    /// With --generate: number of markers [default: 15]
     #[arg(long, value_name = "N")]
     markers: Option<usize>,
     /// With --generate: standard deviation of the noise on each axis: 0.05mm, 100um [default: 0.05mm]
     #[arg(long, value_name = "LENGTH", value_parser = length_mm, allow_hyphen_values = true)]
     noise: Option<f64>,
-    /// With --generate: fraction of the samples that is occluded, 0 to 0.9
+    /// With --generate: fraction of samples that are occluded, 0 to 0.9 [default: 0]
     #[arg(long, value_name = "FRACTION", value_parser = number, allow_hyphen_values = true)]
     occlusion: Option<f64>,
-    /// Exit after one run, once the host has read everything
+    /// Exit when the motion has ended or was stopped once, and the host has read everything
     #[arg(long, conflicts_with = "looping")]
     once: bool,
     /// Print JSON: one document with the path to open, and at the end one with what was sent

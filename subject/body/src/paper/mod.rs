@@ -1,4 +1,4 @@
-//! The method of (Yu et al. 2008) as printed, for comparison with the default method.
+//! The method of Yu et al. (2008) as printed, for comparison with the default method.
 //!
 //! 1. Geodesic distances are Dijkstra's along edges, the extremities those of algorithm 1, and the head is found by
 //!    symmetry alone.
@@ -6,7 +6,8 @@
 //! 2. Algorithm 2: the distance from the head is cut at even levels. The Reeb graph of the level-set curves gives
 //!    trunk, arms and legs.
 //!
-//! 3. A joint is the centroid (7) of a curve whose circularity (5) has a local minimum (6): near a joint the ends of
+//! 3. A joint is the centroid (equation 7) of a curve whose circularity (equation 5) has a local minimum (equation 6):
+//! near a joint the ends of
 //!    the bones make the section irregular, in the middle of a bone the muscles make it round.
 //!
 //! What the paper leaves open is read in the plainest way, and the reading is documented where it is applied.
@@ -21,7 +22,8 @@ use crate::{Estimate, Joint, Joints, Mesh, Refusal, Side};
 #[cfg(test)]
 mod tests;
 
-/// A minimum within this fraction of a segment's length from its end is no joint, since curves are cut obliquely there.
+/// A minimum within this fraction of a segment's length from its end is not a joint, since curves are cut obliquely
+/// there.
 const MARGIN: f64 = 0.1;
 
 /// Expected error of each joint as a fraction of the longest distance from the head, which equals stature to a few per
@@ -163,7 +165,7 @@ fn smoothed(curve: &[f64]) -> Vec<f64> {
     windows.collect()
 }
 
-/// The paper's `a`: a new point within this fraction of the longest distance from earlier points is no extremity.
+/// The paper's `a`: a new point within this fraction of the longest distance from earlier points is not an extremity.
 const NEARNESS: f64 = 0.2;
 /// Bound on the number of points, since only the shape ends the loop.
 const POINT_COUNT_MAX: usize = 32;
@@ -247,7 +249,8 @@ fn farthest(field: &[f64]) -> Option<u32> {
 /// Names of the extremities, in the order of [`Extremities::all`].
 const ENDS: [&str; 5] = ["a head", "a hand", "a hand", "a foot", "a foot"];
 
-/// The published method's own fault behind a `refusal` of [`joints()`], on a body with free limbs whose extremities are
+/// The failure of the published method that explains a `refusal` of [`joints()`], on a body with free limbs whose
+/// extremities are
 /// `known`.
 pub(crate) fn explain(
     mesh: &Mesh,

@@ -10,7 +10,7 @@ use std::{io, ops::Range};
 use super::VERSION;
 use crate::foreign::content::{Content, ContentSlice};
 
-/// Most columns: four words for each of 65535 points, the most of a C3D frame. Analog channels are fewer.
+/// Maximum number of columns: four words for each of 65535 points, the most of a C3D frame. Analog channels are fewer.
 const COLUMNS_MAX: usize = 4 * u16::MAX as usize;
 
 /// The kinds of the foreign parts that are blocks of columns.
@@ -246,7 +246,7 @@ impl<'a> ColumnReader<'a> {
 
     /// Skips samples.
     pub(crate) fn skip(&mut self, n_samples: usize) -> io::Result<()> {
-        // Columns of a damaged part that are none may state any number of samples.
+        // A damaged part without columns may state any number of samples.
         if self.previous.is_empty() {
             return Ok(());
         }
