@@ -7,8 +7,7 @@
 //!    trunk, arms and legs.
 //!
 //! 3. A joint is the centroid (equation 7) of a curve whose circularity (equation 5) has a local minimum (equation 6):
-//! near a joint the ends of
-//!    the bones make the section irregular, in the middle of a bone the muscles make it round.
+//!    near a joint the ends of the bones make the section irregular, in the middle of a bone the muscles make it round.
 //!
 //! What the paper leaves open is read in the plainest way, and the reading is documented where it is applied.
 
