@@ -86,7 +86,7 @@ impl Quantity {
     }
 }
 
-/// Parses a length of 0 or more: `0.5mm`, `100um`, `2cm` or `0.001m`; a bare number is millimetres.
+/// Parses a length of 0 or more: `0.5mm`, `100um`, `2cm` or `0.001m`; a bare number is in millimetres.
 ///
 /// # Errors
 /// What is wrong and what to write.
@@ -98,7 +98,7 @@ pub fn length_mm(text: &str) -> Result<f64, String> {
     Err(format!("'{text}' is not a usable length: give something like 0.5mm"))
 }
 
-/// Parses `0.5mm`, `100um`, `2cm` or `0.001m`; a bare number is millimetres.
+/// Parses `0.5mm`, `100um`, `2cm` or `0.001m`; a bare number is in millimetres.
 ///
 /// # Errors
 /// What is wrong and what to write; for 0 that is `lossless`, the setting that keeps every bit.

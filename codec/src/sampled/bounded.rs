@@ -79,7 +79,7 @@ impl ChannelSurvey {
         self.range.map_or(0.0, |[low, high]| f64::from(high) - f64::from(low))
     }
 
-    /// The distance of the integers of the converter, as far as the samples show it.
+    /// The step of the converter in units of the samples, if one was found in them.
     #[must_use]
     pub fn quantum(&self) -> Option<f64> {
         self.lattice.map(|[quantum, _]| quantum)
