@@ -111,7 +111,7 @@ impl RawLog {
         put_header(&mut head);
         let name = path.display().to_string();
         if let Err(error) = file.write_all(&head) {
-            // Half a head is no log, and occupies the name.
+            // Half a head is not a log, and occupies the name.
             id.remove(path).ok();
             return Err(error).with_context(|| format!("cannot write {name}"));
         }

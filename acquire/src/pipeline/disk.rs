@@ -230,8 +230,8 @@ mod tests {
 
     const MIB: u64 = 1 << 20;
 
-    /// A take of 1 MiB a second on a disk of 40 MiB, 10 of which stay free: the second at which it has to end, the
-    /// fewest bytes that were free, and the remaining times it estimated.
+    /// A take of 1 MiB a second on a disk of 40 MiB, with 10 MiB kept free: the second at which it has to end, the
+    /// minimum of free bytes, and the estimates of the time left.
     fn run_until_full(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
         let mut disk = Disk { free: 40 * MIB, holds };
         let (mut reserve, progress, start) =

@@ -62,7 +62,7 @@ pub(super) struct Part {
 /// The memory of a part.
 #[derive(Debug)]
 pub(super) struct PartBuffer {
-    /// The group's block with its length, or the stretch's front with its timeline.
+    /// The group's block with its length, or the stretch's header with its timeline.
     pub(super) bytes: Vec<u8>,
     /// What the block holds; empty for the timeline's group.
     pub(super) tally: BlockTally,

@@ -237,7 +237,7 @@ mod tests {
     use crate::header;
 
     #[test]
-    fn results_come_in_order_and_none_is_far_ahead() {
+    fn results_come_in_order_and_the_queue_is_bounded() {
         for n_workers in [1, 3, 8] {
             let mut next = 0;
             let worker = || {

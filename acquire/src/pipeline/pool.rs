@@ -161,8 +161,8 @@ fn run_worker(
     };
     while let Ok(Some(index)) = next() {
         let place = &parked[index];
-        // A swap and not a store: whoever found the flag set had sent its job before, and that job must be visible
-        // below. A plain store could move past the check of the jobs, and the wake-up would be lost.
+        // A swap, not a store: a thread that found the flag set had sent its job before, and that job must be
+        // visible below. A plain store could move past the check of the jobs, and the wake-up would be lost.
         place.woken.swap(false, Ordering::AcqRel);
         while let Ok(mut group) = place.unpark.try_recv() {
             group.run_jobs(heartbeat);

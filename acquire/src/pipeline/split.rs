@@ -26,8 +26,8 @@ pub enum SplitAt {
         /// stopped belong to the last take.
         end_row: Option<u64>,
     },
-    /// At the first end of a stretch at which the file has this many bytes. The stretches in work at that moment still
-    /// belong to it: usually one.
+    /// At the first end of a stretch at which the file has this many bytes. Stretches that are being encoded at that
+    /// moment still belong to it: usually one.
     Bytes(u64),
 }
 
@@ -73,7 +73,7 @@ pub struct Split {
 #[derive(Debug, Clone, Copy)]
 pub(super) enum SplitSchedule {
     Never,
-    /// At row `next`, and every so many rows after it, as long as that is before `end`.
+    /// At row `next`, and every `every` rows after it, as long as that is before `end`.
     Rows {
         every: u64,
         next: u64,
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn takes_end_at_multiples_and_none_is_empty() {
+    fn takes_end_at_multiples_and_are_never_empty() {
         let mut splits = SplitSchedule::new(SplitAt::Rows { rows: 10, end_row: Some(60) });
         let firsts = |splits: &mut SplitSchedule, rows: &[u64]| -> Vec<Option<u64>> {
             rows.iter().map(|&row| splits.take_due(row, true)).collect()

@@ -480,7 +480,7 @@ pub(super) fn host_event(text: &str) -> Event {
 /// device that is starting up needs a while, and the query stops one that only pauses.
 const IDENTIFY_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Restarts that are reported: a device restarted in vain must fill neither the take nor the screen.
+/// Restarts that are reported: a device that restarts again and again must fill neither the take nor the screen.
 const RESTARTS_REPORTED_MAX: u32 = 32;
 
 /// After this many answers that came with damaged messages the last one is believed: on a line that is never clean the
