@@ -263,7 +263,7 @@ impl StretchTally {
         Self::of(&all)
     }
 
-    /// Memory used beside the structure itself, in bytes.
+    /// Memory used in addition to the structure itself, in bytes.
     #[must_use]
     pub fn heap_bytes(&self) -> usize {
         self.channels.capacity() * size_of::<ChannelTally>()
@@ -319,7 +319,7 @@ impl TakeTally {
         for ((channel, in_gap), tally) in statistics.channels.iter_mut().zip(in_gap).zip(tallies) {
             channel.samples += u64::from(tally.samples);
             channel.knots += u64::from(tally.kept);
-            // A gap that goes on is no new one.
+            // A gap that continues is not a new one.
             channel.gaps += u64::from(tally.gaps) - u64::from(*in_gap && tally.starts_in_gap);
             channel.error_step = channel.error_step.max(tally.error_step);
             *in_gap = tally.ends_in_gap;

@@ -12,14 +12,14 @@ use crate::{
     record::SampledChannel,
 };
 
-/// In what the largest error is given.
+/// The unit in which the largest error is given.
 #[derive(Debug, Clone, PartialEq)]
 enum ToleranceUnit {
     /// Steps of the converter.
     Counts,
     /// Hundredths of the largest sample of the channel less the smallest.
     Percent,
-    /// The unit of the channel, whichever it is.
+    /// The channel's own unit.
     Own,
     /// This unit, which the channel must have.
     Named(String),
@@ -122,7 +122,7 @@ fn matches_pattern(pattern: &[char], name: &[char]) -> bool {
     pattern.get(at..).is_some_and(|rest| rest.iter().all(|c| *c == '*'))
 }
 
-/// The tolerances of all channels: the last that matches a channel holds. Channels that none matches stay exact.
+/// The tolerances of all channels: the last that matches a channel holds. Channels without a match stay exact.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct AnalogTolerance(pub Vec<ChannelTolerance>);
 

@@ -69,16 +69,16 @@ pub enum Format {
     Trc,
     /// Qualisys Track Manager's text export.
     Tsv,
-    /// CSV with one row a frame. Reading also accepts the `time,head_x,...` dialect, Motive's export and the long
+    /// CSV with one row per frame. Reading also accepts the `time,head_x,...` dialect, Motive's export and the long
     /// layout.
     Csv,
-    /// Apache Parquet with one row a sample; export only, with the feature `full`.
+    /// Apache Parquet with one row per sample; export only, with the feature `full`.
     Parquet,
-    /// Apache Parquet with one row a frame; export only, with the feature `full`.
+    /// Apache Parquet with one row per frame; export only, with the feature `full`.
     ParquetWide,
     /// MCAP with Foxglove's schemas; export only, with the feature `full`.
     Mcap,
-    /// CSV with one row a sample.
+    /// CSV with one row per sample.
     CsvLong,
     /// An archive of `NumPy` arrays; export only, by [`npz::write`].
     Npz,
@@ -96,7 +96,7 @@ struct Capabilities {
     foreign: Option<&'static str>,
     /// Whether the format states which axis is up.
     up_axis: bool,
-    /// Most events that fit.
+    /// Maximum number of events that fit.
     events_max: usize,
     /// Where analog channels and force plates of an imported C3D file are.
     sampled: SampledPlace,

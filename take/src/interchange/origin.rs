@@ -43,8 +43,8 @@ struct MarkerScan {
     /// Distance from the origin of its sample before that run.
     before: Option<f64>,
     is_long: bool,
-    /// Of its single samples at the origin, the largest distance to the nearer one of their neighbours; infinite if
-    /// there are none.
+    /// The largest distance of a single sample at the origin to the nearer one of its neighbours; infinite if it
+    /// has none.
     farthest_single: Option<f64>,
     last_of_steps: Option<Position>,
     n_steps: u64,

@@ -123,7 +123,7 @@ impl Golden {
         Settings { kind, tolerance: Tolerance::from_mm(mm).unwrap() }
     }
 
-    /// The same bytes on every machine, at any time.
+    /// Writes the take; the bytes are the same on every machine, at any time.
     pub(crate) fn write(&self) -> Written {
         if self.settings().kind.is_live() { self.record() } else { self.import() }
     }

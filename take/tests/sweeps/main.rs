@@ -38,7 +38,7 @@ use mocapd_testkit::random::Random;
 
 use self::counting::most_bytes;
 
-/// Memory of the DEFLATE decoder, whatever the length: the takes here have a document of a few bytes.
+/// Memory of the DEFLATE decoder, independent of the length: the takes here have a document of a few bytes.
 const INFLATER_BYTES: usize = 48 << 10;
 
 /// Rows, times and names read from a take.
@@ -78,7 +78,8 @@ fn times(take: &[u8]) -> Result<Vec<(u64, RowTime)>, TakeError> {
     Ok(times)
 }
 
-/// Most bytes that a reader holds of the take, without its decoders; the take arrives in pieces, as from a disk.
+/// Maximum number of bytes that a reader holds of the take, without its decoders; the take arrives in pieces, as from a
+/// disk.
 fn reader_memory(take: &[u8]) -> usize {
     most_bytes(|| {
         let mut reader = TakeReader::new();

@@ -19,8 +19,8 @@ use crate::{counting::most_bytes, take};
 /// Enough for three keys, a channel that appears late, and an event.
 const STRETCHES: usize = 28;
 
-/// Most rows of a take that is read row by row, and the memory of the compared frames: six copies, of six channels, in
-/// vectors that double.
+/// Maximum number of rows of a take that is read row by row, and the memory of the compared frames: six copies, of six
+/// channels, in vectors that double.
 const ROWS_MAX: u64 = 3_000;
 const FRAMES_BYTES: usize = 2 * 6 * ROWS_MAX as usize * (24 + 6 * 12);
 

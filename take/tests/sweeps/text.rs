@@ -20,7 +20,7 @@ use crate::{counting::most_bytes, window::Scratch};
 const MARKERS: usize = 40;
 const FRAMES: usize = 24_000;
 
-/// Most memory of an import: of the 11 MiB of positions and 22 MiB of samples of the long layout 8 MiB, and the buffer
+/// Peak memory of an import: of the 11 MiB of positions and 22 MiB of samples of the long layout 8 MiB, and the buffer
 /// of half that size from which they were moved when it was full; the times of the rows; lines and blocks.
 const HELD_MAX: usize = 16 << 20;
 
@@ -167,7 +167,7 @@ fn a_line_without_end_is_refused() {
     }
 }
 
-/// A file that another program changes when so many bytes have been read from it.
+/// A file that another program changes after this many bytes have been read from it.
 struct Changing {
     file: Cursor<Vec<u8>>,
     left: Rc<Cell<usize>>,

@@ -87,8 +87,8 @@ impl<'a> SamplePart<'a> {
     }
 }
 
-/// A part with the frames of `sources` one after another: of each, a range of its own frames. `None` if they are too long
-/// for a take, or one is damaged.
+/// A part with a range of frames of each of the `sources`, one after another. `None` if they are too long for a take,
+/// or one is damaged.
 fn write(
     kind: &str,
     header: &SampleHeader,
@@ -196,7 +196,7 @@ pub(crate) fn n_signals(part: &Foreign) -> io::Result<usize> {
 }
 
 /// The part with the samples of columns replaced by others within a bound: `bound_of` gives it for a column, in stored
-/// samples; `None` and 0 stand for exact ones. `None` if no sample is replaced, or the part is damaged.
+/// samples; `None` and 0 mean exact ones. `None` if no sample is replaced, or the part is damaged.
 ///
 /// # Errors
 /// Those of reading the part, and of the scratch file.
