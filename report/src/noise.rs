@@ -15,7 +15,8 @@ use std::collections::VecDeque;
 
 use crate::column::{Column, Vector};
 
-/// Fewest fourth differences: estimates from so many scatter by 8 % (measured on white noise, 140 samples of 3 axes).
+/// Minimum number of fourth differences: estimates from so many scatter by 8 % (measured on white noise, 140 samples of
+/// 3 axes).
 pub const DIFFERENCES_MIN: usize = 400;
 
 /// Largest ratio of the estimates from fourth and sixth differences. With [`DIFFERENCES_MIN`] those of white noise
@@ -43,7 +44,7 @@ const SIXTH: ([f64; 7], f64) = ([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0], 924.0
 /// A running estimate of one marker's noise.
 #[derive(Debug, Clone)]
 pub struct NoiseEstimator {
-    /// Most differences of each order that are kept.
+    /// Maximum number of differences of each order that are kept.
     kept_max: usize,
     /// The newest samples, the latest last; the last `n_recent` of them are consecutive.
     recent: [Vector; SIXTH.0.len()],

@@ -49,7 +49,7 @@ pub(crate) fn print_exact(text: &str) -> anyhow::Result<()> {
 /// Copies a whole file to stdout.
 ///
 /// # Errors
-/// If it cannot be read or written. A closed pipe (`| head`) is no error.
+/// If it cannot be read or written. A closed pipe (`| head`) is not an error.
 pub(crate) fn copy_to_stdout(mut file: &File) -> io::Result<()> {
     file.seek(SeekFrom::Start(0))?;
     let mut stdout = io::stdout().lock();
@@ -89,7 +89,7 @@ pub(crate) fn plain_path(path: &Path) -> String {
     visible(&path.to_string_lossy()).into_owned()
 }
 
-/// A progress display on stderr, updated by its own thread until dropped; nothing if stderr is no terminal.
+/// A progress display on stderr, updated by its own thread until dropped; nothing if stderr is not a terminal.
 #[derive(Debug)]
 pub(crate) struct Progress {
     done: Arc<AtomicBool>,

@@ -68,7 +68,7 @@ fn a_folder_is_imported_but_for_the_files_that_fail_and_the_next_run_does_the_re
     assert!(first == folder.read("out/0.take"), "and none is overwritten");
 }
 
-/// The take itself is no original, and the case of an extension does not matter.
+/// The take itself is not an original, and the case of an extension does not matter.
 #[test]
 fn an_original_beside_the_take_is_found() {
     let folder = Folder::new();

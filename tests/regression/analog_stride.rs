@@ -30,7 +30,7 @@ fn position(frame: usize, point: usize) -> [f32; 3] {
     ]
 }
 
-/// Analog samples that are no motion.
+/// Analog samples that are not motion.
 fn analog(frame: usize, sample: usize) -> f32 {
     ((frame * 31 + sample * 17) % 97) as f32 * 20.0 - 900.0
 }

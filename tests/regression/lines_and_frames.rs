@@ -61,7 +61,7 @@ fn a_number_that_may_be_cut_off_is_no_coordinate() {
                 );
             }
         }
-        // A line end alone is no loss.
+        // A line end alone is not a loss.
         let n_more = motion.info.source.warnings.len() - whole.info.source.warnings.len();
         assert!(n_cut > 4 || (n_more > 0) == (n_cut > 1), "{n_cut} bytes");
     }
@@ -94,7 +94,7 @@ fn spreadsheets_of_all_locales_are_read() {
             (120.0, &expected.info.source.warnings[..])
         );
     }
-    // Commas between thousands are no decimal points.
+    // Commas between thousands are not decimal points.
     let text = "time;A_x;A_y;A_z\n0;1,234;2.5;3\n0.01;1,234;2.5;3\n";
     assert!(is_gap(read(Format::Csv, text).positions_mm[0]));
 }

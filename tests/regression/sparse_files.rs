@@ -142,7 +142,7 @@ fn holes_cost_no_memory_and_the_data_between_them_is_found() {
     );
 }
 
-/// A file with more analog samples than the program may hold: 5 points, of which one is no marker and one has
+/// A file with more analog samples than the program may hold: 5 points, of which one is not a marker and one has
 /// residuals, and at times coordinates under gaps.
 fn file_with_analog_samples() -> C3dFile {
     const ANALOG: (usize, usize) = (64, 100);

@@ -92,7 +92,7 @@ fn systemd_finds_nothing_wrong_with_them() {
     for name in UNITS {
         let path = folder.path().join(name);
         let path = path.to_str().unwrap();
-        // Without the option an unknown key is no error.
+        // Without the option an unknown key is not an error.
         let Some((good, report)) = analyze(&["verify", "--recursive-errors=no", path]) else {
             return;
         };

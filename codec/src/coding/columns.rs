@@ -36,7 +36,7 @@ fn from_ordered(ordered: i64) -> Option<f32> {
 }
 
 impl Raw {
-    /// Most bytes of `samples` samples.
+    /// Maximum number of bytes of `samples` samples.
     pub(crate) fn max_bytes(samples: usize) -> usize {
         // Order 0 takes no varints and at most 32 bits per value, and the order with the fewest bytes is chosen.
         1 + 3 * (4 * samples + samples.div_ceil(GROUP_LEN))

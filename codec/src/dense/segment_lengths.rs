@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{GROUP_CHANNELS, bound::squared_distance};
 
-/// Most partners of a channel; two in place of three lose 0.3 %.
+/// Maximum number of partners of a channel; two in place of three lose 0.3 %.
 pub(super) const PARTNERS: usize = 3;
 /// Number of nearest earlier channels whose distances are followed. All pairs in place of six channels gain 0.0 %,
 /// eight channels lose 0.1 %.

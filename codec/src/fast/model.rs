@@ -16,7 +16,7 @@ pub(super) const TABLES: usize = CLASSES + 2;
 
 /// Number of row symbols: each axis, x highest, is 0, +1, -1 or larger.
 pub(super) const SYMBOLS: usize = 64;
-/// Most zero rows that one symbol stands for.
+/// Maximum number of zero rows that one symbol stands for.
 pub(super) const QUIET_ROWS: usize = 16;
 
 /// Levels with an activity of their own: strides 1, 2, 4, 8, 16, anchors (32), origins.

@@ -14,10 +14,10 @@ use super::{
 /// of one or two samples; a plate that nothing touches has them for a good part of a step.
 const ZERO_RUN_MIN: u64 = 8;
 
-/// Fewest samples in which a lattice is sought: fewer are on one by chance.
+/// Minimum number of samples in which a lattice is sought: fewer are on one by chance.
 const LATTICE_SAMPLES_MIN: usize = 64;
 
-/// Most pieces in which a lattice is sought: a channel that shows none in so many is not on one.
+/// Maximum number of pieces in which a lattice is sought: a channel that shows none in so many is not on one.
 const PIECES_SOUGHT_MAX: usize = 8;
 
 /// Samples of a channel that are encoded to see whether a coarser lattice pays: those of a channel that was interpolated
@@ -155,7 +155,7 @@ impl SampleBound {
         let mut largest = 0.0_f64;
         for sample in samples {
             let replaced = self.replaced(*sample);
-            // Other bits that are equal, such as those of NaN, are no error.
+            // Other bits that are equal, such as those of NaN, are not an error.
             if replaced != *sample && sample.is_finite() {
                 largest = largest.max((f64::from(replaced) - f64::from(*sample)).abs());
                 *sample = replaced;

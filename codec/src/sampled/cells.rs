@@ -49,7 +49,7 @@ pub(super) enum CellForm {
     Stored,
 }
 
-/// Most decimals that values can be rounded to.
+/// Maximum number of decimals that values can be rounded to.
 pub(super) const DECIMALS_MAX: u32 = 9;
 
 /// Powers of ten by exponent.

@@ -15,7 +15,7 @@ use crate::{
 pub(super) enum Past {
     #[default]
     All,
-    /// Those that are no events: of a channel whose samples are held.
+    /// Those that are not events: of a channel whose samples are held.
     Cells,
     /// Those that are events: of a channel with a line through every second sample.
     Events,

@@ -73,7 +73,7 @@ impl<'a> Greedy<'a> {
         )
     }
 
-    /// Index of the interval that contains `row`, which is no knot.
+    /// Index of the interval that contains `row`, which is not a knot.
     fn interval_of(&self, row: usize) -> usize {
         self.knots.partition_point(|&(knot, _)| knot < row) - 1
     }

@@ -51,7 +51,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Most bytes held at once while `work` runs, beyond those held before.
+/// Maximum number of bytes held at once while `work` runs, beyond those held before.
 pub(crate) fn most_bytes(work: impl FnOnce()) -> usize {
     let before = COUNT.get().held;
     COUNT.set(Count { held: before, most: before });

@@ -25,7 +25,7 @@ use super::{READ_TIMEOUT, Transport, TransportError};
 /// baud rate and a request.
 pub const LINE_COMMANDS_MAX: usize = 8;
 
-/// Most bytes of a request. The longest of the current families takes 60.
+/// Maximum number of bytes of a request. The longest of the current families takes 60.
 pub const REQUEST_BYTES_MAX: usize = 96;
 
 /// Time-out of the reply to a goodbye request.

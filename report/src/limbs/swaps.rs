@@ -25,7 +25,7 @@ const GAP_SWAP_ROWS: usize = 5;
 /// Largest part of the limbs' strain that may remain with the labels exchanged.
 const RESTORED_PART: f64 = 0.25;
 
-/// Most search passes; each finds swaps that overlap those of the passes before.
+/// Maximum number of search passes; each finds swaps that overlap those of the passes before.
 const PASSES_MAX: usize = 4;
 
 /// Two swapped labels.

@@ -15,10 +15,10 @@ use crate::{
     up::Up,
 };
 
-/// Most stick figures side by side.
+/// Maximum number of stick figures side by side.
 pub const MOMENTS_MAX: usize = 12;
 
-/// Most markers drawn per stick figure: more are an unreadable cloud, and make a large file.
+/// Maximum number of markers drawn per stick figure: more are an unreadable cloud, and make a large file.
 const MARKERS_MAX: usize = 500;
 
 const WIDTH: u32 = 1280;

@@ -22,9 +22,9 @@ use crate::{
     up::Up,
 };
 
-/// Most panels of analog channels on a sheet.
+/// Maximum number of panels of analog channels on a sheet.
 pub const CHANNELS_MAX: usize = 12;
-/// Most force plates on a sheet, each with two panels.
+/// Maximum number of force plates on a sheet, each with two panels.
 pub const PLATES_MAX: usize = 4;
 
 const WIDTH: u32 = 1280;
@@ -125,7 +125,7 @@ struct PlateTraces {
     path: Vec<[f64; 3]>,
 }
 
-/// Most points of a centre of pressure in the view from above.
+/// Maximum number of points of a centre of pressure in the view from above.
 const PATH_POINTS: u64 = 4000;
 
 /// Draws the loads of force plates as SVG: force and centre of pressure against time, above the height of a marker; and

@@ -17,7 +17,7 @@ const CONFIGURATIONS: &str = "/etc/mocapd";
 /// The example of the package, which is not a rig.
 const EXAMPLE: &str = "example";
 
-/// Most rigs that are reported: a machine has one or a few.
+/// Maximum number of rigs that are reported: a machine has one or a few.
 const RIGS_MAX: usize = 64;
 
 pub(super) fn examine(report: &mut dyn FnMut(Finding)) {

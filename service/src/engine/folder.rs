@@ -23,10 +23,10 @@ use crate::{
     status::TakeSummary,
 };
 
-/// Most files of the folder that are read: larger folders are not folders of takes.
+/// Maximum number of files of the folder that are read: larger folders are not folders of takes.
 const FILES_MAX: usize = 100_000;
 
-/// Most cached summaries, some 300 bytes each: four times the longest list.
+/// Maximum number of cached summaries, some 300 bytes each: four times the longest list.
 const CACHED_MAX: usize = 4000;
 
 /// Summaries of files by path, valid while the stamp stays the same.

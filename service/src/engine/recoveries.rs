@@ -23,7 +23,7 @@ const TAKES_MAX: usize = 64;
 /// Extension of recovered takes, before `.take`.
 const RECOVERED: &str = "recovered";
 
-/// Most recovered takes of one name.
+/// Maximum number of recovered takes of one name.
 const RECOVERED_MAX: u32 = 100;
 
 /// Takes that are cut off and have not been recovered yet. To be called before a take is started, because a take in

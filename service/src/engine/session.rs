@@ -23,7 +23,8 @@ use mocapd_take::record::{EndingKind, Header};
 use super::EngineOptions;
 use crate::status::TakeSummary;
 
-/// Most removed files that are kept open: several takes may be removed in a row, but each occupies the disk.
+/// Maximum number of removed files that are kept open: several takes may be removed in a row, but each occupies the
+/// disk.
 pub(super) const KEPT_OPEN_MAX: usize = 4;
 
 /// The engine's state, from which [`State`](crate::status::State) is derived.

@@ -21,7 +21,7 @@ use rustix::{
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
-/// Most browsers logged in at once; beyond that, the oldest session ends.
+/// Maximum number of browsers logged in at once; beyond that, the oldest session ends.
 const SESSIONS_MAX: usize = 64;
 
 /// Length of a browser session: a day in the studio.

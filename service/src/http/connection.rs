@@ -33,7 +33,7 @@ use super::{
 /// Largest request head in bytes: browsers send one or two kilobytes, including cookies of other ports.
 const HEAD_BYTES_MAX: usize = 16 << 10;
 
-/// Most header lines: browsers send some twenty.
+/// Maximum number of header lines: browsers send some twenty.
 const HEADERS_MAX: usize = 64;
 
 /// Time for a rejected client to read the reply and close.

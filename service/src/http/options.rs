@@ -6,13 +6,13 @@ use anyhow::{bail, ensure};
 
 use super::{auth::TOKEN_BYTES_MIN, work_queues};
 
-/// Most connections, for the Unix socket and for TCP separately: enough for a studio's browsers and scripts with a few
-/// each, and for those that never finish a request. Each costs at most 50 KB. Connections must leave file descriptors
-/// for takes.
+/// Maximum number of connections, for the Unix socket and for TCP separately: enough for a studio's browsers and
+/// scripts with a few each, and for those that never finish a request. Each costs at most 50 KB. Connections must leave
+/// file descriptors for takes.
 pub const CONNECTIONS_MAX: usize = 256;
 
-/// Most rejected or evicted connections that are read until their client closes. If a socket is closed with unread
-/// bytes, the kernel sends a reset, which may overtake the reply; beyond this limit that risk is accepted.
+/// Maximum number of rejected or evicted connections that are read until their client closes. If a socket is closed
+/// with unread bytes, the kernel sends a reset, which may overtake the reply; beyond this limit that risk is accepted.
 pub(super) const LINGER_MAX: usize = 32;
 
 /// Connections of the Unix socket beyond `connections_max`: the number of requests that can be running or waiting at
@@ -46,7 +46,7 @@ pub struct HttpOptions {
     pub token: Option<String>,
     /// Host names of the service besides `localhost` and its addresses, without ports.
     pub allowed_hosts: Vec<String>,
-    /// Most connections, for the Unix socket and for TCP separately. Further ones are rejected.
+    /// Maximum number of connections, for the Unix socket and for TCP separately. Further ones are rejected.
     pub connections_max: usize,
     /// Time limits.
     pub limits: TimeLimits,

@@ -30,7 +30,8 @@ use super::Level;
 const BURST: u32 = 10;
 const WINDOW: Duration = Duration::from_secs(60);
 
-/// Most messages that are distinguished: fewer places in the source log something. Any others are counted together.
+/// Maximum number of messages that are distinguished: fewer places in the source log something. Any others are counted
+/// together.
 const MESSAGES_MAX: usize = 256;
 
 /// Longest sample of a message in a summary.

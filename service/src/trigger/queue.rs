@@ -15,18 +15,18 @@ use mocapd_acquire::pipeline::lock;
 
 use super::{Trigger, TriggerError};
 
-/// Most undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few seconds: if so
-/// many wait, the service is stuck, and a start executed minutes later would be of no use.
+/// Maximum number of undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few
+/// seconds: if so many wait, the service is stuck, and a start executed minutes later would be of no use.
 pub const DUE_MAX: usize = 16;
 
-/// Most undelayed triggers of one sender that is not in `trigger.allow_from`: the stop of one take and the start of the
-/// next, twice.
+/// Maximum number of undelayed triggers of one sender that is not in `trigger.allow_from`: the stop of one take and the
+/// start of the next, twice.
 pub const DUE_EACH_MAX: usize = 4;
 
-/// Most delayed triggers of all senders in `trigger.allow_from`: a start and a stop of eight machines.
+/// Maximum number of delayed triggers of all senders in `trigger.allow_from`: a start and a stop of eight machines.
 pub const DELAYED_MAX: usize = 16;
 
-/// Most delayed triggers of all other senders, one each: eight unlisted machines.
+/// Maximum number of delayed triggers of all other senders, one each: eight unlisted machines.
 pub const DELAYED_OTHERS_MAX: usize = 8;
 
 /// An accepted trigger.

@@ -10,8 +10,9 @@ use mocapd_drivers::link::WIRE_BYTES_MAX;
 use super::kinds::{Kind, Kinds};
 use crate::device::{Fate, FaultTotals, FrameFate, SentFrame};
 
-/// Most entries for frames whose fate is open: 18 minutes at 240 Hz, 25 MB. Only a device that stalls for longer has
-/// more. By then its queue drops every new frame, and consecutive drops share one entry and one line of the log.
+/// Maximum number of entries for frames whose fate is open: 18 minutes at 240 Hz, 25 MB. Only a device that stalls for
+/// longer has more. By then its queue drops every new frame, and consecutive drops share one entry and one line of the
+/// log.
 const ENTRIES_MAX: usize = 1 << 18;
 
 #[derive(Debug)]

@@ -20,7 +20,7 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 /// Size of one read: many times the longest command.
 const READ_BYTES: usize = 4096;
 
-/// Most consecutive reads before frames are served again.
+/// Maximum number of consecutive reads before frames are served again.
 const READS_MAX: usize = 16;
 
 /// How to serve a line.

@@ -17,7 +17,7 @@ use crate::device::{LineDevice, SentFrame, SentLog};
 use pongs::PongRewriter;
 use steps::{Action, Barrier, Steps};
 
-/// Most commands that a host may send ahead of the log. A host repeats a command five times at most.
+/// Maximum number of commands that a host may send ahead of the log. A host repeats a command five times at most.
 const RECEIVED_MAX: usize = 16;
 
 /// Why a log cannot be replayed.

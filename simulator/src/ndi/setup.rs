@@ -206,7 +206,7 @@ pub(super) const PAGE_BYTES: usize = 64;
 /// The part number's bytes in a tool definition.
 const PART_NUMBER: std::ops::Range<usize> = 592..612;
 
-/// Most handles that a host may request in addition to the tools that are plugged in.
+/// Maximum number of handles that a host may request in addition to the tools that are plugged in.
 const LOADED_MAX: usize = 32;
 
 /// A port handle and its tool.

@@ -74,7 +74,7 @@ impl RawLogReport {
 /// lacks. After an error the log is removed if there is no take: `has_take` looks.
 ///
 /// # Errors
-/// Those of the recording, or if the log cannot be created. A log that ends early is no error.
+/// Those of the recording, or if the log cannot be created. A log that ends early is not an error.
 pub(super) fn with_log<T>(
     path: Option<&Path>,
     has_take: impl FnOnce() -> bool,

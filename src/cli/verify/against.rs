@@ -27,7 +27,7 @@ use crate::cli::{
     values::{count, thousands},
 };
 
-/// Most labels that the text lists; the JSON has all of them.
+/// Maximum number of labels that the text lists; the JSON has all of them.
 const LABELS_LISTED_MAX: usize = 10;
 
 #[derive(Debug, Serialize)]

@@ -90,7 +90,7 @@ impl ScanAnalysis {
         if landmarks.missing.as_flattened().iter().any(|part| *part > 0.0) {
             notes.push(limbs_cut_note(landmarks.missing));
         }
-        // Unusual arm lengths alone are no sign of contact.
+        // Unusual arm lengths alone are not a sign of contact.
         let scale = landmarks.scale;
         if let Some(by) = joint::size_shortfall(mesh, scale, touching || handles > 0) {
             notes.push(joint::widen_sigmas(&mut joints, scale, by));

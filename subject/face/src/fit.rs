@@ -12,7 +12,7 @@ use crate::points::{FacePoints, RoughFace};
 use crate::proportions::ProportionModel;
 use crate::{find, paper, points};
 
-/// Most faces that are fitted, by score: a class, or a team.
+/// Maximum number of faces that are fitted, by score: a class, or a team.
 pub const FACES_MAX: usize = 64;
 
 /// Why a photograph gives no face.

@@ -91,7 +91,7 @@ pub struct LimbCut {
 
 /// Largest tilt of the plane: steeper cuts are unrealistic and miss the limb.
 const TILT_MAX_DEG: f64 = 40.0;
-/// Most planes tried; those that remove more than the limb are rejected.
+/// Maximum number of planes tried; those that remove more than the limb are rejected.
 const TRIES: usize = 16;
 
 /// Removes a part of a limb, selected by the seed; `None` when every plane tried removes more than the limb.

@@ -204,7 +204,7 @@ impl<'ast> Visit<'ast> for Paths<'_> {
     }
 }
 
-/// Most re-exports through which a name is followed.
+/// Maximum number of re-exports through which a name is followed.
 const DEPTH_MAX: usize = 16;
 
 /// The module that defines the last name of a path, as seen from a module; `None` if no file of the crate does.

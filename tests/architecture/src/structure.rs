@@ -9,10 +9,10 @@ use syn::{
     visit::{self, Visit},
 };
 
-/// Most lines of a function, from its signature to its closing brace.
+/// Maximum number of lines of a function, from its signature to its closing brace.
 pub const FUNCTION_LINES_MAX: usize = 80;
 
-/// Most parameters of a function, without `self` and with every member of a tuple counted.
+/// Maximum number of parameters of a function, without `self` and with every member of a tuple counted.
 pub const PARAMETERS_MAX: usize = 6;
 
 /// Files with fewer lines than this count as small.

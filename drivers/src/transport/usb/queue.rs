@@ -18,7 +18,7 @@ pub const TRANSFERS: usize = 8;
 /// held up before eight frames wait. Together they take 256 KiB, a 64th of the kernel's default limit.
 pub const TRANSFER_BYTES: usize = 32 << 10;
 
-/// Fewest transfers of a queue: one is filled while the other is read.
+/// Minimum number of transfers of a queue: one is filled while the other is read.
 const TRANSFERS_MIN: usize = 2;
 
 /// Consecutive failures that are retried: noise does not strike four times in 10 ms, and an unplugged cable

@@ -67,7 +67,7 @@ pub(super) fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
     Ok(Some(Arc::new(script)))
 }
 
-/// Most bytes in a raw log, which is held in memory: hours of a serial line, minutes of the fastest.
+/// Maximum number of bytes in a raw log, which is held in memory: hours of a serial line, minutes of the fastest.
 const LOG_BYTES_MAX: u64 = 1 << 30;
 
 /// A file that matches this many of a raw log's first eight bytes is taken for a damaged log.

@@ -151,7 +151,7 @@ pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<End
 /// position or vertex order.
 pub(crate) fn start(mesh: &Mesh, graph: &Graph) -> Option<u32> {
     let far = distances_from_place(mesh, mesh.area_centroid());
-    // Unused vertices are no part of the surface.
+    // Unused vertices are not part of the surface.
     farthest(&far, |vertex| !graph.links(vertex).is_empty())
 }
 

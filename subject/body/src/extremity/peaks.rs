@@ -16,7 +16,7 @@ const PERSISTENCE_MIN: f64 = 0.015;
 /// toes.
 const APART_MIN: f64 = 0.15;
 
-/// Most candidates, the most persistent first; each costs a run of distances.
+/// Maximum number of candidates, the most persistent first; each costs a run of distances.
 const CANDIDATE_COUNT_MAX: usize = 8;
 
 /// A candidate extremity: its maximum, and the distances from it.

@@ -158,7 +158,7 @@ fn at(from: Point, towards: Point, length: f64) -> Point {
 /// Least cosine of the angle between the hips' axis and the legs'; below it left and right stay unknown.
 const AGREEMENT_MIN: f64 = 0.3;
 
-/// Least cosine if only one foot is visible: a leg rotated outwards by 60 degrees is no evidence.
+/// Least cosine if only one foot is visible: a leg rotated outwards by 60 degrees is not evidence.
 const AGREEMENT_OF_ONE_MIN: f64 = 0.5;
 
 /// Index of the left leg; none if the feet give no answer. `toes` are points in the front of the feet.

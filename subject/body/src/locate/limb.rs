@@ -272,7 +272,7 @@ fn misfit(points: &[(f64, Point)], knot: f64, rounded: f64) -> f64 {
 
 /// Step of the search, in body scales.
 const SEARCH_STEP: f64 = 0.004;
-/// Most candidate places; the windows hold about thirty.
+/// Maximum number of candidate places; the windows hold about thirty.
 const SEARCH_STEPS_MAX: usize = 200;
 
 /// The minimum of a cost along a limb.

@@ -252,9 +252,9 @@ fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
 
 const NOTES_LEFT: f64 = 40.0;
 const NOTES_STEP: f64 = 17.0;
-/// Most characters of a line; the page has room for more.
+/// Maximum number of characters of a line; the page has room for more.
 const LINE_MAX: usize = 150;
-/// Most lines of notes; the skeleton has all of them.
+/// Maximum number of lines of notes; the skeleton has all of them.
 const LINES_MAX: usize = 24;
 
 /// The lines of all notes, each note beginning with a bullet.

@@ -30,7 +30,7 @@ const RIM: &str = "#b4bac2";
 const UNSURE: &str = "#7b3294";
 /// Largest circle: half a thigh.
 const WIDE_MM: f64 = 80.0;
-/// Most level-set curves; more are thinned out.
+/// Maximum number of level-set curves; more are thinned out.
 const RINGS_MAX: usize = 160;
 
 type Projection = fn(&Upright, Point) -> Point;

@@ -155,7 +155,7 @@ fn malformed(place: impl Into<String>, reason: impl Into<String>) -> ReadError {
     Format::Ply.malformed(place, reason)
 }
 
-/// Most elements of a file and properties of an element; scanners write fewer than twenty.
+/// Maximum number of elements of a file and properties of an element; scanners write fewer than twenty.
 const PARTS_MAX: usize = 256;
 /// Largest header in bytes.
 const LEN_MAX: usize = 1 << 20;

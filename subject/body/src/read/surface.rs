@@ -6,7 +6,7 @@ use crate::{Mesh, Note, Unit};
 
 /// Largest coordinate in any unit; squares of distances cannot overflow within it.
 const COORDINATE_MAX: f64 = 1e9;
-/// Most corners of a face: those of the largest mesh.
+/// Maximum number of corners of a face: those of the largest mesh.
 const CORNERS_MAX: usize = FACES_MAX + 2;
 /// Largest fraction of vertices that are not numbers; scanners leave single ones, a damaged file many.
 const NOT_FINITE_SHARE_MAX: f64 = 0.01;
@@ -164,7 +164,8 @@ impl Surface {
     }
 }
 
-/// Most corners of a polygon that is cut by ears, which takes quadratic time or more; larger ones are cut as fans.
+/// Maximum number of corners of a polygon that is cut by ears, which takes quadratic time or more; larger ones are cut
+/// as fans.
 const EARS_MAX: usize = 64;
 
 /// Triangulates a polygon of three or more corners, keeping its orientation. `at` gives the position of a corner.

@@ -1,4 +1,5 @@
-//! Removal of what is no part of the body's surface: duplicate vertices and triangles, cracks, spikes and stray pieces.
+//! Removal of what is not part of the body's surface: duplicate vertices and triangles, cracks, spikes and stray
+//! pieces.
 
 use std::collections::HashMap;
 

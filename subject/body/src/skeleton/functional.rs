@@ -11,7 +11,7 @@ use crate::{Joint, Joints, Side};
 
 /// Longest bone: more than any person's trunk.
 pub(super) const LENGTH_MAX_MM: f64 = 2000.0;
-/// Fewest scans.
+/// Minimum number of scans.
 const SCANS_MIN: usize = 3;
 /// Least range of motion of the limb, in degrees.
 const SWING_MIN_DEGREES: f64 = 40.0;

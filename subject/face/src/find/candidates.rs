@@ -11,7 +11,7 @@ const ROLLS_RAD: [f32; 5] = [0.0, -0.262, 0.262, -0.524, 0.524];
 const STEP: f32 = 1.2;
 /// Margin around a level, in pixels: a face may lie at the border.
 const MARGIN_PX: usize = 8;
-/// Most candidates: two for each of a class of thirty.
+/// Maximum number of candidates: two for each of a class of thirty.
 const CANDIDATES_MAX: usize = 64;
 /// Candidates closer than this, in eye distances, are the same face.
 const APART: f32 = 0.4;

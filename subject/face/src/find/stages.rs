@@ -106,7 +106,7 @@ pub(super) static STEPS: [AlignmentStep; 2] = [
 
 /// Unit of the weights: fractions of the eye distance per byte.
 const WEIGHT_UNIT: f32 = 1e-6;
-/// Largest displacement, in eye distances: a candidate that is farther off is no face.
+/// Largest displacement, in eye distances: a candidate that is farther off is not a face.
 const FAR: f32 = 0.6;
 
 impl AlignmentStep {

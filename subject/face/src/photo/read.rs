@@ -11,7 +11,7 @@ use super::{Note, Photo, PhotoError};
 
 /// Largest file: a JPEG of 40 megapixels at its best quality has about half of that.
 pub const BYTES_MAX: usize = 64 << 20;
-/// Most pixels: 120 MB as 8-bit RGB, 320 MB as 16-bit RGBA, which takes most.
+/// Maximum number of pixels: 120 MB as 8-bit RGB, 320 MB as 16-bit RGBA, which takes most.
 pub const PIXELS_MAX: u64 = 40_000_000;
 /// Least length of the shorter side.
 pub const SIDE_MIN_PX: u64 = 32;

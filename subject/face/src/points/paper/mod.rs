@@ -164,7 +164,7 @@ fn value(plane: &Plane, x: i32, y: i32) -> f64 {
 /// Weights of continuity, curvature and image in equation (5). The paper gives none; these are of (Williams and Shah
 /// 1992).
 const WEIGHTS: [f64; 3] = [1.0, 1.0, 1.2];
-/// Most rounds.
+/// Maximum number of rounds.
 const ROUNDS_MAX: usize = 120;
 
 /// Moves of a point: to itself, the four adjacent pixels, or the four diagonal ones.
@@ -225,7 +225,7 @@ fn fit_snake(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
     }
 }
 
-/// Scales energies to 0 to 1 over the neighbourhood; a range below `floor` is no difference.
+/// Scales energies to 0 to 1 over the neighbourhood; a range below `floor` counts as no difference.
 fn scaled(energy: [f64; 5], floor: f64) -> [f64; 5] {
     let (low, high) = plane::extent(energy);
     let range = (high - low).max(floor).max(1e-12);
