@@ -1,4 +1,4 @@
-//! The numbering of contexts and mixers, one family after another, and the classes by which contexts are chosen.
+//! The numbering of contexts and mixers, one family after another, and the classes that select contexts.
 
 use super::LEVELS;
 

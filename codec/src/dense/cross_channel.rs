@@ -124,7 +124,7 @@ impl CrossChannel {
         self.references.fill(References::default());
     }
 
-    /// Takes over the covariances of `n` channels.
+    /// Copies the covariances of `n` channels.
     pub(super) fn follow(&mut self, other: &Self, n: usize) {
         for class in 0..CLASSES {
             let rows = class * GROUP_CHANNELS..class * GROUP_CHANNELS + n;
@@ -141,7 +141,7 @@ impl CrossChannel {
         &mut self.residuals[j]
     }
 
-    /// Exchanges a residual of the current span for another.
+    /// Swaps a residual of the current span with `residual`.
     pub(super) fn exchange_residual(&mut self, j: usize, slot: usize, residual: &mut [f32; 3]) {
         for (axis, units) in self.residuals[j].iter_mut().zip(residual) {
             std::mem::swap(&mut axis[slot], units);

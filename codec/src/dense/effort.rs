@@ -1,4 +1,4 @@
-//! How much an encoder of `dense` tries.
+//! The effort of an encoder of `dense`.
 
 use std::{fmt, str::FromStr};
 

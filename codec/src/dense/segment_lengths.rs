@@ -14,9 +14,9 @@ use super::{
 };
 use crate::{GROUP_CHANNELS, bound::squared_distance};
 
-/// Maximum number of partners of a channel; two in place of three lose 0.3 %.
+/// Maximum number of partners of a channel; two instead of three lose 0.3 %.
 pub(super) const PARTNERS: usize = 3;
-/// Number of nearest earlier channels whose distances are followed. All pairs in place of six channels gain 0.0 %,
+/// Number of nearest earlier channels whose distances are followed. All pairs instead of six channels gain 0.0 %,
 /// eight channels lose 0.1 %.
 const NEAR: usize = 6;
 /// [`NEAR`], padded to whole vectors.
@@ -108,7 +108,7 @@ pub(super) type PartnerDistances = [SpanRows; PARTNERS];
 /// The distances of two channels at every eighth row, those of anchors and of the strides 8 and more.
 type NearRows = [f64; 2 * SPAN / 8];
 
-/// The distances of a group, and what was learnt of them.
+/// The distances of a group, and their statistics.
 #[derive(Debug)]
 pub(super) struct SegmentLengths {
     /// Spreads by channel and channel.
@@ -148,7 +148,7 @@ impl SegmentLengths {
         &mut self.partner_distances[j]
     }
 
-    /// Takes over what was learnt of the distances of `n` channels.
+    /// Copies the statistics of the distances of `n` channels.
     pub(super) fn follow(&mut self, other: &Self, n: usize) {
         for j in 0..n {
             let pairs = j * GROUP_CHANNELS..j * GROUP_CHANNELS + j;

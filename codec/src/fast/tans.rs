@@ -151,7 +151,7 @@ pub(super) struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Copies the payload behind padding.
+    /// Copies the payload after padding.
     pub(super) fn pad(payload: &[u8], padded: &mut Vec<u8>) {
         padded.clear();
         padded.extend_from_slice(&[0; PAD]);
@@ -188,7 +188,7 @@ impl<'a> Reader<'a> {
         Ok(self.word)
     }
 
-    /// Consumes bits that were peeked at.
+    /// Consumes peeked bits.
     #[inline(always)]
     pub(super) fn skip(&mut self, width: u32) {
         self.word <<= width;
@@ -301,7 +301,7 @@ impl Ops {
         }
     }
 
-    /// Appends a symbol and the fields behind it.
+    /// Appends a symbol and the fields after it.
     #[inline(always)]
     pub(super) fn push_row(&mut self, symbol: Op, fields: [Field; 4]) {
         let width = fields.iter().map(|field| field.width).sum::<u32>();

@@ -160,7 +160,7 @@ impl<P: Payload> FrameState<P> {
 #[derive(Debug)]
 pub(crate) struct FramedEncoder<E> {
     state: FrameState<E>,
-    /// By row of the last block: whether any sample is kept.
+    /// Whether any sample is kept in each row of the last block.
     kept_rows: Vec<bool>,
     /// A decoder with which debug builds check every block.
     #[cfg(debug_assertions)]
@@ -257,7 +257,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         Ok(())
     }
 
-    /// Begins a block of `n_rows` rows of which none is kept so far.
+    /// Begins a block of `n_rows` rows, with none kept so far.
     fn keep_no_rows(&mut self, n_rows: usize) {
         self.kept_rows.clear();
         self.kept_rows.resize(n_rows, false);

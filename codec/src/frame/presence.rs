@@ -255,7 +255,7 @@ impl Models {
         }
     }
 
-    /// Codes rows of which at least one differs from the row before it.
+    /// Codes rows; at least one of them differs from the row before it.
     fn rows<C: BinaryCoder>(
         &mut self,
         coder: &mut C,

@@ -1,8 +1,8 @@
-//! What a block states of each channel before its samples: its scale, which events occur, and its cells.
+//! The head of a channel in a block: its scale, which events occur, and its cells.
 
 use super::{
     cells::{CellForm, Cells, PALETTE_MAX},
-    predictor::NEIGHBOURS,
+    predictor::REFERENCES,
 };
 use crate::{
     Result,
@@ -15,9 +15,9 @@ use crate::{
 pub(super) enum Past {
     #[default]
     All,
-    /// Those that are not events: of a channel whose samples are held.
+    /// Those that are not events: for a channel whose samples are held.
     Cells,
-    /// Those that are events: of a channel with a line through every second sample.
+    /// Those that are events: for a channel with a line through every second sample.
     Events,
 }
 
@@ -26,9 +26,10 @@ pub(super) enum Past {
 pub(super) struct Head {
     /// The binary exponent of the channel's unit, in which it is predicted. Stated in the first block since a key.
     pub(super) exponent: i8,
-    /// How many channels before it predict this channel, and which. Stated in the first block since a key.
-    pub(super) n_beside: u8,
-    pub(super) beside: [u8; NEIGHBOURS],
+    /// The number of references, the earlier channels that predict this one, and their indices. Stated in the first
+    /// block since a key.
+    pub(super) n_references: u8,
+    pub(super) references: [u8; REFERENCES],
     /// In which rows, even and odd since the key, samples that repeat the one before are coded as such.
     pub(super) repeats: [bool; 2],
     /// In which rows samples on the line through the two before are coded as such.
@@ -111,10 +112,11 @@ impl HeadModel {
         if is_first {
             known_head.exponent = coder.plain((head.exponent as u8).into(), 8) as u8 as i8;
             ensure(known_head.exponent > -127, "a unit out of range")?;
-            known_head.n_beside = coder.plain(head.n_beside.into(), 3) as u8;
-            ensure(usize::from(known_head.n_beside) <= NEIGHBOURS, "too many neighbours")?;
-            for i in 0..usize::from(known_head.n_beside) {
-                known_head.beside[i] = coder.plain(head.beside[i].into(), self.index_bits) as u8;
+            known_head.n_references = coder.plain(head.n_references.into(), 3) as u8;
+            ensure(usize::from(known_head.n_references) <= REFERENCES, "too many references")?;
+            for i in 0..usize::from(known_head.n_references) {
+                known_head.references[i] =
+                    coder.plain(head.references[i].into(), self.index_bits) as u8;
             }
         }
         let is_partial = head.past != Past::All;

@@ -24,7 +24,7 @@ use mocapd_take::{
 
 use mocapd_testkit::random::Random;
 
-use crate::{counting::most_bytes, take};
+use crate::{counting::peak_bytes, take};
 
 /// Memory of a reader: a window that grows to its full size, and tables of some MiB.
 const HELD_MAX: usize = 2 * WINDOW_BYTES + (8 << 20);
@@ -78,7 +78,7 @@ struct Found {
 fn found(take: &[u8]) -> Found {
     let mut found = Found::default();
     let mut input = Counted { file: Cursor::new(take), read: 0 };
-    let memory = most_bytes(|| {
+    let memory = peak_bytes(|| {
         let mut reader = TakeReader::new();
         loop {
             match reader.next_event().unwrap() {
