@@ -20,7 +20,7 @@ use super::{
 /// Longest text of a mark or of notes, in bytes: a line of the take's events.
 pub const TEXT_BYTES_MAX: usize = 1024;
 
-/// Longest pre-roll of a request, in seconds: more than `arm.pre_roll` can hold, and no typing error.
+/// Longest pre-roll of a request, in seconds: more than `arm.pre_roll` can hold; larger numbers are typing errors.
 pub const SECONDS_MAX: f64 = 3600.0;
 
 /// The service as the HTTP API, the triggers and the signal handlers see it.

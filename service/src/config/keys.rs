@@ -297,7 +297,7 @@ fn level(text: &str) -> Read<Level> {
     text.parse().map_err(|_| suggestion(text, Level::NAMES.into_iter()))
 }
 
-/// Checks a host name as browsers send it in `Host`, and gives it in lower case, without a port.
+/// Checks a host name as browsers send it in `Host`, and returns it in lower case, without a port.
 fn host(text: &str) -> Result<String, String> {
     if let Ok(address) = text.parse::<IpAddr>() {
         return Ok(address.to_string());

@@ -49,7 +49,7 @@ pub(super) struct Core {
     pub(super) kept_open: Vec<Box<dyn TakeOutput>>,
 }
 
-/// What is known of the device, whether it is connected or not.
+/// What is known about the device, whether it is connected or not.
 #[derive(Debug, Default)]
 pub(super) struct KnownDevice {
     pub(super) uri: String,
@@ -58,7 +58,7 @@ pub(super) struct KnownDevice {
     pub(super) hello: Hello,
     pub(super) driver: String,
     pub(super) markers: usize,
-    /// Identity by which it is found again.
+    /// The identity used to find it again.
     pub(super) identity: Option<Candidate>,
 }
 

@@ -1,5 +1,5 @@
 //! Distributes events and live frames to all HTTP clients, each from one feed of the service. Recent events are kept
-//! for clients that reconnect; frames are encoded once, and slow viewers get the newest.
+//! for clients that reconnect; frames are encoded once, and slow viewers get the newest frames.
 
 use std::{
     collections::VecDeque,

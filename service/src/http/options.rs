@@ -18,7 +18,7 @@ pub(super) const LINGER_MAX: usize = 32;
 /// Connections of the Unix socket beyond `connections_max`: the number of requests that can be running or waiting at
 /// once. Half of `connections_max` can be streams, so that even at worst enough connections can be evicted: a user
 /// with access to the socket always gets a connection.
-pub(super) const UNIX_MORE: usize = work_queues::REQUESTS_MAX;
+pub(super) const UNIX_EXTRA: usize = work_queues::REQUESTS_MAX;
 
 /// File descriptors that a process has by default: the soft limit of Linux and systemd.
 const DESCRIPTORS: usize = 1024;
@@ -30,7 +30,7 @@ const DESCRIPTORS_ELSEWHERE: usize = 128;
 /// For each of two listeners: its connections, a file for each download (half of them), rejected connections, and one
 /// that has just been evicted; for the Unix socket, also its further connections.
 const DESCRIPTORS_OF_CONNECTIONS: usize =
-    2 * (CONNECTIONS_MAX + CONNECTIONS_MAX.div_ceil(2) + LINGER_MAX + 1) + UNIX_MORE;
+    2 * (CONNECTIONS_MAX + CONNECTIONS_MAX.div_ceil(2) + LINGER_MAX + 1) + UNIX_EXTRA;
 
 // 2 * (256 + 128 + 32 + 1) + 55 + 128 = 1017.
 const _: () = assert!(DESCRIPTORS_OF_CONNECTIONS + DESCRIPTORS_ELSEWHERE <= DESCRIPTORS);

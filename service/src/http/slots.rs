@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn unauthorized_connections_are_evicted_first_and_most_of_all_those_of_one_peer() {
+    fn unauthorized_connections_are_evicted_first() {
         let slots = ConnectionSlots::new(4);
         let known = slots.take(address(1)).unwrap();
         known.slot.authorize();

@@ -1,8 +1,8 @@
 //! Accepted triggers that wait for execution, in limited numbers.
 //!
 //! A trigger without a delay is due immediately, and executed after the previous one. A delayed trigger is due later
-//! and holds up nothing else. [`PendingTriggers`] is sans-io: the time goes in, and due triggers come out. [`TriggerQueue`]
-//! applies it in real time, between the thread that receives triggers and the one that executes them.
+//! and delays nothing else. [`PendingTriggers`] is sans-io: the time goes in, and due triggers come out.
+//! [`TriggerQueue`] applies it in real time, between the thread that receives triggers and the one that executes them.
 
 use std::{
     net::{IpAddr, SocketAddr},
@@ -16,7 +16,7 @@ use mocapd_acquire::pipeline::lock;
 use super::{Trigger, TriggerError};
 
 /// Maximum number of undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few
-/// seconds: if so many wait, the service is stuck, and a start executed minutes later would be of no use.
+/// seconds: if this many wait, the service is stuck, and a start executed minutes later would be useless.
 pub const DUE_MAX: usize = 16;
 
 /// Maximum number of undelayed triggers of one sender that is not in `trigger.allow_from`: the stop of one take and the
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_that_is_due_comes_first() {
+    fn triggers_come_in_order_of_due_times() {
         let mut waiting = PendingTriggers::default();
         let at = Duration::from_millis;
         for (sender, delay_ms) in [(1, 300), (2, 100), (3, 0), (4, 0)] {
