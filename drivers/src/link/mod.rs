@@ -18,7 +18,7 @@ pub(crate) const FAMILY: Family = Family {
         if candidate.name_matches(|name| name.contains("dvmc") || name.contains("mocapd")) {
             Claim::Certain
         } else if candidate.is_serial() {
-            // A plain adapter does not reveal what is behind it.
+            // A plain adapter does not reveal the device that is connected to it.
             Claim::Possible
         } else {
             Claim::No

@@ -2,10 +2,9 @@
 //!
 //! With squared distances as costs, a motion that all points share does not change the optimal pairing: it
 //! adds the same amount to every pairing. The method is that of Kuhn and Munkres, with one shortest
-//! augmenting path per row; rows whose column is free, as most are, cost one pass over the columns.
-//! 63 markers of a person over a slow line take 0.1 ms a frame; 255 thrown at random into a cube
-//! of 60 cm anew each frame, the worst case found, 16 to 32 ms, while their reply takes 34 ms on the
-//! fastest line.
+//! augmenting path per row; rows whose column is free, as most are, cost one pass over the columns. 63
+//! markers of a person over a slow line take 0.1 ms a frame; 255 placed at random in a cube of 60 cm in
+//! every frame, the worst case found, take 16 to 32 ms, while their reply takes 34 ms on the fastest line.
 
 /// A column and its state in the current search.
 #[derive(Debug, Clone, Copy, Default)]
@@ -46,7 +45,7 @@ impl Assignment {
     ) {
         self.potentials.clear();
         self.potentials.resize(n_rows + 1, 0.0);
-        // Column 0 is the root of a search; behind the given columns each row has a private one.
+        // Column 0 is the root of a search; after the given columns each row has a private one.
         self.columns.clear();
         self.columns.resize(1 + n_columns + n_rows, Column::default());
         for row in 1..=n_rows {
