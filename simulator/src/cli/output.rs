@@ -41,7 +41,7 @@ pub(super) fn print_exact(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Work of less than this shows no display.
+/// Work shorter than this shows no display.
 const APPEARS_AFTER: Duration = Duration::from_secs(1);
 
 /// A bar on stderr with the percentage and the time left, like those of `mocapd`. Nothing where stderr is not a
@@ -61,7 +61,7 @@ impl ProgressDisplay {
         Self { message, total, begun: Instant::now(), is_shown, bar: None }
     }
 
-    /// Shows how much is done. To be called several times a second, so that the time left is current.
+    /// Shows how much is done. Call it several times a second, so that the time left is current.
     pub(super) fn update(&mut self, done: u64) {
         if !self.is_shown || self.begun.elapsed() < APPEARS_AFTER {
             return;

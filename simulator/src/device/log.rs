@@ -159,7 +159,7 @@ pub struct FaultTotals {
     /// Damaged and lost frames that each kind touched, indexed by [`Kind`]. A frame that two kinds touched counts for
     /// both.
     pub by_kind: [u64; KINDS.len()],
-    /// Effects of each kind, whatever became of the frames.
+    /// Effects of each kind, regardless of the frames' fates.
     pub counts: FaultCounts,
 }
 

@@ -1,6 +1,7 @@
 //! The fate of every frame on a line with faults: the ground truth for tests of recordings.
 //!
-//! A frame is whole when the bytes between two 0x00 on the line are exactly its own, whatever happened around it.
+//! A frame is whole when the bytes between two 0x00 on the line are exactly its own, regardless of damage before and
+//! after it.
 
 use std::collections::VecDeque;
 use std::hash::{DefaultHasher, Hash, Hasher};

@@ -111,7 +111,7 @@ kinds! {
     }
     /// Frames arrive twice.
     DoubledFrames = "doubled-frames", windowed: true, { rate: f64 = PER_FRAME }
-    /// Frames arrive behind later ones.
+    /// Frames arrive after later ones.
     LateFrames = "late-frames", windowed: true, {
         rate: f64 = PER_FRAME,
         by: u32 = key("by", "frames", 1.0, LATE_FRAMES_MAX)

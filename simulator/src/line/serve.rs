@@ -28,7 +28,7 @@ const READS_MAX: usize = 16;
 pub struct ServeOptions {
     /// Limit the throughput to a line of this speed; `None` for as fast as the host reads.
     pub baud: Option<u32>,
-    /// Hand waiting bytes over once per this period, as a latency timer does; `None` for at once.
+    /// Hand waiting bytes over once per this period, as a latency timer does; `None` to hand them over immediately.
     pub batch: Option<Duration>,
     /// Return when a run has ended and the host has read all of it.
     pub once: bool,

@@ -81,8 +81,7 @@ pub struct LogDevice {
     out: Vec<u8>,
     /// Before Start, when a host waits for the Pong to its Ping.
     handshaking: bool,
-    /// The host has sent Stop and no Start since. Identify after such a Stop is the greeting of a host that opens the
-    /// line.
+    /// The host has sent Stop and no Start since. An Identify then comes from a host that opens the line.
     stopped: bool,
     /// A Start was received since the line was opened.
     started: bool,

@@ -17,8 +17,7 @@ const RESET_COUNTER: &str = "80";
 const LAST_FRAME_NS: u64 = SECOND_NS;
 
 /// Maximum number of unfetched frames that wait for a later request. Beyond it (a minute at 60 Hz) they count as
-/// dropped, whatever
-/// the host does next.
+/// dropped, regardless of later requests.
 const MISSED_MAX: usize = 4096;
 
 /// The frame that requests can fetch.

@@ -200,7 +200,7 @@ fn handle(args: &str) -> Result<u8, u8> {
 /// Size of a tool definition: sixteen pages of 64 bytes.
 const ROM_BYTES: usize = 1024;
 
-/// Size of a page, which `PVWR` writes at once.
+/// Size of a page, which one `PVWR` writes.
 pub(super) const PAGE_BYTES: usize = 64;
 
 /// The part number's bytes in a tool definition.
