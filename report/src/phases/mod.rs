@@ -101,7 +101,7 @@ const MOVES_MM_S: f64 = 250.0;
 /// Horizontal speed of pelvis or feet above which the subject walks, after the jump, mm/s.
 const WALKS_MM_S: f64 = 200.0;
 
-/// How long such a speed must be sustained, s.
+/// How long these speeds must be sustained, s.
 const SUSTAINED_S: f64 = 0.15;
 
 /// Why no phases were found.
@@ -279,7 +279,7 @@ impl Signals {
         phases
     }
 
-    /// The first step after landing, once the body has come to rest over its feet; the number of rows if there is none.
+    /// The first step after landing, once the body is at rest over its feet; the number of rows if there is none.
     fn first_step(&self, lands: usize) -> usize {
         let n = self.height.len();
         let rows = lands..n;

@@ -37,7 +37,7 @@ pub use self::{
 
 const FONT: &str = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif";
 
-/// Font sizes as plotters counts them, 1.24 to a pixel.
+/// Font sizes in the unit of plotters, 1.24 per pixel.
 const BODY: u32 = 15;
 const TITLE: u32 = 20;
 const SMALL: u32 = 13;

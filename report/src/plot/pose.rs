@@ -196,7 +196,7 @@ fn caption(plot: &PosePlot<'_>) -> String {
     caption
 }
 
-/// Columns and most lines of the table of limbs.
+/// Columns of the table of limbs, and its maximum number of lines.
 const ACROSS: usize = 4;
 const LINES_MAX: usize = 8;
 const LINE: i32 = 22;

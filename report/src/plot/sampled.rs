@@ -1,4 +1,4 @@
-//! The sampled channels of an imported C3D file against time: analog channels, and the loads of force plates beside the
+//! The sampled channels of an imported C3D file against time: analog channels, and the loads of force plates with the
 //! trajectory of a marker.
 
 use std::ops::Range;
@@ -350,7 +350,7 @@ impl<'a> Panels<'a> {
             margins: [20, 24, 2, 4],
         };
         let mut chart = panel(area, &axes)?;
-        // Above the panel: beside it there is no room for long numbers and names.
+        // Above the panel: long numbers and names do not fit at its side.
         text(area, title, (74, 10), left_aligned(BODY, INK))?;
         for (trace, colour, dash) in traces {
             for run in trace.runs() {

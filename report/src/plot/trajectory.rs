@@ -17,7 +17,7 @@ use crate::{
     up::Up,
 };
 
-/// Maximum number of rows with a circle for each sample; of more, only the curve is drawn.
+/// Maximum number of rows with a circle for each sample; with more, only the curve is drawn.
 const MARKED_ROWS_MAX: usize = 1500;
 
 /// Maximum number of rows: more are unreadable on a page, and make a file of megabytes.
