@@ -31,7 +31,7 @@ use super::{
 
 /// The columns of the CSV.
 const CSV_HEADER: &str = "marker,first_frame,frames,start_s,seconds,cause\n";
-/// Bytes of CSV that are printed at once.
+/// Bytes of CSV per write.
 const PRINTED_BYTES: usize = 1 << 16;
 
 #[derive(Debug, clap::Args)]
@@ -378,7 +378,7 @@ impl CauseReport {
     }
 }
 
-/// A part in percent; 100 of nothing.
+/// A part in percent; 100 if the whole is 0.
 fn percent(part: u64, whole: u64) -> f64 {
     if whole == 0 { 100.0 } else { 100.0 * part as f64 / whole as f64 }
 }

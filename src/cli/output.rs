@@ -115,7 +115,7 @@ impl Progress {
         )
     }
 
-    /// Shows a bar of `share`, 0 to 1, beside the current value of `text`.
+    /// Shows a bar of `share`, 0 to 1, next to the current value of `text`.
     pub(crate) fn share(
         text: impl Fn() -> String + Send + 'static,
         share: impl Fn() -> f64 + Send + 'static,

@@ -79,9 +79,9 @@ pub(crate) struct Batch<'a> {
     pub(crate) lines_to_stderr: bool,
     /// Threads for all files together.
     pub(crate) threads: usize,
-    /// What is done, for the progress display: `importing`.
+    /// The participle for the progress display: `importing`.
     pub(crate) doing: &'static str,
-    /// What was done, for the table: `imported`.
+    /// The participle for the table: `imported`.
     pub(crate) done: &'static str,
     /// Whether the table has the ratio of bytes read to bytes written.
     pub(crate) is_compression: bool,
@@ -117,7 +117,7 @@ pub(crate) struct Job<'a> {
     pub(crate) output: Option<&'a Path>,
     /// Threads to use.
     pub(crate) threads: usize,
-    /// Whether it is the only file, of which the whole report is printed.
+    /// Whether it is the only file; its whole report is then printed.
     pub(crate) is_single: bool,
     /// Whether the report is JSON.
     pub(crate) is_json: bool,
@@ -126,7 +126,7 @@ pub(crate) struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Prints a message about the file on standard error: at once for a single file, else before its line.
+    /// Prints a message about the file on standard error: immediately for a single file, else before its line.
     pub(crate) fn notify(&self, message: &str) {
         self.notify_of(&self.input.name, message);
     }
@@ -286,7 +286,7 @@ fn names(message: &str, file: &str) -> bool {
     })
 }
 
-/// Prints what became of one of many files, and adds it to the table.
+/// Prints the result of one of many files, and adds it to the table.
 fn print_result(
     batch: &Batch<'_>,
     name: &Path,

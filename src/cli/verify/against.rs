@@ -92,7 +92,7 @@ pub(crate) fn against(
     };
     let mut difference = difference.with_context(comparing)?;
     if cut_off {
-        // The frames behind the cut are lost; that is not a difference.
+        // The frames after the cut-off are lost; that is not a difference.
         difference.frames_lost += difference.frames_after_take;
         difference.frames_missing -= difference.frames_after_take;
     }
