@@ -57,7 +57,7 @@ impl GapCause {
     }
 }
 
-/// A set of causes: a gap may begin with an occlusion and go on with lost frames, and a run of lost frames may have
+/// A set of causes: a gap may begin with an occlusion and continue with lost frames, and a run of lost frames may have
 /// several causes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GapCauses(u8);

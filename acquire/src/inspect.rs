@@ -42,7 +42,7 @@ pub struct Summary {
     pub take: TakeMap,
     /// By channel.
     pub per_channel: Vec<ChannelSummary>,
-    /// The figures that only the samples give.
+    /// The statistics that require decoding.
     pub statistics: TakeStatistics,
     /// The final state of the clocks, as stored in the take.
     pub clock: ClockStatus,
@@ -205,8 +205,8 @@ impl Summary {
         }
     }
 
-    /// How far the clock line is from the line fitted to the stored observations; `None` if there is no line, or
-    /// observations are missing.
+    /// Deviation of the clock line from the line fitted to the stored observations; `None` if there is no line,
+    /// or observations are missing.
     #[must_use]
     pub fn clock_deviation(&self) -> Option<LineDeviation> {
         // A recovered take may lack some observations.

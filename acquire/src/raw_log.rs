@@ -1,7 +1,7 @@
 //! The raw log: copies every byte on the device's line to a file, without making the reader wait for the disk.
 //!
 //! A [`RawLogTap`] wraps the transport and copies its bytes into blocks, which a thread writes. When no block is free,
-//! the log records how many bytes are missing, and the recording goes on.
+//! the log records how many bytes are missing, and the recording continues.
 
 #[cfg(test)]
 mod tests;
@@ -291,7 +291,7 @@ impl Drop for RawLogTap {
 struct TappedTransport {
     line: Box<dyn Transport>,
     tap: RawLogTap,
-    /// The log says that the line is closed.
+    /// Whether the log says that the line is closed.
     is_closed: bool,
 }
 

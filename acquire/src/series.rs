@@ -109,7 +109,7 @@ pub fn record_series(
         Ok(run) => run,
         Err(error) => return Err(collected.discard(error)),
     };
-    // A take that could not begin is not a failure when the one before it went on.
+    // A take that could not begin is not a failure when the one before it continued.
     let failure = collected.failure.take().filter(|_| has_failed).or(joined.err());
     let recording = match (failure, recording) {
         (Some(error), _) | (None, Err(error)) => return Err(collected.explain(error)),
@@ -143,7 +143,7 @@ fn total(takes: &[SeriesTake], recording: ReaderOutcome, rate_hz: f64, markers: 
         }
         written.disk = part.disk;
         written.ending.clone_from(&part.ending);
-        // The line of a segment that goes on is better known in the next take.
+        // The line of a segment that continues is better known in the next take.
         clock_lines.extend(part.clock_lines.iter().copied());
     }
     written.clock_lines = clock_lines.into_iter().collect();

@@ -101,7 +101,7 @@ impl Line {
     }
 }
 
-/// Points that bound the line on one side, as (seconds, microseconds beside the nominal rate).
+/// Points that bound the line on one side, as (seconds, deviation from the nominal rate in microseconds).
 struct BoundPoints<const N: usize> {
     n: usize,
     x_s: [f64; N],

@@ -293,7 +293,7 @@ impl ClockModel {
     }
 }
 
-/// Tolerance beside the measured one: for a line fitted to few points, and for the scheduler.
+/// Tolerance in addition to the measured one: for a line fitted to few points, and for the scheduler.
 const SLACK_US: f64 = 2_000.0;
 
 /// Age below which a batch of frames may have tilted a segment's line.

@@ -240,8 +240,8 @@ pub(super) fn lines(
 /// Maximum number of round trips to hold: ten per second, which is the link's budget, over the window.
 const STORED_PROBES_MAX: usize = 1200;
 
-/// Permitted distance of the two lines, beside a quarter of the bound: the first versions chose the best round trip of
-/// a burst with the rate known at that time, and not with the final one as here.
+/// Permitted distance of the two lines, in addition to a quarter of the bound: the first versions chose the best round
+/// trip of a burst with the rate known at that time, and not with the final one as here.
 const SLACK_US: f64 = 20.0;
 const SLACK_PPM: f64 = 2.0;
 

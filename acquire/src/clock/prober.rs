@@ -70,7 +70,7 @@ struct BatchTiming {
     missed: bool,
     /// Arrival of this burst's last pong.
     last_pong_ns: Option<u64>,
-    /// The pending ping was timed to precede a batch.
+    /// Whether the pending ping was timed to precede a batch.
     is_timed: bool,
 }
 

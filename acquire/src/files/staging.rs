@@ -273,8 +273,8 @@ fn discard(root: &Path, dataset: &Path) {
     remove(root);
 }
 
-/// Removes a staging folder, its lock last: as long as there is one, the next program goes on where a killed one stopped.
-/// Files of others in it stay, and with them the folder.
+/// Removes a staging folder, its lock last: as long as there is one, the next program continues where a killed one
+/// stopped. Files of others in it stay, and with them the folder.
 fn remove(root: &Path) {
     for folder in [CONTENT, PUBLISHED] {
         fs::remove_dir_all(root.join(folder)).ok();

@@ -81,7 +81,7 @@ pub struct Intake {
     counts: Counts,
     clocks: ClockTracker,
     is_away: bool,
-    /// The device is back after an outage, and its first frame has not arrived.
+    /// Whether the device is back after an outage, and its first frame has not arrived.
     rejoining: bool,
     /// A take that begins with that frame, so that it does not contain the absence of the device before it.
     deferred_begin: Option<TakeCommand>,

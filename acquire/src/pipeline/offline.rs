@@ -126,7 +126,7 @@ fn write_foreign<W: Write>(
     Ok(take.push_events(&info.events)?)
 }
 
-/// An error of reading frames.
+/// Wraps an I/O error of a frame source in [`SourceFailed`].
 fn of_source(error: TakeError) -> anyhow::Error {
     match error {
         TakeError::Io(error) => SourceFailed(error).into(),

@@ -138,7 +138,7 @@ pub(super) const RUNS_MAX: usize = 8;
 pub(super) const CONTROL_MAX: usize = 1024;
 
 /// Clock observations queued for the writer: at most ten round trips a second (the link's budget) and
-/// four points a second, and only at the start; some 60 in a stall of 30 s.
+/// four points a second, and only at the start; about 60 in a stall of 30 s.
 pub(super) const CLOCK_ITEMS_MAX: usize = 1024;
 
 /// The sizes derived from a [`PipelineConfig`].

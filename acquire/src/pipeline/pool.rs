@@ -33,7 +33,7 @@ struct ParkedGroup {
     unpark: Receiver<Group>,
     jobs: Receiver<EncodeJob>,
     buffers: Receiver<PartBuffer>,
-    /// A wake-up for this group is queued.
+    /// Whether a wake-up for this group is queued.
     woken: AtomicBool,
 }
 
@@ -174,8 +174,8 @@ fn run_worker(
     }
 }
 
-/// Marks the pipeline as failed when a thread panics: a worker takes its group with it, a writer the file, and the
-/// recording cannot go on as if nothing had happened.
+/// Marks the pipeline as failed when a thread panics: a panicking worker loses its group, a panicking writer loses
+/// the file, so the recording must stop.
 #[derive(Debug)]
 pub(super) struct FailOnPanic(pub(super) Arc<PipelineProgress>);
 

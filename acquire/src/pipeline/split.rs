@@ -17,8 +17,8 @@ use super::{NewTake, TakeResult};
 /// When a take of a divided recording is long enough.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SplitAt {
-    /// At each multiple of a number of rows, lost ones included. If no frame came between two of them, the take goes on
-    /// to the next: no take is without a frame.
+    /// At each multiple of a number of rows, lost ones included. If no frame came between two of them, the take
+    /// continues to the next: no take is without a frame.
     Rows {
         /// Rows of a take, at least those of a stretch.
         rows: u64,
@@ -50,7 +50,7 @@ pub trait TakeSeries: Send {
     /// disk, but for nothing else.
     ///
     /// # Errors
-    /// When its file cannot be created. The take before it then goes on, and the next one is tried when that is due.
+    /// When its file cannot be created. The take before it then continues, and the next one is tried when that is due.
     fn next_take(&mut self, first_row: u64) -> anyhow::Result<NextTake>;
 }
 

@@ -66,7 +66,7 @@ pub(super) struct Writer {
     sync_every: Duration,
     pre_roll: Option<PreRollBuffer>,
     live: Option<LiveTake>,
-    /// The pipeline serves a single take, or those of a recording that is divided, and fails with it.
+    /// Whether the pipeline serves a single take, or those of a recording that is divided, and fails with it.
     single_take: bool,
     /// How the recording is divided, if it is.
     split: Option<SplitState>,
@@ -351,7 +351,7 @@ impl Writer {
                 self.with_take(|take, _| take.mark_request(end.span.first_row, requested_ns));
             }
             TakeCommand::Save(take, reply) => {
-                // The open take goes on, and observers keep seeing that one.
+                // The open take continues, and observers keep seeing that one.
                 let mut clocks = self.clocks.for_saved_take();
                 let progress = PipelineProgress::new(&[]);
                 if let Some(saved) = self.begin_take(*take, &reply, end, &mut clocks, &progress) {

@@ -58,7 +58,7 @@ impl FrameCounter {
         let Some((last, ticks)) = last else { return Some(0) };
         match seq.wrapping_sub(last).cast_signed() {
             ahead @ 1..=OUTAGE_MAX if device_ticks > ticks => {
-                // The counter stood still while the device was stopped, but its clock went on.
+                // The counter stood still while the device was stopped, but its clock continued.
                 let elapsed = (device_ticks - ticks) as f64 / self.frame_ticks;
                 let by_clock = if elapsed.is_finite() { elapsed.round() as i64 } else { 0 };
                 let slack = i64::from(DOUBTED_MIN).max(i64::from(ahead) / 100);

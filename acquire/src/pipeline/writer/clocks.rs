@@ -91,7 +91,7 @@ impl ClockWriter {
         Self::new(never())
     }
 
-    /// A writer for a take saved beside the open one, which ends with the observations taken so far.
+    /// A writer for a take that is saved while another one is open; it ends with the observations taken so far.
     pub(super) fn for_saved_take(&self) -> Self {
         let mut saved = Self::idle();
         (saved.taken, saved.status) = (self.taken, self.status);
