@@ -1,7 +1,7 @@
 //! The search for the points of a run in a span.
 //!
 //! For each coarse row, from the anchor down, every lattice point in the tolerance ball is tried: the rest of the run is
-//! coded greedily, and its cost counted. The cheapest plans so far go on to the next row.
+//! coded greedily, and its cost counted. The cheapest plans so far continue to the next row.
 //!
 //! Plans are made channel by channel, but rows are coded level by level: where a run ends between the rows of a whole
 //! span, the rows next to its ends have not been decoded in all channels before it, and are hidden.

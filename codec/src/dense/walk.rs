@@ -182,7 +182,7 @@ impl Dense {
         Ok(())
     }
 
-    /// Codes the first row of a run, unless it goes on from the row before the span.
+    /// Codes the first row of a run, unless it continues from the row before the span.
     pub(super) fn begin_run<S: RowCodec>(
         &mut self,
         codec: &mut S,

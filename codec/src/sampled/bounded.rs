@@ -3,7 +3,7 @@
 //!
 //! Samples that no number of the lattice represents within the bound stay unchanged, bit for bit: NaN, infinities, and
 //! numbers so large that float32 is coarser there. So do exact zeros. In a channel whose zeros form long runs, such as
-//! the force of a plate that nothing touches, no other sample becomes zero: the zeros show when there was no contact.
+//! the force of an unloaded plate, no other sample becomes zero: the zeros show when there was no contact.
 
 use super::{
     SampledEncoder,
@@ -11,7 +11,7 @@ use super::{
 };
 
 /// Minimum mean length of runs of zeros that are preserved. Zero crossings of a signal of noise have runs of one or two
-/// samples; a plate that nothing touches has them for a good part of a step.
+/// samples; an unloaded plate has runs of many samples.
 const ZERO_RUN_MIN: u64 = 8;
 
 /// Minimum number of samples in which a lattice is sought: fewer are on one by chance.
@@ -40,7 +40,7 @@ pub struct ChannelProfile {
     n_sought: usize,
     /// The range of the samples, if they are integers.
     integers: Option<[f32; 2]>,
-    /// The first samples from a change on.
+    /// The first samples from the first change on, for the trial encoding.
     tried: Vec<f32>,
 }
 

@@ -111,7 +111,7 @@ impl Cells {
         ((position * ten).round_ties_even() / ten) as f32
     }
 
-    /// The cell, within the bounds, of a value; any of the nearest two for a value between them.
+    /// The cell, within the bounds, of a value; either of the nearest two for a value halfway between them.
     #[inline(always)]
     pub(super) fn nearest(&self, value: f64) -> i64 {
         let (first, last) = self.bounds();

@@ -53,7 +53,7 @@ const fn root(degrees: usize) -> f64 {
     }
 }
 
-/// The share of weight that is spread evenly with every sample, so that no part is ever lost.
+/// The fraction of the weight that is redistributed evenly at every sample, so that no component vanishes.
 const SPREAD: f64 = 0.01;
 
 /// Smallest average of the error's magnitude, in units of the channel's scale.

@@ -46,7 +46,7 @@ pub(super) struct Fit {
     cells: Cells,
     /// All finite samples, sorted, as `ordered`.
     sorted: Vec<i32>,
-    /// The distinct ones.
+    /// The distinct finite samples, sorted.
     values: Vec<i32>,
     /// The distinct values, by magnitude.
     near: Vec<f64>,
@@ -503,7 +503,7 @@ fn log2(number: f64) -> f64 {
     (bits >> 52) as f64 - 1023.0 + mantissa
 }
 
-/// The distance of float32s at a magnitude, at most.
+/// An upper bound of the distance of float32s at a magnitude.
 pub(super) fn spacing(magnitude: f64) -> f64 {
     let bits = ((magnitude as f32).to_bits() >> 23).max(1);
     // 2^(exponent - 23)
@@ -530,7 +530,7 @@ fn mean_change(samples: &[f32]) -> f64 {
     if n == 0.0 { 1.0 } else { sum / n }
 }
 
-/// The binary exponent of a change, such as fits [`Head::exponent`].
+/// The binary exponent of a change, clamped to the range of [`Head::exponent`].
 fn exponent_of(change: f64) -> i8 {
     let exponent = (change.to_bits() >> 52) as i64 - 1023;
     exponent.clamp(-126, 126) as i8

@@ -39,7 +39,7 @@ use crate::{
     ensure,
 };
 
-/// Added to the number of channels of a block whose samples are stored as they are.
+/// Flag of a block whose samples are stored uncompressed, added to the number of channels.
 const RAW: u8 = 0x80;
 
 /// Bits of the index of a channel.
@@ -84,7 +84,7 @@ impl Group {
         self.samples.reserve(n_samples.saturating_sub(self.samples.len()));
     }
 
-    /// Forgets all blocks.
+    /// Resets the state to that before a key block.
     fn forget(&mut self) {
         self.model = SampleModel::NEW;
         self.heads.reset();

@@ -17,7 +17,7 @@ const ORDER: usize = DIFFERENCES + LAGS + 2 * REFERENCES;
 /// The weight of the past falls by this factor with every sample: a memory of about 700 samples. 0.9995 needs 0.4 % more
 /// bytes.
 const FORGETTING: f64 = 0.9985;
-/// Initial variance of a weight. 0.05 needs 0.1 % more bytes, 30 as many.
+/// Initial variance of a weight. 0.05 needs 0.1 % more bytes, 30 the same number.
 const VARIANCE: f64 = 1.0;
 /// Nothing is forgotten while an entry of the inverse exceeds this: otherwise the inverse grows without bound if inputs
 /// do not change.
@@ -66,7 +66,7 @@ impl Predictor {
         new
     }
 
-    /// Forgets everything, and starts from a value.
+    /// Resets the predictor to a first value.
     pub(super) fn start(&mut self, value: f64) {
         self.weights = [0.0; ORDER];
         self.restart(value);

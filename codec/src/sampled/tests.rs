@@ -164,7 +164,7 @@ fn both_instruction_sets_give_the_same_bytes() {
 fn no_block_is_larger_than_its_samples() {
     let channels = [channel(8, 0, 1000)];
     assert_eq!(encode(&channels, 1000, 1)[0].len(), max_block_bytes(1, 1000));
-    // State goes on after samples that are stored as they are.
+    // State continues after samples that are stored as they are.
     let mut mixed = channel(8, 0, 100);
     mixed.extend(channel(2, 0, 300));
     let channels = [mixed];

@@ -111,7 +111,7 @@ impl SampledChannelState {
 #[inline(always)]
 fn unit(sample: f32, per_unit: f64) -> f64 {
     let value = f64::from(sample) * per_unit;
-    // NaN is neither.
+    // NaN fails both comparisons.
     if value > -REACH && value < REACH {
         value
     } else if value >= REACH {

@@ -110,7 +110,7 @@ fn no_block_is_larger_than_columns() {
         positions: positions.to_vec(),
         present: vec![true; positions.len()],
     };
-    // Single frames, noise, and zeros of both signs; what follows noise goes on.
+    // Single frames, noise, and zeros of both signs; what follows noise continues.
     let mut mixed = noise.clone();
     mixed.extend((0..90).map(|row| [row as f32, -0.0, 0.0]));
     for (channels, lengths) in [
