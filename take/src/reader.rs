@@ -1,4 +1,4 @@
-//! A sans-io reader of takes: the caller pushes bytes in and takes events out. Damage is an event; reading goes on
+//! A sans-io reader of takes: the caller pushes bytes in and takes events out. Damage is an event; reading continues
 //! after it.
 
 mod chunks;
@@ -32,7 +32,7 @@ pub enum TakeEvent<'a> {
     Stretch(Stretch<'a>),
     /// A stretch that continues a missing or damaged one: its rows are unknown, and its blocks cannot be decoded.
     Unplaced {
-        /// At least one stretch before it is missing.
+        /// Whether at least one stretch before it is missing.
         missing_before: bool,
         /// Number of its rows.
         n_rows: u32,
@@ -130,9 +130,9 @@ pub struct TakeReader {
     has_footer: bool,
     complete: bool,
     ended: bool,
-    /// A damaged region was met.
+    /// Whether a damaged region was met.
     had_damage: bool,
-    /// Neither times nor foreign parts are decoded.
+    /// Whether neither times nor foreign parts are decoded.
     skips_content: bool,
     /// What [`feed`] reads into.
     piece: Vec<u8>,

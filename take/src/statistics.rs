@@ -1,4 +1,4 @@
-//! Statistics of a take: the figures of `info` that only its samples give. They are counted while a take is written,
+//! Statistics of a take: the figures of `info` that depend on its samples. They are counted while a take is written,
 //! from what the encoders report, and while one is decoded; SUMMARY stores them.
 //!
 //! Tallies lead to them in three steps: [`BlockTally`] of a group of channels over one stretch, [`StretchTally`] of all
@@ -80,7 +80,7 @@ fn ratio(over: u64, under: u64) -> Option<f64> {
     (under > 0).then(|| over as f64 / under as f64)
 }
 
-/// What the statistics count of one channel in one stretch.
+/// The counts of one channel in one stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct ChannelTally {
     samples: u32,
@@ -117,7 +117,7 @@ impl ChannelTally {
     }
 }
 
-/// What the statistics count of consecutive channels over the rows of one stretch. It is reused from block to block.
+/// The counts of consecutive channels over the rows of one stretch. It is reused from block to block.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct BlockTally {
     channels: Vec<ChannelTally>,
@@ -211,7 +211,7 @@ impl BlockTally {
     }
 }
 
-/// What the statistics count of a stretch.
+/// The counts of a stretch.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct StretchTally {
     /// By channel; channels after the last have no samples.

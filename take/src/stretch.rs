@@ -73,7 +73,7 @@ pub struct Span {
     pub first_row: u64,
     /// Number of rows, including lost ones between them. 0 if the stretch only records lost rows.
     pub n_rows: u32,
-    /// Encoded without state from earlier stretches.
+    /// Whether it is encoded without state from earlier stretches.
     pub key: bool,
     /// Number of the stretch in the take, from 0, modulo [`NUMBERS`]; it reveals missing stretches.
     pub number: u8,
@@ -105,7 +105,7 @@ pub struct StretchSizes {
 pub struct Stretch<'a> {
     /// Its rows.
     pub span: Span,
-    /// At least one stretch before it is missing.
+    /// Whether at least one stretch before it is missing.
     pub missing_before: bool,
     /// The times of the rows from the end of the previous stretch to the end of this one; `None` in an import.
     pub timeline: Option<Timeline>,
@@ -195,7 +195,7 @@ pub struct StretchDecoder {
     chosen: Option<Vec<usize>>,
     /// Decoders by group, created with the group's first block.
     groups: Vec<Option<GroupDecoder>>,
-    /// The previous stretch was not decoded, so decoding resumes at the next key stretch.
+    /// Whether the previous stretch was not decoded, so decoding resumes at the next key stretch.
     waits_for_key: bool,
 }
 

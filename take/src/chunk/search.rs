@@ -160,7 +160,7 @@ enum ScanEventKind {
         start: u64,
         /// The CRC of all scanned bytes before it.
         crc_before: u32,
-        /// The candidate follows a valid chunk.
+        /// Whether the candidate follows a valid chunk.
         in_sync: bool,
     },
     /// A chunk begins here, because the one before it is valid.
@@ -177,7 +177,7 @@ pub(crate) struct LongChunkScan {
     crc: u32,
     events: BinaryHeap<Reverse<ScanEvent>>,
     whole: Vec<u64>,
-    /// The scan began at a long chunk that proved valid, and has nothing else to find.
+    /// Whether the scan began at a long chunk that proved valid, and has nothing else to find.
     is_done: bool,
 }
 

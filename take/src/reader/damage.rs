@@ -19,9 +19,9 @@ pub(super) struct Damage {
     /// Its first bytes.
     head: Vec<u8>,
     message: &'static str,
-    /// The region is so long that its beginning is no longer buffered.
+    /// Whether the region is so long that its beginning is no longer buffered.
     pub(super) start_dropped: bool,
-    /// The region is the take's header, and the file ends within it.
+    /// Whether the region is the take's header, and the file ends within it.
     header_cut: bool,
 }
 

@@ -28,7 +28,7 @@ pub(super) struct KeptSamples {
     pub(super) undecodable: Vec<Problem>,
     /// The chunks of known groups that are not copied, unless they are among `chunks`.
     known: HashSet<u64>,
-    /// Some groups are of a later version; chunks that belong to no known group are theirs.
+    /// Whether some groups are of a later version; chunks that belong to no known group are theirs.
     has_later_groups: bool,
 }
 

@@ -60,7 +60,7 @@ pub struct RecoveryScan {
     names_lost: bool,
     /// The kinds of the foreign parts that lost samples.
     pub(super) samples_lost_of: Vec<String>,
-    /// A ledger is missing or contradicts the frames and samples found, although nothing is damaged.
+    /// Whether a ledger is missing or contradicts the frames and samples found, although nothing is damaged.
     pub(super) contradicted: bool,
 }
 

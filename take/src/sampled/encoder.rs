@@ -17,13 +17,13 @@ use crate::{
     timeline::LossCauses,
 };
 
-/// Longest distance of key blocks in seconds: that of the key stretches of an import, so that a reader that wants a part
-/// of a take reads as far ahead for both.
+/// Maximum interval between key blocks in seconds: that of the key stretches of an import, so that a reader that wants
+/// a part of a take reads as far ahead for both.
 const KEY_S: f64 = 10.0;
 
-/// Distance of key blocks where this many seconds have [`KEY_ROWS`] samples: in recorded files, 2.5 seconds of analog
-/// samples need between 4 % fewer and 1 % more bytes than ten. Damage to a block then costs 2.5 seconds, and the
-/// memory is a quarter.
+/// Interval between key blocks in seconds, if it holds [`KEY_ROWS`] samples: in recorded files, 2.5 seconds of
+/// analog samples need between 4 % fewer and 1 % more bytes than ten. Damage to a block then costs 2.5 seconds, and
+/// the memory is a quarter.
 const SHORT_KEY_S: f64 = 2.5;
 
 /// Samples of a channel from key block to key block, unless they last more than [`KEY_S`]. The head of a channel after
@@ -39,7 +39,7 @@ const BUFFER_BYTES: usize = 1 << 20;
 /// The kinds of foreign parts whose samples are stored in groups, and the columns of a signal in them.
 const KINDS: [(&str, usize); 3] = [(ANALOG, 1), (RESIDUALS, 1), (MODEL_OUTPUTS, 4)];
 
-/// What the samples of a part mean, and its place in the take.
+/// The interpretation of the samples of a part, and its place in the take.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PartContext<'b> {
     /// Frames in a second.
@@ -217,7 +217,7 @@ pub struct KeySpan {
     first: u64,
     n_rows: usize,
     n_channels: usize,
-    /// Channel after channel; none of lost samples.
+    /// Channel after channel; empty if they are lost.
     samples: Vec<f32>,
     /// Why the samples are lost, if they are.
     lost: Option<LossCauses>,

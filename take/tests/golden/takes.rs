@@ -24,7 +24,7 @@ pub(crate) struct Golden {
     pub(crate) tolerance_mm: f64,
     /// Number of markers of the seeded motion.
     pub(crate) n_markers: usize,
-    /// It has foreign parts with samples.
+    /// Whether it has foreign parts with samples.
     has_samples: bool,
 }
 
