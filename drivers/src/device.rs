@@ -45,7 +45,7 @@ pub struct MarkerInfo {
 pub struct MarkerSample {
     /// An id that a [`MarkerInfo`] announced, or a new temporary id.
     pub id: u16,
-    /// The device lists the marker without a position.
+    /// Whether the device lists the marker without a position.
     pub occluded: bool,
     /// The device's residual in units of 10 micrometres: 255 = 2.55 mm or more, 0 = not reported.
     pub residual_10um: u8,

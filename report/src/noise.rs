@@ -21,14 +21,14 @@ use crate::column::{Column, Vector};
 pub const DIFFERENCES_MIN: usize = 400;
 
 /// Largest ratio of the estimates from fourth and sixth differences. With [`DIFFERENCES_MIN`] those of white noise
-/// differ by a factor of 1.15 at most in 99 of 100 cases; motion that adds a fifth to the estimate of the fourth is
-/// detected.
+/// differ by a factor of 1.15 at most in 99 of 100 cases; motion that increases the estimate from fourth
+/// differences by a fifth is detected.
 const ORDERS_RATIO_MAX: f64 = 1.2;
 
 /// Largest fraction of fourth differences that may be 0. If samples are rounded to a step, differences are integers:
 /// normal, with a standard deviation of the root of 70 (s^2 + 1/12) steps for noise of s steps, so that 4 % of them are
-/// 0 at s = 1.15. There rounding adds 3 % to the estimate, and the median is known to within 10 %; below, both soon
-/// become worse.
+/// 0 at s = 1.15. There rounding adds 3 % to the estimate, and the median is known to within 10 %; both errors grow
+/// fast with smaller s.
 const ZEROS_MAX: f64 = 0.04;
 
 /// Differences up to this size count as 0, in units of the last place of their largest sample. Rounding to f32 leaves

@@ -1,4 +1,4 @@
-//! The assignment problem: the pairs of rows and columns with the least sum of costs.
+//! The assignment problem: the pairs of rows and columns with the minimum sum of costs.
 //!
 //! With squared distances as costs, a motion that all points share does not change the optimal pairing: it
 //! adds the same amount to every pairing. The method is that of Kuhn and Munkres, with one shortest
@@ -12,7 +12,7 @@ struct Column {
     /// The row assigned to it, counted from 1; 0 when free.
     row: usize,
     potential: f64,
-    /// The least reduced cost of reaching it, and the column before it on that path.
+    /// The minimum reduced cost of reaching it, and the column before it on that path.
     min_cost: f64,
     from: usize,
     visited: bool,
@@ -120,7 +120,7 @@ mod tests {
 
     use super::*;
 
-    /// The least sum of costs, by exhaustive search.
+    /// The minimum sum of costs, by exhaustive search.
     fn least_cost(row: usize, costs: &[Vec<f64>], alone: f64, taken: &mut Vec<bool>) -> f64 {
         let Some(of_row) = costs.get(row) else { return 0.0 };
         let mut best = alone + least_cost(row + 1, costs, alone, taken);

@@ -93,7 +93,7 @@ const FLIGHT_S: std::ops::RangeInclusive<f64> = 0.1..=1.2;
 /// Standard gravity, mm/s^2; in flight the pelvis, near the centre of mass, has about this acceleration.
 const GRAVITY_MM_S2: f64 = 9806.65;
 
-/// Least height of both feet above the ground at some time of the flight, mm.
+/// Minimum height of both feet above the ground at some time of the flight, mm.
 const FEET_ABOVE_GROUND_MM: f64 = 40.0;
 
 /// Speed of the fastest marker above which the subject no longer stands still, before the jump, mm/s.

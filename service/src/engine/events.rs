@@ -116,7 +116,7 @@ impl Subscriber {
 }
 
 impl Inner {
-    /// Publishes and logs an event. Neither call it from the reader's thread nor with the state locked.
+    /// Publishes and logs an event. Do not call it from the reader's thread, or with the state locked.
     pub(super) fn publish(&self, kind: ServiceEventKind, message: &str, take: Option<&str>) {
         self.publish_with_notes(kind, message, take, None);
     }

@@ -148,7 +148,7 @@ pub struct ExpectedRecording {
     /// A part of each event in the take; there must be no others.
     #[serde(default)]
     pub events: Vec<String>,
-    /// Least number of missing or duplicate frames, which shows that the script has an effect.
+    /// Minimum number of missing or duplicate frames, which shows that the script has an effect.
     #[serde(default)]
     pub at_least: u64,
 }

@@ -38,7 +38,7 @@ pub struct JumpSpec {
     pub first_trial: u32,
     /// Frames per second, in [`RATE_HZ`].
     pub rate_hz: f64,
-    /// Duration, seconds; `None` for one whole trial (11 to 16 s). A longer motion goes on with varied trials.
+    /// Duration, seconds; `None` for one whole trial (11 to 16 s). A longer motion continues with varied trials.
     pub seconds: Option<f64>,
     /// Number of markers, 1 to [`MARKERS_MAX`]: first the 15 sites, then rigid clusters on the segments.
     pub n_markers: usize,

@@ -100,7 +100,7 @@ struct Server<'a> {
     baud: Option<u32>,
     log: Option<Box<dyn Write + Send>>,
     open_again_ns: u64,
-    /// The cable is plugged in.
+    /// Whether the cable is plugged in.
     plugged: bool,
 }
 

@@ -28,7 +28,7 @@ pub(super) struct PongRewriter {
     pings: VecDeque<Ping>,
     /// Bytes since the last 0x00 that are held back.
     open: Vec<u8>,
-    /// The message since the last 0x00 is longer than a Pong.
+    /// Whether the message since the last 0x00 is longer than a Pong.
     is_long: bool,
     reader: HostLink,
     link: DeviceLink,

@@ -25,7 +25,7 @@ const MISSED_MAX: usize = 4096;
 struct Current {
     /// Its entry in the log.
     sent: SentFrame,
-    /// Any request has fetched it.
+    /// Whether any request has fetched it.
     fetched: bool,
     /// `BX2` has fetched it.
     fetched_by_bx2: bool,
@@ -44,7 +44,7 @@ pub(super) struct Tracking {
     /// Frames produced before the counter was last reset.
     counted_from: u64,
     sequence: u8,
-    /// A run has ended, by itself or by a command.
+    /// Whether a run has ended, by itself or by a command.
     ended: bool,
     end_reported: bool,
 }

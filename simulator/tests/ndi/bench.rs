@@ -40,7 +40,7 @@ pub(super) struct Bench {
     pub(super) breaks: u32,
     /// Above this speed the line garbles every byte.
     pub(super) line_baud_max: u32,
-    /// Another device on the line sends without end.
+    /// Whether another device on the line sends without end.
     pub(super) babbles: bool,
     /// Damages answers on the line.
     pub(super) damage: Damage,
