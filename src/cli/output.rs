@@ -172,7 +172,7 @@ impl Progress {
                 bar.finish_and_clear();
             }
         });
-        // If no thread can be started there is no display; the work goes on.
+        // If no thread can be started there is no display; the work continues.
         Self { done, bar, thread: thread.ok() }
     }
 }

@@ -99,7 +99,7 @@ impl Input {
 pub(crate) struct Inputs {
     /// In the order of the arguments; the files of a folder are in the order of their names.
     pub(crate) files: Vec<Input>,
-    /// Exactly one file was given, not a folder: the report is that of one file.
+    /// Whether exactly one file was given, not a folder: the report is that of one file.
     pub(crate) is_single: bool,
     /// Folders that cannot be read, one message each.
     pub(crate) unreadable: Vec<String>,

@@ -516,7 +516,7 @@ fn axis(text: &str) -> Result<UpAxis, String> {
         .ok_or_else(|| format!("'{text}' is not an axis to point up: use x, y or z"))
 }
 
-/// Writes a file atomically: under its name there is the whole file or none.
+/// Writes a file atomically: completely or not at all.
 pub(super) fn write(
     frames: &mut dyn FrameSource,
     format: Format,
