@@ -15,7 +15,7 @@ use crate::{find, paper, points};
 /// Maximum number of faces that are fitted, by score: a class, or a team.
 pub const FACES_MAX: usize = 64;
 
-/// Why a photograph gives no face.
+/// Why no face was fitted to a photograph.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoFace {
     /// No face was detected.

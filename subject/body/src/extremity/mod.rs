@@ -1,4 +1,4 @@
-//! Extremities of a body: head, hands and feet, and which is which.
+//! Finds the extremities of a body and identifies them as head, hands and feet.
 //!
 //! Extremities are the maxima of the mean geodesic distance to a few widely spread vertices, in any pose; how far each
 //! protrudes is its persistence. Head, hands and feet are assigned by the ten geodesic distances between five of them,

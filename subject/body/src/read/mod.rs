@@ -192,12 +192,12 @@ pub enum ReadError {
         /// The variant.
         what: String,
     },
-    /// More than memory is reserved for.
+    /// Too many vertices or faces.
     #[error("{found} {what}, the limit is {limit}: decimate the mesh in the scanner's software")]
     TooLarge {
-        /// Of what, such as `faces`.
+        /// What exceeds the limit, such as `faces`.
         what: &'static str,
-        /// How many there are, or more.
+        /// Number found, a lower bound if reading stopped early.
         found: usize,
         /// The limit.
         limit: usize,

@@ -194,8 +194,8 @@ fn triangulate(corners: &[u32], at: impl Fn(u32) -> Point, out: &mut Vec<[u32; 3
     }
 }
 
-/// Quality of an ear: the least agreement with the polygon's normal among its triangle and the two that it leaves
-/// beside it; lowest of all if another corner lies within.
+/// Quality of an ear: the minimum agreement with the polygon's normal of its triangle and of the two triangles
+/// that remain next to it; the worst value if another corner lies within.
 fn ear(positions: &[Point], i: usize, normal: Point) -> f64 {
     let n = positions.len();
     let at = |k: usize| positions[(i + n + k) % n];

@@ -134,9 +134,9 @@ pub enum AdaptError {
     Nodes {
         /// Number of nodes.
         found: usize,
-        /// Least number: dimensions plus one.
+        /// Minimum number: dimensions plus one.
         least: usize,
-        /// Largest number.
+        /// Maximum number.
         most: usize,
     },
     /// A coordinate that is not finite.

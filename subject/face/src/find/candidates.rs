@@ -1,5 +1,5 @@
-//! Search of the template: every place of every size, at five rolls, frontal and turned to both sides; and refinement
-//! between the cells, sizes and rolls of that search.
+//! Searches for the template at every position and size, at five rolls, frontal and turned to both sides, and refines
+//! the results between the cells, sizes and rolls of that search.
 
 use super::features::{Frame, length};
 use super::template::{CELL_PX, Cells, EYES_PX, SIDE, TEMPLATES, TemplateFit, best_fit, eyes_of};
@@ -18,7 +18,7 @@ const APART: f32 = 0.4;
 /// Larger ratios of sizes are different faces: an eye with its brow may resemble a small face.
 const SAME_SIZE: f32 = 1.5;
 
-/// Least log odds of a candidate.
+/// Minimum log odds of a candidate.
 const ODDS_MIN: f32 = -4.0;
 /// Cells around the template on each side, for the local contrast.
 const AROUND: usize = 4;
