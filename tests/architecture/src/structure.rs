@@ -177,7 +177,7 @@ impl<'ast> Visit<'ast> for Functions<'_> {
     }
 }
 
-/// Counts the values in a type: a tuple, also behind a reference, counts as many as it has members.
+/// Counts the values in a type: a tuple, or a reference to one, counts as many as it has members.
 fn values_in(kind: &Type) -> usize {
     match kind {
         Type::Tuple(tuple) => tuple.elems.iter().map(values_in).sum(),

@@ -72,7 +72,7 @@ pub fn decode_block(bytes: &[u8]) {
             check::faithful(settings, &stretch, &block, &decoded);
         }
     }
-    // Whatever came before, a key block restores the decoder.
+    // A key block restores the decoder from any state.
     let stretch = group.stretch(true, &mut Input::new(&[40, 0x42, 0x11, 0x63, 0]));
     let block = check::encode(settings, &mut *encoder, &stretch);
     decoder
