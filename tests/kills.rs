@@ -108,7 +108,7 @@ struct Cost {
     late_ms: f64,
     /// The longest time that a thread which sleeps for 1 ms at a time was not run, in the last second before the kill.
     stall_ms: f64,
-    /// The longest sync of another file beside the take: no stretch is written meanwhile.
+    /// The longest sync of another file on the same disk: no stretch is written meanwhile.
     sync_ms: f64,
     frames: usize,
     samples: usize,

@@ -9,8 +9,8 @@ use mocapd_take::{
     damage::{LedgerTotals, Problem, Refusal},
 };
 
-/// One line, without the marks of debug output, that states the facts and does not end like a sentence of a text: other
-/// messages are put before and behind it.
+/// One line that states the facts, without debug output and without a final full stop, since other messages precede and
+/// follow it.
 fn assert_is_message(text: &str, facts: &[&str]) {
     assert!(text.chars().count() >= 10, "'{text}' says too little");
     assert!(!text.contains(['\n', '\r', '\t', '{', '}']), "'{text}' is no line of text");
@@ -58,7 +58,7 @@ fn every_problem_of_a_take_states_its_place() {
 }
 
 #[test]
-fn every_reason_why_a_file_is_no_take_is_a_message() {
+fn every_reason_to_reject_a_file_has_a_message() {
     let reasons = [
         NotATake::Short,
         NotATake::OtherMagic,

@@ -31,7 +31,7 @@ struct Counting;
 
 static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
 
-// SAFETY: every call is handed on to the system's allocator as it came.
+// SAFETY: every call is forwarded unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
@@ -54,7 +54,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Counts the stretches it is given, so that the test knows when everything was worked off.
+/// Counts the stretches written, so that the test knows when the pipeline is idle.
 struct CountingSink(Arc<AtomicU64>);
 
 impl Write for CountingSink {
@@ -147,7 +147,7 @@ fn the_sample_path_does_not_allocate_after_the_start() {
 
         feed(&mut link, &mut intake, &warm_up);
         wait_for(&stretches, 5);
-        // The channels make each thread's parking place when it waits for the first time: let all wait.
+        // The channels allocate per thread at its first wait: let every thread wait once.
         std::thread::sleep(Duration::from_millis(300));
         let before = ALLOCATIONS.load(Ordering::Relaxed);
         feed(&mut link, &mut intake, &measured);

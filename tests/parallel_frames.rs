@@ -1,4 +1,4 @@
-//! Recorded takes, decoded by several threads: the same frames as by one, lost ones and all.
+//! Recorded takes, decoded by several threads: the same frames as by one, including lost ones.
 
 use std::{fs::File, io::BufReader};
 
@@ -16,7 +16,7 @@ fn bits(position: Position) -> [u32; 3] {
 
 /// 25 s make three key stretches, with many others between them.
 #[test]
-fn several_threads_find_what_one_does() {
+fn several_threads_decode_the_same_frames_as_one() {
     let folder = tempfile::tempdir().unwrap();
     for (name, motion, codec) in [
         ("dense", jump(1, 60.0, 25.0), dense(0.5)),
@@ -44,7 +44,7 @@ fn several_threads_find_what_one_does() {
             n_present += mine.iter().filter(|&&position| !is_gap(position)).count();
         }
         assert!(!parallel.next_frame(its).unwrap() && !parallel.is_damaged());
-        // From the middle on: at a key, behind one, and in the rows that were lost.
+        // From the middle on: at a key, after one, and in the rows that were lost.
         for first in [n as u64 / 3, n as u64 / 2 + 50, n as u64 - 1] {
             let mut whole = open();
             whole.seek(first).unwrap();

@@ -1,4 +1,4 @@
-//! The phases that are found in generated jumps, whose truth is known.
+//! Detection of phases in generated jumps with known phases.
 
 use mocapd_report::phases::{NoJump, Phase, find, parts};
 use mocapd_simulator::generator::{JumpSpec, Phase as Truth};
@@ -6,8 +6,8 @@ use mocapd_take::motion::{GAP, UpAxis};
 
 use crate::support::assert_mentions;
 
-/// How far a phase may begin from the truth, seconds. The first swing begins slower than anything can be seen; a
-/// walk is found by its first step, and begins before it.
+/// Tolerance of the start of a phase, seconds. The start of the first swing is too slow to be detected; a
+/// walk is detected by its first step, after its true start.
 fn slack_s(phase: Phase) -> (f64, f64) {
     match phase {
         Phase::Swings => (0.0, 0.12),
@@ -64,7 +64,7 @@ fn every_jump_of_a_long_take_is_found() {
 fn gaps_and_axes_do_not_hide_a_jump() {
     let mut jump = JumpSpec::new(5, 120.0).generate().unwrap();
     let expected = find(&jump.motion).unwrap();
-    // Y up, as nobody says.
+    // Y up, which the file does not state.
     jump.motion.info.up = UpAxis::Unknown;
     jump.motion.positions_mm.iter_mut().for_each(|at| *at = [at[1], at[2], at[0]]);
     assert_eq!(find(&jump.motion).unwrap(), expected);
@@ -75,7 +75,7 @@ fn gaps_and_axes_do_not_hide_a_jump() {
 }
 
 #[test]
-fn what_is_no_jump_has_no_phases() {
+fn motions_without_a_jump_have_no_phases() {
     let mut walk = JumpSpec::new(2, 60.0).generate().unwrap();
     let from = walk.phases.last().unwrap().1;
     let n = walk.motion.info.markers.len();

@@ -249,7 +249,7 @@ fn takes_with_zeros_and_noise_anywhere_are_recovered() {
             }
         }
         let (scan, new, _) = check(&damaged, take, &format!("round {round}"));
-        // A recovered take has nothing more to lose.
+        // A second recovery loses nothing more.
         let (again, newer, _) = check(&new, &new, &format!("round {round}, again"));
         assert!(!again.lost_anything(), "round {round}: {:?}", again.problems);
         assert_eq!(again.ledger, scan.ledger, "round {round}");

@@ -1,4 +1,4 @@
-//! Every defect that was found in use, a module a symptom: each test failed before its fix.
+//! Defects found in use, one module per symptom: each test failed before its fix.
 
 mod analog_stride;
 mod closed_terminal;

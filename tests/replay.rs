@@ -72,7 +72,7 @@ impl Simulated {
             subject: None,
             length,
             stop: &AtomicBool::new(false),
-            // A machine under load may be told that a frame is late.
+            // On a loaded machine there may be notices of late frames.
             notify: &|_| {},
             how_to_end: "",
             how_to_set: |_| String::new(),
@@ -88,7 +88,7 @@ impl Simulated {
     }
 }
 
-/// The ledger says what the simulator says, and the rows are its frames.
+/// Asserts that the ledger agrees with the simulator's log, and that the rows are its frames.
 fn assert_ledger(recorded: &Recorded, take: &[u8], log: &SentLog) {
     let ledger = &recorded.written.ledger;
     assert!(ledger.closes(), "{ledger:?}");
@@ -170,7 +170,7 @@ fn a_clock_that_drifts_on_a_line_that_sends_in_batches_is_followed() {
         }
         let found_ppm = line.drift_ppb as f64 * 1e-3;
         assert!((found_ppm - drift_ppm).abs() < 150.0, "{found_ppm} ppm instead of {drift_ppm}");
-        // Batches are late by up to their length, and arrivals are told as they were.
+        // Batches are late by up to their length, and the arrival times are stored unchanged.
         let jitter = recorded.written.clock.jitter;
         assert!(jitter.p99_us > 8_000, "{jitter:?}");
     }

@@ -1,5 +1,5 @@
-//! A take that was cut off, damaged, or written by somebody newer: what can be read is read, and what is
-//! missing is said. Nothing wrong is ever given as good.
+//! Takes that are cut off, damaged, or written by a newer version: everything readable is read,
+//! everything missing is reported, and no wrong sample is returned.
 
 use mocapd_take::{
     NotATake, TakeError, TakeEvent, TakeFrames, TakeReader, chunk,
@@ -15,13 +15,13 @@ const TOLERANCE_MM: f64 = 0.5;
 
 fn take() -> (Motion, Vec<u8>) {
     let motion = jump(1, 60.0, 12.0);
-    // Some loss, so that the time line has runs of it.
+    // Some loss, so that the time line has runs of lost rows.
     let frames = (0..motion.n_frames()).filter(|seq| seq % 97 != 50);
     let (_, take, _) = record(&motion, &config(&motion, dense(TOLERANCE_MM)), frames);
     (motion, take)
 }
 
-/// Every sample that is there is right.
+/// Asserts that every sample present is correct.
 fn assert_right(rows: &[Vec<Position>], motion: &Motion, what: &str) -> usize {
     let mut n_present = 0;
     assert!(rows.len() <= motion.n_frames(), "{what}: {} rows", rows.len());
@@ -45,7 +45,7 @@ fn a_cut_take_gives_what_was_written_and_says_that_the_end_is_missing() {
     assert!(problems.is_empty(), "{problems:?}");
     let n_whole = assert_right(&whole, &motion, "whole");
     let mut n_before = 0;
-    // Around every end of a chunk, and every 29th byte; every single one is cut at in take/tests/sweeps.
+    // Around every end of a chunk, and every 29th byte; take/tests/sweeps cuts at every byte.
     let ends: Vec<_> = places(&take).into_iter().map(|(_, place)| place.end).collect();
     let is_near_end = |cut: usize| ends.iter().any(|end| cut.abs_diff(*end) <= 12);
     for cut in (0..take.len()).filter(|&cut| cut % 29 == 0 || is_near_end(cut)) {
@@ -101,7 +101,7 @@ fn a_zeroed_range_costs_no_more_than_up_to_the_next_key_stretch() {
     assert!(last.iter().any(|&p| !is_gap(p)), "the stretches after the next key are unaffected");
 }
 
-/// Bytes that are gone leave pieces of two chunks, which say nothing of the stretches between them.
+/// Removed bytes leave pieces of two chunks, which do not describe the stretches between them.
 #[test]
 fn bytes_that_are_missing_give_no_wrong_sample_and_no_wrong_time() {
     let motion = jump(3, 60.0, 40.0);
@@ -192,7 +192,7 @@ fn a_newer_header_is_refused_with_its_version() {
 }
 
 #[test]
-fn what_is_no_take_is_said_to_be_none() {
+fn other_files_are_rejected_as_not_a_take() {
     for (bytes, why) in [
         (&b""[..], NotATake::Short),
         (b"\x89TAK", NotATake::Short),
@@ -232,7 +232,7 @@ fn hostile_sizes_cost_no_memory() {
         assert!(matches!(reader.next_event().unwrap(), Some(TakeEvent::Header(_))));
         assert!(matches!(reader.next_event().unwrap(), Some(TakeEvent::Damaged { .. })));
     }
-    // Blocks that claim more samples than a stretch holds: found when they are to be decoded.
+    // Blocks that claim more samples than a stretch holds: detected when they are decoded.
     let group = [&[1, 4, 0, 0x80, 0x80, 0x08][..], &[3, 0x40, 64, 0].repeat(5)].concat();
     let mut take = front.clone();
     chunk::put(&mut take, chunk::types::STRETCH, &group).unwrap();
@@ -256,7 +256,7 @@ fn a_stretch_that_is_missing_is_noticed_and_gives_no_wrong_sample() {
         let (_, take, _) = record(&motion, &config(&motion, codec), 0..motion.n_frames());
         let stretches = places(&take).into_iter().filter(|p| p.0 == chunk::types::STRETCH);
         let n = stretches.clone().count();
-        // But for the last: its absence is that of rows.
+        // Not the last one: without it the rows themselves are missing.
         for (_, place) in stretches.take(n - 1) {
             let mut cut = take.clone();
             cut.drain(place);

@@ -1,4 +1,4 @@
-//! One integration binary: a module a topic.
+//! One integration binary with a module per topic.
 
 #![expect(
     clippy::unwrap_used,

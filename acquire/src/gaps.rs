@@ -57,7 +57,7 @@ impl GapCause {
     }
 }
 
-/// A set of causes: a gap may begin with an occlusion and go on with lost frames, and a run of lost frames may have
+/// A set of causes: a gap may begin with an occlusion and continue with lost frames, and a run of lost frames may have
 /// several causes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GapCauses(u8);
@@ -205,11 +205,11 @@ impl<R: Read + Seek> GapReader<R> {
     }
 }
 
-/// Rows of a source that are handed on at once: their flags take 64 kB for 64 markers.
+/// Rows of a source that are passed on together: their flags take 64 kB for 64 markers.
 const BLOCK_ROWS: usize = 1024;
 
-/// Passes each gap of frames that are no take to `each`, in the order of [`GapReader::read`]. `take` describes them; a
-/// sample that is missing counts as occluded. Stores the number of rows read so far in `counter`.
+/// Passes each gap of frames from a source other than a take to `each`, in the order of [`GapReader::read`]. `take`
+/// describes them; a sample that is missing counts as occluded. Stores the number of rows read so far in `counter`.
 ///
 /// # Errors
 /// `Io`, and any error of `each`.

@@ -17,7 +17,7 @@ pub enum TakeHealth {
     Lossy,
     /// Some bytes are wrong, or the take contradicts itself.
     Damaged,
-    /// The end is missing: `mocapd recover` makes a whole take of it.
+    /// The end is missing: `mocapd recover` turns it into a complete take.
     #[serde(rename = "cut off")]
     CutOff,
     /// It cannot be read.

@@ -18,9 +18,9 @@ use anyhow::bail;
 /// recording that is just ending, and for the service's own threads.
 const THREADS_MAX: usize = 64;
 
-/// How long the writer may stay at the disk. Coded stretches wait in memory while a disk stalls for 32 s; beyond that
-/// the ledger counts the loss, and a restart would not repair the disk. After twice that time the writer counts as
-/// hung.
+/// Time that the writer may spend in one disk operation. Coded stretches wait in memory while a disk stalls for 32 s;
+/// beyond that the ledger counts the loss, and a restart would not repair the disk. After twice that time the writer
+/// counts as hung.
 const DISK_TIMEOUT: Duration = Duration::from_secs(64);
 
 /// What a registered thread does.

@@ -42,7 +42,7 @@ pub struct Summary {
     pub take: TakeMap,
     /// By channel.
     pub per_channel: Vec<ChannelSummary>,
-    /// The figures that only the samples give.
+    /// The statistics that require decoding.
     pub statistics: TakeStatistics,
     /// The final state of the clocks, as stored in the take.
     pub clock: ClockStatus,
@@ -158,7 +158,7 @@ impl Summary {
         self.claims.report(sentence);
     }
 
-    /// Checks that the header states an up axis that there is: readers take any other as unknown.
+    /// Checks that the header states a valid up axis: readers treat any other value as unknown.
     fn check_up_axis(&mut self, input: &mut (impl Read + Seek)) -> Result<(), TakeError> {
         input.seek(SeekFrom::Start(chunk::MAGIC.len() as u64))?;
         let mut header = Vec::new();
@@ -205,8 +205,8 @@ impl Summary {
         }
     }
 
-    /// How far the clock line is from the line fitted to the stored observations; `None` if there is no line, or
-    /// observations are missing.
+    /// Deviation of the clock line from the line fitted to the stored observations; `None` if there is no line,
+    /// or observations are missing.
     #[must_use]
     pub fn clock_deviation(&self) -> Option<LineDeviation> {
         // A recovered take may lack some observations.
@@ -314,7 +314,7 @@ pub fn size_ratio(samples: u64, file_bytes: u64) -> f64 {
     if file_bytes == 0 { 0.0 } else { (12 * samples) as f64 / file_bytes as f64 }
 }
 
-/// Most contradictions to keep; one is enough to distrust a take.
+/// Maximum number of contradictions kept; one is enough to distrust a take.
 const CONTRADICTIONS_MAX: usize = 20;
 
 /// Compares a take's statements about itself with its content, counting what ledgers count.
@@ -363,8 +363,8 @@ impl ClaimChecker {
         }
     }
 
-    /// Checks that the summary is the only one and states no ending of a recording in an import, and its copy of the
-    /// header, whose channel table is the complete one.
+    /// Checks that there is only one summary, that it states no ending of a recording in an import, and that its
+    /// copy of the header differs from the header only in its complete channel table.
     fn summary(&mut self, summary: &SummaryRecord, header: &Header, channels: &[Channel]) {
         self.n_summaries += 1;
         if self.n_summaries == 2 {
@@ -389,8 +389,8 @@ impl ClaimChecker {
         }
     }
 
-    /// Checks a ledger against the `samples` found before it, if they were decoded. A ledger is true for what precedes
-    /// it, all of which must have been read.
+    /// Checks a ledger against the `samples` found before it, if they were decoded. A ledger is correct for what
+    /// precedes it, so everything before it must have been read.
     fn ledger(&mut self, ledger: &Ledger, samples: Option<u64>) {
         for (what, stated, found) in [
             ("recorded frames", ledger.recorded, self.recorded),

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_right_to_a_bucket() {
+    fn quantiles_are_accurate_to_a_bucket() {
         let mut latency = LatencyHistogram::default();
         for ns in 1..=10_000 {
             latency.add(ns);

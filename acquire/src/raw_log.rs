@@ -1,7 +1,7 @@
 //! The raw log: copies every byte on the device's line to a file, without making the reader wait for the disk.
 //!
 //! A [`RawLogTap`] wraps the transport and copies its bytes into blocks, which a thread writes. When no block is free,
-//! the log records how many bytes are missing, and the recording goes on.
+//! the log records how many bytes are missing, and the recording continues.
 
 #[cfg(test)]
 mod tests;
@@ -111,7 +111,7 @@ impl RawLog {
         put_header(&mut head);
         let name = path.display().to_string();
         if let Err(error) = file.write_all(&head) {
-            // Half a head is no log, and occupies the name.
+            // Half a head is not a log, and occupies the name.
             id.remove(path).ok();
             return Err(error).with_context(|| format!("cannot write {name}"));
         }
@@ -291,7 +291,7 @@ impl Drop for RawLogTap {
 struct TappedTransport {
     line: Box<dyn Transport>,
     tap: RawLogTap,
-    /// The log says that the line is closed.
+    /// Whether the log says that the line is closed.
     is_closed: bool,
 }
 

@@ -38,7 +38,7 @@ pub use self::collect::SeriesTake;
 /// waits with the take after these, as for a slow disk.
 const UNSETTLED_MAX: usize = 8;
 
-/// Names that are tried for a take, each of which costs a system call: more than other recordings leave in a folder.
+/// Names that are tried for a take, at a system call each: more than other recordings leave in a folder.
 const NAMES_TRIED_MAX: u64 = 10_000;
 
 /// When a take of a series is long enough.
@@ -55,7 +55,7 @@ pub enum TakeLength {
 pub struct SeriesOptions {
     /// When a take is long enough.
     pub length: TakeLength,
-    /// The same as it was requested, for the header.
+    /// The length as requested, for the header.
     pub length_text: String,
     /// The names of the takes.
     pub names: TakeNames,
@@ -109,7 +109,7 @@ pub fn record_series(
         Ok(run) => run,
         Err(error) => return Err(collected.discard(error)),
     };
-    // A take that could not begin is no failure when the one before it went on.
+    // A take that could not begin is not a failure when the one before it continued.
     let failure = collected.failure.take().filter(|_| has_failed).or(joined.err());
     let recording = match (failure, recording) {
         (Some(error), _) | (None, Err(error)) => return Err(collected.explain(error)),
@@ -143,7 +143,7 @@ fn total(takes: &[SeriesTake], recording: ReaderOutcome, rate_hz: f64, markers: 
         }
         written.disk = part.disk;
         written.ending.clone_from(&part.ending);
-        // The line of a segment that goes on is better known in the next take.
+        // The line of a segment that continues is better known in the next take.
         clock_lines.extend(part.clock_lines.iter().copied());
     }
     written.clock_lines = clock_lines.into_iter().collect();
@@ -258,7 +258,7 @@ impl TakeSeries for Series {
 /// Digits of the numbers in the names, at least.
 const DIGITS_MIN: usize = 3;
 
-/// Numbers that [`TakeNames::any_exists`] looks for, each of which costs a system call: a day of takes of ten seconds.
+/// Numbers that [`TakeNames::any_exists`] looks for, at a system call each: a day of takes of ten seconds.
 const NAMES_SOUGHT_MAX: u64 = 8640;
 
 /// The names of the takes of a series: `run-001.take`, `run-002.take` and so on.

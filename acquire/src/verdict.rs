@@ -92,7 +92,7 @@ mod tests {
             assert_eq!(problems_of(&summary), ["the ledger does not close"]);
         }
         assert!(Verdict::of(&summary).contradictions.is_empty());
-        // Whatever else is damaged.
+        // Regardless of other damage.
         let damage = Problem::MissingBefore { row: 7 };
         summary.take.problems = vec![damage.clone(); 2];
         let damage = damage.to_string();

@@ -1,4 +1,4 @@
-//! Processor time of `mocapd info`, beside that of reading the file and computing its checksums.
+//! Processor time of `mocapd info`, compared with that of reading the file and computing its checksums.
 //!
 //! `cargo bench --bench info -- [--seconds 3600] [--markers 64] [--rate 240] [--tolerance 0.5mm]`
 //!
@@ -145,8 +145,8 @@ impl TakeOutput for RecordedFile {
     }
 }
 
-/// Writes the motion as a recording: half a second to a stretch, with the times of the frames, which arrive up to 0.9 ms
-/// late.
+/// Writes the motion as a recording: stretches of half a second, with the times of the frames, which arrive up to 0.9
+/// ms late.
 fn record(motion: &Motion, codec: &Settings, to: &Path) -> anyhow::Result<()> {
     let rate_hz = motion.info.rate_hz;
     let channels = header::channels(&motion.info.markers);

@@ -11,7 +11,7 @@
 //! `--prior` writes the initial probabilities of the model (`codec/src/dense/prior.bin`): the mean probabilities and
 //! mixing weights over all files. They depend on the table that is compiled in, so the result converges after two or
 //! three rounds of writing and rebuilding. `--without` leaves out the files whose names contain WORD. Encoded with the
-//! table of the other files, they show how much of a result is due to the table.
+//! table of the other files, they show the effect of the table.
 
 #![expect(clippy::print_stdout, reason = "a tool that prints its result")]
 

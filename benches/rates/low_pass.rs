@@ -10,8 +10,8 @@ use crate::RATES_HZ;
 /// Stop band edge: just below half the lowest rate, so that every rate represents the filtered motion in full.
 pub(crate) const STOP_HZ: f64 = RATES_HZ[0] / 2.0 - 1.0;
 
-/// Width of the transition from pass band to stop band. A narrower one would lengthen the filter, which would consume
-/// more of both ends of a take; a wider one would attenuate the motion, which in running extends to about 20 Hz.
+/// Width of the transition from pass band to stop band. A narrower one needs a longer filter, which loses more of
+/// both ends of a take; a wider one attenuates the motion, which in running extends to about 20 Hz.
 const TRANSITION_HZ: f64 = 10.0;
 
 /// Attenuation of the stop band: 100 dB reduce an amplitude of one metre to 10 um.

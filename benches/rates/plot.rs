@@ -15,7 +15,7 @@ use crate::{RATES_HZ, RESAMPLERS, TOLERANCES_MM, report::Study};
 const SIZE: (u32, u32) = (600, 600);
 /// Width of the margin for the labels to the right of the lines.
 const NAMES: u32 = 130;
-/// Least vertical distance between two labels.
+/// Minimum vertical distance between two labels.
 const NAME_GAP: i32 = 17;
 const FONT: &str = "Helvetica, Arial, sans-serif";
 /// Font sizes in the unit of the drawing library, 1.24 per pixel.

@@ -20,7 +20,7 @@ pub(crate) struct Point {
     pub(crate) size: EncodedSize,
 }
 
-/// One take in all its versions.
+/// All versions of one take.
 #[derive(Debug)]
 pub(crate) struct Study {
     pub(crate) name: String,
@@ -45,7 +45,7 @@ impl Study {
         Self { name, n_markers, markers_in_take, recorded_hz, seconds, noise, points }
     }
 
-    /// Bytes per second of the raw samples, three float32 each.
+    /// Rate of the raw samples in bytes per second, three float32 each.
     pub(crate) fn raw_bytes_per_s(&self, rate_hz: f64) -> f64 {
         12.0 * self.n_markers as f64 * rate_hz
     }

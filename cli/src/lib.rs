@@ -11,7 +11,7 @@ use anyhow::Error;
 /// The ends of the system's messages for a full disk (ENOSPC) and an exhausted quota (EDQUOT), with Linux's numbers.
 const NO_SPACE: [&str; 2] = ["(os error 28)", "(os error 122)"];
 
-/// An error and its causes in one line. For a full disk it ends with what to do, whatever was being written.
+/// An error and its causes in one line. For a full disk it ends with what to do, for any file that was being written.
 #[must_use]
 pub fn failure_message(error: &Error) -> String {
     let message = format!("{error:#}");

@@ -105,7 +105,7 @@ impl Manual<'_> {
         let mut text = Vec::new();
         man.render(&mut text)?;
         let mut text = String::from_utf8_lossy(&text).into_owned();
-        // Behind the options and commands, before the examples, as is customary.
+        // After the options and commands, before the examples, as is customary.
         let place = [".SH EXTRA\n", ".SH VERSION\n", ".SH AUTHORS\n"].map(|next| text.find(next));
         let place = place.into_iter().flatten().min().unwrap_or(text.len());
         text.insert_str(place, &self.exit_status());
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_command_is_refused_with_those_there_are() {
+    fn an_unknown_command_is_refused_with_a_list_of_commands() {
         for (names, expected) in [
             (&["frob"][..], "'rig' has no command 'frob': it has plot"),
             (&["plot", "device"], "'rig plot' has no command 'device': it has pose"),
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn all_pages_are_written_and_they_are_those_that_are_printed() {
+    fn all_pages_are_written_as_they_are_printed() {
         let folder = tempfile::tempdir().unwrap();
         let args = ManArgs { command: Vec::new(), out: Some(folder.path().to_owned()) };
         assert_eq!(pages(&args, program(), &EXIT_STATUS).unwrap(), "");

@@ -1,4 +1,4 @@
-//! Ctrl-C and the other signals that end a program: the first one stops it in order, a second one at once.
+//! Ctrl-C and the other signals that end a program: the first one stops it in order, a second one immediately.
 
 use std::{
     fs,
@@ -20,7 +20,7 @@ use signal_hook::{
 
 /// `timeout` and service managers signal a process and its group, so that the same signal arrives twice: within this
 /// time it counts as one.
-const SAME_SIGNAL_WITHIN: Duration = Duration::from_millis(500);
+const SAME_SIGNAL_WINDOW: Duration = Duration::from_millis(500);
 
 /// Exit code after the second signal: the command failed.
 const EXIT_FAILED: i32 = 1;
@@ -43,8 +43,8 @@ fn is_ignored(status: &str, signal: i32) -> bool {
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
-/// Returns a flag that is set by the first signal that would end the program. A second one ends the process at once,
-/// unless it comes within half a second of the first.
+/// Returns a flag that is set by the first signal that would end the program. A second one ends the process
+/// immediately, unless it comes within half a second of the first.
 ///
 /// # Errors
 /// If the system refuses the handlers or their thread.
@@ -61,7 +61,7 @@ pub fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
         let mut first: Option<Instant> = None;
         for _ in signals.forever() {
             stopped.store(true, Ordering::Relaxed);
-            if first.get_or_insert_with(Instant::now).elapsed() > SAME_SIGNAL_WITHIN {
+            if first.get_or_insert_with(Instant::now).elapsed() > SAME_SIGNAL_WINDOW {
                 low_level::exit(EXIT_FAILED);
             }
         }

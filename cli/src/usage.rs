@@ -40,7 +40,7 @@ pub fn parse<P: Parser>() -> Result<Parsed<P>, ParseError> {
         ErrorKind::DisplayHelp
         | ErrorKind::DisplayVersion
         | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => match error.print() {
-            // A closed pipe (`| head`) is no error.
+            // A closed pipe (`| head`) is not an error.
             Err(failed) if failed.kind() != io::ErrorKind::BrokenPipe => Err(failed.into()),
             _ => Ok(Parsed::Printed(error.exit_code() as u8)),
         },

@@ -174,7 +174,7 @@ pub trait BlockEncoder: Send + std::fmt::Debug {
         reports: &mut [BlockReport],
     ) -> std::result::Result<(), CodecError>;
 
-    /// By row of the last block: whether it keeps a sample of any channel. Meaningless after an error.
+    /// Whether each row of the last block keeps a sample of any channel. Meaningless after an error.
     fn kept_rows(&self) -> &[bool];
 
     /// Appends one key block that decodes to exactly these floats, at about their size; appends nothing when no channel

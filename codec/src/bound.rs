@@ -7,7 +7,7 @@ use crate::{CodecError, Position};
 pub struct Tolerance(f64);
 
 impl Tolerance {
-    /// The smallest tolerance: below it a float32 position has no digits left to save at room scale.
+    /// The smallest tolerance: below it, a float32 position at room scale has no redundant digits.
     pub const MIN_MM: f64 = 1e-4;
     /// The largest tolerance: anything beyond a kilometre is a typing error.
     pub const MAX_MM: f64 = 1e6;

@@ -68,7 +68,7 @@ pub use spline::SplineVariant;
 
 /// The version of the block format: the one that this crate writes, and the only one it reads.
 ///
-/// Blocks do not carry it: a container stores it beside them and refuses every other version. A new version
+/// Blocks do not carry it: a container stores it with them and refuses every other version. A new version
 /// is a breaking change of the crate. Versions 1 to 5 existed during development only.
 pub const BLOCK_VERSION: u16 = 6;
 

@@ -217,7 +217,7 @@ fn main() {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn the_example_holds() {
+    fn the_example_works() {
         super::main();
     }
 }

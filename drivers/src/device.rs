@@ -23,7 +23,7 @@ pub struct Hello {
     pub tick_hz: u64,
     /// The axis that points up: 0 unknown, 1 x, 2 y, 3 z.
     pub up_axis: u8,
-    /// Most markers that the device can announce, temporary ids included.
+    /// Maximum number of markers that the device can announce, temporary ids included.
     pub markers_max: u16,
     /// Number of frames in a replay (a simulator knows it); 0 when the device runs until stopped.
     pub n_frames: u64,
@@ -45,7 +45,7 @@ pub struct MarkerInfo {
 pub struct MarkerSample {
     /// An id that a [`MarkerInfo`] announced, or a new temporary id.
     pub id: u16,
-    /// The device lists the marker without a position.
+    /// Whether the device lists the marker without a position.
     pub occluded: bool,
     /// The device's residual in units of 10 micrometres: 255 = 2.55 mm or more, 0 = not reported.
     pub residual_10um: u8,

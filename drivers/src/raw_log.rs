@@ -16,7 +16,7 @@ pub const HEADER_BYTES: usize = MAGIC.len() + 1;
 /// Bytes around every payload: type, time, length and checksum.
 pub const RECORD_OVERHEAD_BYTES: usize = 1 + 8 + 4 + 4;
 
-/// Longest payload of a record, in bytes: 16 times what a host reads at once.
+/// Longest payload of a record, in bytes: 16 times the largest read of a host.
 pub const PAYLOAD_BYTES_MAX: usize = 1 << 20;
 
 /// Content of a record.
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn records_come_back_as_they_were() {
+    fn records_round_trip() {
         let (log, expected) = sample_log();
         let found: Result<Vec<_>, _> = records(&log).unwrap().collect();
         assert_eq!(found.unwrap(), expected);
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_payload_goes_as_several_records() {
+    fn a_long_payload_is_split_into_several_records() {
         let bytes = vec![5; 2 * PAYLOAD_BYTES_MAX + 1];
         let mut log = Vec::new();
         put_header(&mut log);

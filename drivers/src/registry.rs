@@ -113,7 +113,7 @@ fn list_device(candidate: Candidate, access: Access) -> AttachedDevice {
 /// An open device and its protocol.
 #[derive(Debug)]
 pub struct OpenedDevice {
-    /// Byte stream to the device, as the protocol wants it read.
+    /// Byte stream to the device, as returned by [`Protocol::attach`].
     pub transport: Box<dyn Transport>,
     /// Decoder and encoder of that stream.
     pub protocol: Box<dyn Protocol>,
@@ -232,7 +232,7 @@ fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportEr
     }
 }
 
-/// Describes the device at a location. A link to a port stands for that port.
+/// Describes the device at a location. A link to a port counts as the port.
 fn candidate_at(location: &Location) -> Candidate {
     let unknown = || Candidate::at(location.clone());
     let path = match location {

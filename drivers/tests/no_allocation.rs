@@ -120,7 +120,7 @@ mod no_allocation {
         assert_eq!(ALLOCATIONS.get(), before);
     }
 
-    /// A scripted NDI system: set up at once, then the same tool and strays in every frame.
+    /// A scripted NDI system: set up immediately, then the same tool and strays in every frame.
     fn ndi_reply(request: &[u8], number: u32, out: &mut Vec<u8>) {
         out.clear();
         let mut text = |text: &[u8]| {

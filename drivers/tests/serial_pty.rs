@@ -61,7 +61,7 @@ mod serial_pty {
     }
 
     #[test]
-    fn a_line_has_a_speed_when_it_was_given_one() {
+    fn a_line_has_the_requested_speed() {
         let (_device, path) = pty();
         let unlimited = SerialTransport::open(&path, None).unwrap();
         assert_eq!(unlimited.line_bytes_per_s(), None);

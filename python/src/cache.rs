@@ -14,7 +14,7 @@ use crate::{
     read::read,
 };
 
-/// Most bytes to cache: two minutes of 64 markers at 240 Hz. A longer read bypasses the cache.
+/// Maximum number of bytes to cache: two minutes of 64 markers at 240 Hz. A longer read bypasses the cache.
 const BYTES_MAX: u64 = 24 << 20;
 
 /// Bytes of a position: three float32.

@@ -10,10 +10,10 @@ use crate::{
     source::{Reader, Source},
 };
 
-/// Pieces for each thread, if there are enough key stretches: so many that all threads finish at about the same time.
+/// Pieces for each thread, if there are enough key stretches: enough for all threads to finish at about the same time.
 pub(crate) const PIECES_PER_THREAD: usize = 8;
 
-/// Most problems to report: every piece of a badly damaged take has its own.
+/// Maximum number of problems to report: every piece of a badly damaged take has its own.
 const PROBLEMS_MAX: usize = 1000;
 
 /// The groups that contain `columns`, in ascending order.

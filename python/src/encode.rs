@@ -22,7 +22,7 @@ const SOFTWARE: &str = concat!("mocapd-python ", env!("CARGO_PKG_VERSION"));
 /// Positions to check and copy between two checks for cancellation: about a millisecond of work.
 const POSITIONS_PER_CHECK: usize = 1 << 16;
 
-/// Most markers of a take: marker ids have 16 bits.
+/// Maximum number of markers of a take: marker ids have 16 bits.
 const MARKERS_MAX: usize = 1 << 16;
 
 /// Options of the encoder: in Python a dictionary with these keys.

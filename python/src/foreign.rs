@@ -47,7 +47,8 @@ pub(crate) fn read_kept(source: &Source, parts: KeptParts) -> Result<KeptContent
     };
     let frames = TakeFrames::open_with(source.reader(), is_wanted, scratch)?;
     let info = frames.info();
-    // An import of a C3D file has parameters, and samples if these say so, unless they were all left out on purpose.
+    // An import of a C3D file has parameters, and samples if the parameters declare them, unless they were dropped on
+    // request.
     if info.source.format == "c3d" && is_part_lost(frames.map()) {
         let Some(found) = parameters::read(info).map_err(as_damage)? else {
             return Err(lost("the parameters of the C3D file"));
@@ -95,7 +96,7 @@ pub(crate) fn parameters(kept: &MotionInfo) -> Result<Vec<C3dParameter>> {
     Ok(parameters::read(kept).map_err(as_damage)?.unwrap_or_default())
 }
 
-/// The samples of all frames; `None` without analog channels.
+/// The analog samples of all frames; `None` without analog channels.
 pub(crate) fn analog(kept: &MotionInfo) -> Result<Option<AnalogSamples<'_>>> {
     AnalogSamples::open(kept).map_err(as_damage)
 }

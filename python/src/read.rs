@@ -10,7 +10,7 @@ use crate::{
     source::Reader,
 };
 
-/// Rows of a tile, which is filled column by column: so few that it stays in the processor's cache.
+/// Rows of a tile, which is filled column by column and fits into the processor's cache.
 const TILE_ROWS: usize = 32;
 
 /// Coordinates of a position.

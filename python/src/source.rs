@@ -31,7 +31,7 @@ const EISDIR: i32 = 21;
 const EINVAL: i32 = 22;
 
 impl Source {
-    /// Opens a plain file. Never blocks, also not on a pipe or a device.
+    /// Opens a plain file. Never blocks, not even on a pipe or a device.
     pub(crate) fn open(path: &Path) -> Result<Self, Failure> {
         if path.as_os_str().as_encoded_bytes().contains(&0) {
             let shown = path.to_string_lossy().replace('\0', "\\0");
@@ -52,7 +52,7 @@ impl Source {
         Self { bytes: Bytes::Memory(Arc::from(bytes)), cancel: Cancel::default() }
     }
 
-    /// The same bytes, read until `cancel` is set.
+    /// A source of the same bytes, readable until `cancel` is set.
     pub(crate) fn with_cancel(&self, cancel: &Cancel) -> Self {
         Self { bytes: self.bytes.clone(), cancel: cancel.clone() }
     }
@@ -62,7 +62,7 @@ impl Source {
         self.cancel.check()
     }
 
-    /// A reader with a position of its own, at the start.
+    /// A reader with a separate position, at the start.
     pub(crate) fn reader(&self) -> Reader {
         Reader { source: self.clone(), at: 0 }
     }

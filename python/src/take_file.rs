@@ -1,4 +1,4 @@
-//! `TakeFile`: the native object behind `mocapd.Take`.
+//! `TakeFile`: the native part of `mocapd.Take`.
 
 use std::{
     ops::Range,

@@ -9,8 +9,8 @@ use crate::{errors::Failure, source::Source};
 /// The unit of arrival times in a take, in nanoseconds.
 const ARRIVAL_NS: u64 = 10_000;
 
-/// Most rows whose times are read at once: three days at 1000 Hz, 17 bytes for each row here and three times as many in
-/// Python. A few bytes of a damaged take can claim years of lost rows.
+/// Maximum number of rows whose times are read at once: three days at 1000 Hz, 17 bytes for each row here and three
+/// times as many in Python. A few bytes of a damaged take can claim years of lost rows.
 const ROWS_MAX: u64 = 1 << 28;
 
 /// The times of some rows.

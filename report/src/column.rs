@@ -93,7 +93,7 @@ pub fn runs(present: impl Iterator<Item = bool>) -> impl Iterator<Item = Range<u
     })
 }
 
-/// The median, the upper one of the two in the middle; `None` of no values. Reorders `values`.
+/// The median, the upper one of the two in the middle; `None` without values. Reorders `values`.
 pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     if values.is_empty() {

@@ -172,7 +172,7 @@ pub struct Butterworth {
     b: [f64; 3],
     /// Denominator coefficients: weights of the output; the first is 1.
     a: [f64; 3],
-    /// Rows by which a run is extended at each end.
+    /// Rows added to a run at each end.
     n_pad: usize,
     /// A period of the cutoff, rows.
     period_rows: f64,
@@ -338,7 +338,7 @@ mod tests_of_butterworth {
     }
 
     #[test]
-    fn the_gain_is_that_of_the_formula() {
+    fn the_gain_follows_the_formula() {
         // |H|^2 of both passes together is 1 / (1 + (w / wc)^4)^2, with w = tan(pi f / rate).
         let (rate_hz, cutoff_hz) = (200.0, 6.0);
         let filter = Butterworth::new(cutoff_hz, rate_hz).unwrap();
@@ -352,7 +352,7 @@ mod tests_of_butterworth {
     }
 
     #[test]
-    fn lines_pass_unchanged_and_short_runs_as_they_are() {
+    fn lines_and_short_runs_pass_unchanged() {
         let filter = Butterworth::new(6.0, 120.0).unwrap();
         let line: Vec<f64> = (0..200).map(|i| 3.0 + 0.5 * f64::from(i)).collect();
         let worst = filter.filter(&line).into_iter().zip(&line).map(|(a, b)| (a - b).abs());

@@ -4,7 +4,7 @@
 
 use std::collections::HashMap;
 
-/// A marker set: each joint, and the labels for it in order of preference, separated by `/`. `*` stands for `l` and
+/// A marker set: each joint, and the labels for it in order of preference, separated by `/`. `*` matches `l` and
 /// `r`. Labels are in the form of [`site_key`].
 type Names = [(&'static str, &'static str)];
 
@@ -52,7 +52,7 @@ const BVH: &Names = &[
 const SETS: [&Names; 3] = [BY_JOINT, ASF, BVH];
 
 /// The lines to draw for a marker set, as pairs of sites; nothing is measured along them. `/` separates labels of one
-/// site in order of preference, and `*` stands for `l` and `r`.
+/// site in order of preference, and `*` matches `l` and `r`.
 type Lines = [(&'static str, &'static str)];
 
 /// The 15 sites of Shi et al. 2012 (doi 10.3969/j.issn.0372-2112.2012.01.021), as labelled by
@@ -227,7 +227,7 @@ impl SubjectMarkers<'_> {
     /// them.
     #[must_use]
     pub fn joints(&self) -> HashMap<String, usize> {
-        // Of equally large ones `max_by_key` takes the last: reversed, the earlier one.
+        // `max_by_key` returns the last of equal sets: reversed, the earlier one.
         let found = SETS.into_iter().rev().map(|set| self.by(set));
         found.max_by_key(HashMap::len).unwrap_or_default()
     }
@@ -251,7 +251,7 @@ impl SubjectMarkers<'_> {
 
     /// The lines of the set with most matches.
     fn lines(&self) -> Vec<[u16; 2]> {
-        // As in `joints`, the earlier one of equally large ones.
+        // As in `joints`, the earlier one of equal sets.
         let found = LINE_SETS.into_iter().rev().map(|set| self.lines_of(set));
         found.max_by_key(Vec::len).unwrap_or_default()
     }
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_without_throat_and_pelvis_is_joined_across() {
+    fn a_body_without_throat_and_pelvis_gets_direct_lines() {
         let body = owned(&["l_shoulder", "r_shoulder", "l_hip", "r_hip"]);
         assert_eq!(names(&body), [["l_hip", "r_hip"], ["l_shoulder", "r_shoulder"]]);
     }

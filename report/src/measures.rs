@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_no_samples() {
+    fn gaps_are_not_samples() {
         let found = counts(&[("110011", "100001"), ("000111", "000101"), ("000000", "000000")]);
         assert_eq!((found.rows, found.samples, found.kept), (5, 7, 4));
         assert_eq!((found.key_rows, found.samples_in_key_rows), (3, 4));

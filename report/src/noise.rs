@@ -1,8 +1,9 @@
 //! The noise of a marker: the standard deviation of white noise on one axis, estimated from differences of consecutive
 //! samples.
 //!
-//! Smooth motion vanishes from fourth differences, in which white noise with a standard deviation of 1 has one of the
-//! root of 70. The estimate uses the median of their magnitudes, which is robust against a few jumps.
+//! Smooth motion vanishes from fourth differences, where white noise with a standard deviation of 1 has a standard
+//! deviation of the root of 70. The estimate uses the median of their magnitudes, which is robust against a few
+//! jumps.
 //!
 //! There is no estimate if its assumptions do not hold:
 //! * too few samples;
@@ -15,18 +16,19 @@ use std::collections::VecDeque;
 
 use crate::column::{Column, Vector};
 
-/// Fewest fourth differences: estimates from so many scatter by 8 % (measured on white noise, 140 samples of 3 axes).
+/// Minimum number of fourth differences: estimates from this many scatter by 8 % (measured on white noise, 140 samples
+/// of 3 axes).
 pub const DIFFERENCES_MIN: usize = 400;
 
 /// Largest ratio of the estimates from fourth and sixth differences. With [`DIFFERENCES_MIN`] those of white noise
-/// differ by a factor of 1.15 at most in 99 of 100 cases; motion that adds a fifth to the estimate of the fourth is
-/// detected.
-const ORDERS_APART_MAX: f64 = 1.2;
+/// differ by a factor of 1.15 at most in 99 of 100 cases; motion that increases the estimate from fourth
+/// differences by a fifth is detected.
+const ORDERS_RATIO_MAX: f64 = 1.2;
 
 /// Largest fraction of fourth differences that may be 0. If samples are rounded to a step, differences are integers:
 /// normal, with a standard deviation of the root of 70 (s^2 + 1/12) steps for noise of s steps, so that 4 % of them are
-/// 0 at s = 1.15. There rounding adds 3 % to the estimate, and the median is known to within 10 %; below, both soon
-/// become worse.
+/// 0 at s = 1.15. There rounding adds 3 % to the estimate, and the median is known to within 10 %; both errors grow
+/// fast with smaller s.
 const ZEROS_MAX: f64 = 0.04;
 
 /// Differences up to this size count as 0, in units of the last place of their largest sample. Rounding to f32 leaves
@@ -43,7 +45,7 @@ const SIXTH: ([f64; 7], f64) = ([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0], 924.0
 /// A running estimate of one marker's noise.
 #[derive(Debug, Clone)]
 pub struct NoiseEstimator {
-    /// Most differences of each order that are kept.
+    /// Maximum number of differences of each order that are kept.
     kept_max: usize,
     /// The newest samples, the latest last; the last `n_recent` of them are consecutive.
     recent: [Vector; SIXTH.0.len()],
@@ -97,7 +99,7 @@ impl NoiseEstimator {
         }
         let (fourth, sixth) =
             (deviation(&self.fourth, FOURTH.1)?, deviation(&self.sixth, SIXTH.1)?);
-        let is_white = fourth <= ORDERS_APART_MAX * sixth && sixth <= ORDERS_APART_MAX * fourth;
+        let is_white = fourth <= ORDERS_RATIO_MAX * sixth && sixth <= ORDERS_RATIO_MAX * fourth;
         is_white.then_some(fourth)
     }
 }

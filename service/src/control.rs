@@ -20,7 +20,7 @@ use super::{
 /// Longest text of a mark or of notes, in bytes: a line of the take's events.
 pub const TEXT_BYTES_MAX: usize = 1024;
 
-/// Most seconds of pre-roll in a request: more than `arm.pre_roll` can hold, and no typing error.
+/// Longest pre-roll of a request, in seconds: more than `arm.pre_roll` can hold; larger numbers are typing errors.
 pub const SECONDS_MAX: f64 = 3600.0;
 
 /// The service as the HTTP API, the triggers and the signal handlers see it.
@@ -31,7 +31,7 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     /// The current status. Never waits.
     fn status(&self) -> Status;
 
-    /// How well each marker is seen. Never waits.
+    /// The tracking quality of each marker. Never waits.
     fn quality(&self) -> Vec<MarkerQuality>;
 
     /// Starts the device and keeps its frames for the pre-roll. Does nothing if armed already.
@@ -91,7 +91,7 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     /// A feed of the events from now on.
     fn events(&self) -> EventFeed;
 
-    /// A feed of live frames from now on, some thirty a second.
+    /// A feed of live frames from now on, about 30 per second.
     fn live(&self) -> LiveFeed;
 }
 

@@ -142,7 +142,7 @@ fn lines<W>(writer: W) -> impl Layer<Registry> + Send + Sync
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
-    // Any field, and above all the message, may quote a mark, a name or a device: each event stays on one line.
+    // Any field, especially the message, may quote a mark, a name or a device: each event stays on one line.
     let fields = format::debug_fn(|out, field, value| {
         let text = format!("{value:?}");
         match field.name() {

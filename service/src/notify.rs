@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     #[ignore = "run in its own process by the test below"]
-    fn a_life() {
+    fn service_lifecycle() {
         let mut notifier = Notifier::default();
         notifier.ready("idle; the device is not there");
         notifier.status("armed");
@@ -192,7 +192,7 @@ mod tests {
 
     #[test]
     fn systemd_is_notified_from_ready_to_stopping() {
-        let (messages, status) = messages_of("a_life", None);
+        let (messages, status) = messages_of("service_lifecycle", None);
         assert!(status.success());
         assert_eq!(messages.len(), 7, "{messages:?}");
         assert_eq!(messages[0], "READY=1\nSTATUS=idle; the device is not there\n");
@@ -268,6 +268,6 @@ mod tests {
             assert!(status.success() && messages.is_empty(), "{messages:?}");
         }
         // Without a socket nothing fails, either.
-        a_life();
+        service_lifecycle();
     }
 }

@@ -1,4 +1,4 @@
-//! The status of the service as the API, the dashboard and `ctl` report it. Units stand in the field names.
+//! The status of the service as the API, the dashboard and `ctl` report it. Field names include the units.
 
 use std::fmt;
 

@@ -79,8 +79,8 @@ fn between(motion: &Motion, before: usize, part: f64, row: &mut Vec<Position>) {
 
 /// The cubic between `p1` and `p2` whose slopes are the chords of their neighbours.
 ///
-/// Catmull and Rom, "A class of local interpolating splines", 1974; Hermite form. Beside a gap the slope is that of the
-/// segment itself, which gives a parabola, or a line between two gaps.
+/// Catmull and Rom, "A class of local interpolating splines", 1974; Hermite form. Next to a gap the slope is that of
+/// the segment itself, which gives a parabola, or a line between two gaps.
 fn cubic(
     p0: Option<Position>,
     p1: Position,
@@ -178,14 +178,14 @@ mod tests {
             replay.frame(k, &mut row);
             seen.push(if is_gap(row[0]) { None } else { Some(row[0][0]) });
         }
-        // Only frames beside the missing sample are gaps, and a straight line stays straight up to the gap.
+        // Only frames next to the missing sample are gaps, and a straight line stays straight up to the gap.
         let expected = [0.0, 0.5, 1.0, 1.5, 2.0, -1.0, -1.0, -1.0, 4.0, 4.5, 5.0, 5.5, 6.0];
         let expected: Vec<_> = expected.map(|x| (x >= 0.0).then_some(x)).to_vec();
         assert_eq!(seen, expected);
     }
 
     #[test]
-    fn motions_of_no_and_one_frame() {
+    fn motions_of_zero_frames_and_of_one() {
         let empty = Replay::native(line(&[]));
         assert_eq!(empty.n_frames(), 0);
         let one = Replay::resampled(line(&[at(3.0)]), 60, 999).unwrap();

@@ -54,7 +54,7 @@ fn is_take(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("take"))
 }
 
-/// Reads a whole motion; returns it with one warning for each problem that reading got past.
+/// Reads a whole motion; returns it with one warning for each problem that reading tolerated.
 ///
 /// # Errors
 /// When the extension is unknown, or the file cannot be read.

@@ -25,7 +25,7 @@ pub(crate) struct ClockReport {
     lines: Vec<LineReport>,
 }
 
-/// Most earlier segments that the text lists.
+/// Maximum number of earlier segments that the text lists.
 const LINES_SHOWN: usize = 8;
 
 /// The fitted line of one clock segment.

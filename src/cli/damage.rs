@@ -12,7 +12,7 @@ use super::{
     values::{count, thousands},
 };
 
-/// Most ranges that are listed; the rest are summed up in one line.
+/// Maximum number of ranges that are listed; the rest are summed up in one line.
 const SHOWN_MAX: usize = 20;
 
 #[derive(Debug, Clone, Serialize)]

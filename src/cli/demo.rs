@@ -115,7 +115,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(recorded.written.ledger.lost_anything()))
 }
 
-/// `jump-001.take`, or the next number of which neither the take nor an export exists.
+/// `jump-001.take`, or the next number for which neither the take nor an export exists.
 fn free_name(folder: &Path) -> PathBuf {
     let name = |n: u32| folder.join(format!("jump-{n:03}.take"));
     let is_free = |take: &PathBuf| {

@@ -31,7 +31,7 @@ use super::{
 
 /// The columns of the CSV.
 const CSV_HEADER: &str = "marker,first_frame,frames,start_s,seconds,cause\n";
-/// Bytes of CSV that are printed at once.
+/// Bytes of CSV per write.
 const PRINTED_BYTES: usize = 1 << 16;
 
 #[derive(Debug, clap::Args)]
@@ -305,7 +305,7 @@ impl GapsReport {
         }
     }
 
-    /// A line: its gaps.
+    /// The totals of a file in one line.
     fn line(&self) -> String {
         format!(
             "{}: {}, {} of {} missing, {} of {}\n",
@@ -364,7 +364,7 @@ impl GapsReport {
 }
 
 impl CauseReport {
-    /// The causes of any samples.
+    /// The causes with at least one missing sample.
     fn all(samples: impl Fn(GapCause) -> Option<u64>) -> Vec<Self> {
         let report = |cause: GapCause| {
             let samples = samples(cause).filter(|&samples| samples > 0)?;
@@ -378,7 +378,7 @@ impl CauseReport {
     }
 }
 
-/// A part in percent; 100 of nothing.
+/// `part` of `whole` in per cent; 100 if `whole` is 0.
 fn percent(part: u64, whole: u64) -> f64 {
     if whole == 0 { 100.0 } else { 100.0 * part as f64 / whole as f64 }
 }

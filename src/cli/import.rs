@@ -85,7 +85,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// What is the same for every file.
+/// The settings shared by all files.
 struct ImportPlan<'a> {
     args: &'a Args,
     settings: ImportSettings,
@@ -195,8 +195,8 @@ impl ImportPlan<'_> {
     }
 }
 
-/// The take at `path` if it is complete and has the id of this import: the same bytes and settings. It is read whole,
-/// so that a damaged one is not taken for done.
+/// The take at `path` if it is complete and has the id of this import: the same bytes and settings. It is read
+/// completely, so that a damaged one does not count as done.
 ///
 /// # Errors
 /// If its length cannot be determined. A take that cannot be read counts as none.

@@ -113,7 +113,7 @@ enum Command {
 }
 
 impl Command {
-    /// Whether Ctrl-C finishes what the command does, a recording or a service, rather than ends it at once.
+    /// Whether Ctrl-C stops the command in order, as for a recording or a service, instead of ending it immediately.
     fn stops_in_order(&self) -> bool {
         matches!(
             self,

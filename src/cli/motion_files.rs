@@ -43,7 +43,7 @@ pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
     Ok(take)
 }
 
-/// Opens a motion file that a command was given, and returns its size in bytes, too.
+/// Opens the motion file of a job. Also returns its size in bytes.
 ///
 /// # Errors
 /// If it cannot be read.
@@ -55,8 +55,7 @@ pub(super) fn open_motion_input(job: &Job<'_>) -> anyhow::Result<(MotionReader<'
     Ok((reader, n_bytes))
 }
 
-/// Reads a take or a motion file that is to be plotted, and returns its size in bytes, too. No sample of a motion file is
-/// a knot.
+/// Reads a take or a motion file for a plot. Also returns its size in bytes. No sample of a motion file is a knot.
 ///
 /// # Errors
 /// If it cannot be read.
@@ -93,13 +92,13 @@ pub(super) fn read_samples(path: &Path) -> anyhow::Result<(Motion, Option<Settin
 /// The analog samples of a file in a take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct AnalogSize {
-    /// Their number, of all channels.
+    /// Number of samples, over all channels.
     pub(super) samples: u64,
     /// Bytes that a take needs for them, with the parameters that describe them.
     pub(super) bytes: u64,
 }
 
-/// Measures the analog samples of a take or a motion file; `None` if it has none. `motion` is what was read of it; its
+/// Measures the analog samples of a take or a motion file; `None` if it has none. `motion` is its content, whose
 /// foreign parts are removed.
 ///
 /// # Errors
@@ -171,7 +170,7 @@ pub(super) fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// Writes a new file atomically: under its name there is the whole file or none.
+/// Writes a new file atomically: completely or not at all.
 ///
 /// # Errors
 /// If it exists or cannot be written.

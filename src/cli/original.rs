@@ -1,4 +1,4 @@
-//! Reading motion files of other tools, and importing them as takes.
+//! Reads motion files of other tools, and imports them as takes.
 
 use std::{
     fs,

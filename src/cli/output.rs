@@ -49,7 +49,7 @@ pub(crate) fn print_exact(text: &str) -> anyhow::Result<()> {
 /// Copies a whole file to stdout.
 ///
 /// # Errors
-/// If it cannot be read or written. A closed pipe (`| head`) is no error.
+/// If it cannot be read or written. A closed pipe (`| head`) is not an error.
 pub(crate) fn copy_to_stdout(mut file: &File) -> io::Result<()> {
     file.seek(SeekFrom::Start(0))?;
     let mut stdout = io::stdout().lock();
@@ -89,7 +89,7 @@ pub(crate) fn plain_path(path: &Path) -> String {
     visible(&path.to_string_lossy()).into_owned()
 }
 
-/// A progress display on stderr, updated by its own thread until dropped; nothing if stderr is no terminal.
+/// A progress display on stderr, updated by its own thread until dropped; nothing if stderr is not a terminal.
 #[derive(Debug)]
 pub(crate) struct Progress {
     done: Arc<AtomicBool>,
@@ -115,7 +115,7 @@ impl Progress {
         )
     }
 
-    /// Shows a bar of `share`, 0 to 1, beside the current value of `text`.
+    /// Shows a bar of `share`, 0 to 1, next to the current value of `text`.
     pub(crate) fn share(
         text: impl Fn() -> String + Send + 'static,
         share: impl Fn() -> f64 + Send + 'static,
@@ -172,7 +172,7 @@ impl Progress {
                 bar.finish_and_clear();
             }
         });
-        // If no thread can be started there is no display; the work goes on.
+        // If no thread can be started there is no display; the work continues.
         Self { done, bar, thread: thread.ok() }
     }
 }

@@ -112,7 +112,7 @@ pub(super) fn check_take_output(path: &Path) -> anyhow::Result<()> {
     check_output(path)
 }
 
-/// Whether two paths of files that do not exist yet lead to the same file, by whatever names of their folders.
+/// Whether two paths of files that do not exist yet lead to the same file, with links in their folders resolved.
 pub(super) fn are_one(one: &Path, other: &Path) -> bool {
     let place = |path: &Path| folder(path).map(|folder| (folder.dev(), folder.ino()));
     let is_same_folder = place(one).is_some_and(|found| place(other) == Some(found));
@@ -157,7 +157,7 @@ fn folder(path: &Path) -> Option<Metadata> {
     folder_of(path).metadata().ok()
 }
 
-/// Whether a path stands for standard input or output.
+/// Whether a path means standard input or output.
 pub(super) fn is_dash(path: &Path) -> bool {
     path == Path::new("-")
 }
@@ -165,7 +165,7 @@ pub(super) fn is_dash(path: &Path) -> bool {
 /// Checks that the only output may go to standard output.
 ///
 /// # Errors
-/// A usage error for a terminal, and beside an option that prints a report there.
+/// A usage error for a terminal, and with an option that prints a report there.
 pub(super) fn check_stdout(json: bool) -> anyhow::Result<()> {
     if json {
         let message = "standard output is the file: omit --json, or give -o FILE";

@@ -127,7 +127,7 @@ impl Servers {
         Ok(Self { http, triggers })
     }
 
-    /// Applies those changes of a new configuration that take effect at once.
+    /// Applies those changes of a new configuration that take effect immediately.
     fn reload(
         &mut self,
         was: &Config,
@@ -238,8 +238,8 @@ impl RunningService<'_> {
     }
 }
 
-/// Creates the folder for takes if it does not exist, so that a folder that cannot be written to is reported at once
-/// and not when a recording starts.
+/// Creates the folder for takes if it does not exist, so that a folder that cannot be written to is reported now and
+/// not when a recording starts.
 fn create_directory(config: &Config) -> anyhow::Result<()> {
     config.check_takes_folder()?;
     let directory = &config.take.directory;

@@ -159,7 +159,7 @@ where
     Completed { parser: str::parse::<TimeOrFormat<F>>, values }
 }
 
-/// Parses a resampler; shells complete their names without variants.
+/// Parses a resampler; shells complete the names without variants.
 pub(super) fn resampler() -> Completed<impl TypedValueParser<Value = ResamplerKind>> {
     let names = ["dense", "fast", "lossless", "spline", "sync"];
     Completed { parser: str::parse::<ResamplerKind>, values: names.map(PossibleValue::new).into() }
@@ -206,10 +206,10 @@ pub(crate) struct CodecArgs {
     resampler: ResamplerKind,
 }
 
-/// The default effort of an import: the most that takes at most four times as long as the least.
+/// The default effort of an import: the highest that takes at most four times as long as the lowest.
 const DEFAULT_EFFORT: u8 = 3;
 
-/// How hard to encode a whole take, and in which stretches.
+/// The effort of encoding a whole take, and the distance of its key stretches.
 #[derive(Debug, Args)]
 pub(crate) struct EffortArgs {
     /// Effort of the resampler dense, 1 to 9: higher levels need more time and make smaller files; recordings use 1
@@ -264,7 +264,7 @@ impl CodecArgs {
         self.settings_with(ResamplerKind::LosslessPredictive)
     }
 
-    /// Settings in which `--lossless` stands for a resampler.
+    /// Settings in which `--lossless` selects the given resampler.
     fn settings_with(&self, lossless: ResamplerKind) -> anyhow::Result<Settings> {
         let kind = if self.lossless { lossless } else { self.resampler };
         if kind.is_lossless() && self.tolerance.is_some() {

@@ -1,5 +1,5 @@
-//! How many bytes the positions of files need without loss: in blocks of `lossless` and of `lossless:predictive`, beside
-//! `xz -9` of the whole file; and the processor time of both directions of the latter.
+//! How many bytes the positions of files need without loss: in blocks of `lossless` and of `lossless:predictive`,
+//! compared with `xz -9` of the whole file; and the processor time of both directions of the latter.
 //!
 //! `cargo run --release -p mocapd-take --example lossless_positions -- FOLDER [SCALE_MM]...`
 //!

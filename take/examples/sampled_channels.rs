@@ -1,5 +1,5 @@
-//! How many bytes the analog samples of C3D files need as blocks of sampled channels, beside DEFLATE, as takes of earlier
-//! versions have them, and `xz -9` of the same columns; and the processor time of both directions.
+//! How many bytes the analog samples of C3D files need as blocks of sampled channels, compared with DEFLATE, as in
+//! takes of earlier versions, and with `xz -9` of the same columns; and the processor time of both directions.
 //!
 //! `cargo run --release -p mocapd-take --example sampled_channels -- FOLDER [SECONDS [TOLERANCE]]`
 //!

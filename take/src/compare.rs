@@ -191,7 +191,7 @@ pub struct Skipped {
 }
 
 impl Skipped {
-    /// Of a take and its original.
+    /// The frames to skip in a take and in its original.
     #[must_use]
     pub fn of(take: &MotionInfo, original: &MotionInfo) -> Self {
         let [ours, theirs] = [take, original].map(FrameNumbers::of);

@@ -5,8 +5,8 @@ use crate::{
     stretch::Stretch, timeline::LossCauses,
 };
 
-/// Most problems that a list keeps. A take on a failing disk has one problem per stretch; a crafted file could have one
-/// every few bytes.
+/// Maximum number of problems that a list keeps. A take on a failing disk has one problem per stretch; a crafted file
+/// could have one every few bytes.
 pub const PROBLEMS_MAX: usize = 10_000;
 
 /// Something missing, damaged or inconsistent in a take.
@@ -153,7 +153,7 @@ pub enum Problem {
     CutOff,
 }
 
-/// What an export has in place of lost samples.
+/// What an export writes in place of lost samples.
 fn in_place_of_lost(kind: &str) -> &'static str {
     if kind == RESIDUALS { "an export has 0 there" } else { "an export has NaN there" }
 }

@@ -1,7 +1,7 @@
 //! Escapes text of outside origin (labels, marks, names, messages of other programs) for display and for tables.
 //!
 //! A control character can start a new line in a log or control a terminal; a format character can reverse the order of
-//! the text beside it, or hide it. All of these are escaped as in Rust: `\n`, `\u{1b}`, `\u{202e}`.
+//! the text around it, or hide it. All of these are escaped as in Rust: `\n`, `\u{1b}`, `\u{202e}`.
 
 use std::borrow::Cow;
 
@@ -107,16 +107,16 @@ pub fn from_cell(cell: &str) -> Cow<'_, str> {
     let mut rest = cell;
     while let Some((before, after)) = rest.split_once(CELL_ESCAPE) {
         out.push_str(before);
-        let found = after.split_once('}').and_then(|(digits, behind)| {
+        let found = after.split_once('}').and_then(|(digits, after_escape)| {
             // No character needs more than six digits, and `from_str_radix` would accept a sign.
             let is_digits = (1..=6).contains(&digits.len()) && !digits.starts_with('+');
             let digits = Some(digits).filter(|_| is_digits)?;
             let c = u32::from_str_radix(digits, 16).ok().and_then(char::from_u32)?;
-            (is_unsafe(c) || c == '\\').then_some((c, behind))
+            (is_unsafe(c) || c == '\\').then_some((c, after_escape))
         });
-        if let Some((c, behind)) = found {
+        if let Some((c, after_escape)) = found {
             out.push(c);
-            rest = behind;
+            rest = after_escape;
         } else {
             out.push_str(CELL_ESCAPE);
             rest = after;
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_acts_is_escaped_and_what_is_text_is_not() {
+    fn control_characters_are_escaped_and_text_is_not() {
         for text in ["l_knee", "knié é", "膝", "می\u{200c}خواهم", "👩\u{200d}🔬", "C:\\take", "\\n"]
         {
             assert_eq!(visible(text), text);
@@ -158,7 +158,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn cells_are_safe_and_come_back(
+        fn cells_are_safe_and_round_trip(
             text in "([a-z\\\\u{}5c0-9\n\r\t\u{1b}\u{202e}\u{2028}é]|\\\\u\\{|\\PC|\\pC){0,12}"
         ) {
             let cell = to_cell(&text).into_owned();
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn json_is_safe_to_show_and_means_the_same() {
+    fn escaped_json_has_the_same_value() {
         let mut every: Vec<char> = (0..=0x2100).filter_map(char::from_u32).collect();
         every.extend((0xe000..=0xffff).chain(0x1_f600..0x1_f610).filter_map(char::from_u32));
         every.extend((0xe_0000..=0xe_0100).filter_map(char::from_u32));

@@ -88,8 +88,8 @@ pub(crate) fn check_length(part: &Foreign) -> Result<(), TakeError> {
     )))
 }
 
-/// Most bytes of deflated content: a block that does not compress is stored with five more bytes, and no block is
-/// shorter than 1 KiB but the last.
+/// Maximum number of bytes of deflated content: a block that does not compress is stored with five more bytes, and no
+/// block is shorter than 1 KiB but the last.
 fn deflated_bytes_max(len: u64) -> u64 {
     len + 5 * (len / 1024) + 64
 }
@@ -280,7 +280,7 @@ const WRONG_LENGTH: &str = "its length is not the stated one";
 /// Longest kind of a part whose chunk is too long to hold. Importers write kinds of at most 20 bytes.
 const LONG_KIND_BYTES_MAX: u64 = 64;
 
-/// Most bytes of kind and length of such a part: two varints and the kind.
+/// Maximum number of bytes of kind and length of such a part: two varints and the kind.
 pub(crate) const FRONT_BYTES: usize = 10 + LONG_KIND_BYTES_MAX as usize + 10;
 
 /// Whether these bytes are a plausible start of a long FOREIGN chunk's payload.
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn comes_back_and_damage_is_an_error() {
+    fn a_part_round_trips_and_damage_is_an_error() {
         for len in [0, 5, 4000, 100_000] {
             let data: Vec<_> = (0..len).map(|i: u64| (i * i / 3) as u8).collect();
             let part = Foreign::exact("c3d/analog", data);
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_is_deflated_alike_in_memory_and_in_a_scratch_file() {
+    fn a_part_is_deflated_equally_in_memory_and_in_a_scratch_file() {
         let new_scratch = || Ok(Arc::new(MemoryScratch::default()) as Arc<dyn ScratchFile>);
         let mut spool = Spool::new(new_scratch);
         // The first content takes what may be in memory.
@@ -422,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn another_length_than_stated_is_an_error() {
+    fn a_wrong_length_is_an_error() {
         let part = Foreign::exact("a", vec![7; 300]);
         let mut payload = to_payload(&part);
         assert_eq!(payload[2..4], [0xac, 0x02]);

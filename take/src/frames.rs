@@ -18,10 +18,10 @@ use crate::{
     traversal::{Decode, TakeTraversal},
 };
 
-/// Most bytes of a take's foreign parts, in memory and scratch file together.
+/// Maximum number of bytes of a take's foreign parts, in memory and scratch file together.
 const FOREIGN_BYTES_MAX: u64 = 1 << 28;
 
-/// Most samples that [`read_motion`] holds: 3 GiB.
+/// Maximum number of samples that [`read_motion`] holds: 3 GiB.
 const MOTION_SAMPLES_MAX: u64 = 1 << 28;
 
 /// The frames of a take in order, decoded stretch by stretch, in bounded memory.
@@ -65,7 +65,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut foreign_bytes = 0_u64;
         let mut spool = Spool::new(new_scratch);
         for part @ ForeignPart { kind, .. } in &map.foreign {
-            // Channels of a recording are no part of a file.
+            // Channels of a recording are not part of a file.
             if kind.is_empty() {
                 continue;
             }

@@ -124,7 +124,8 @@ impl Footer {
 /// the summary after them.
 const READ_BYTES: u64 = 16 << 10;
 
-/// Most bytes of a record's chunk besides its content: type, a length of at most five bytes, CRC-32, and the version.
+/// Maximum number of bytes of a record's chunk besides its content: type, a length of at most five bytes, CRC-32, and
+/// the version.
 const OVERHEAD_BYTES: u64 = 1 + 5 + 4 + 2;
 
 /// Longest chunk of a record.
@@ -254,7 +255,7 @@ mod tests {
     };
 
     #[test]
-    fn both_come_back() {
+    fn index_and_footer_round_trip() {
         let entries = [(100, 0), (9_000, 600), (20_000, 1_200)]
             .map(|(offset, first_row)| IndexEntry { offset, first_row });
         let payload = index_payload(&entries);
@@ -297,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_are_read_whatever_their_size() {
+    fn ends_of_any_size_are_read() {
         let ending = TakeEnding::from(EndingKind::DeviceGone);
         for (n_channels, contradictions) in [(0, 0), (3, 1), (20_000, 100)] {
             for ending in [None, Some(ending.clone())] {
@@ -354,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ledger_offset_behind_the_footer_is_ignored() {
+    fn a_ledger_offset_after_the_footer_is_ignored() {
         let bytes = take(2, 0, Some(EndingKind::DiskFull.into()));
         let footer_at = bytes.len() - Footer::CHUNK_BYTES;
         for ledger_offset in [footer_at as u64, bytes.len() as u64, i64::MAX as u64 + 1, u64::MAX] {

@@ -17,8 +17,8 @@ use crate::{
     statistics::TakeStatistics,
 };
 
-/// Most groups of sampled channels that a reader remembers of a take. A C3D file with as many points and channels as 16
-/// bits can count has 6144.
+/// Maximum number of groups of sampled channels that a reader remembers of a take. A C3D file with as many points and
+/// channels as 16 bits can count has 6144.
 const GROUPS_MAX: usize = 1 << 13;
 
 /// Everything in a take but its samples.

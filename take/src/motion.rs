@@ -175,8 +175,8 @@ pub trait FrameSource {
         false
     }
 
-    /// Counts frames whose analog samples, or loads of force plates, were written beside the positions, for a display of
-    /// progress.
+    /// Counts frames whose analog samples, or loads of force plates, were written in addition to the positions, for a
+    /// display of progress.
     fn count_sampled(&self, _n_frames: u64) {}
 }
 

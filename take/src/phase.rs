@@ -13,7 +13,7 @@ pub enum Phase {
     TakeOff,
     /// From leaving the ground to touching it.
     Flight,
-    /// Absorbing the landing and coming up.
+    /// Absorbing the landing and standing up.
     Settling,
     /// Slow walking.
     Walking,

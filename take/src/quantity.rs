@@ -7,7 +7,7 @@ use mocapd_codec::Tolerance;
 /// A quantity that is written as a number and a unit.
 struct Quantity {
     name: &'static str,
-    /// The spellings of its units, each with its factor; the empty spelling stands for a bare number.
+    /// The spellings of its units, each with its factor; the empty spelling means a bare number.
     units: &'static [(&'static str, f64)],
     /// The units that a message lists.
     listed: &'static str,

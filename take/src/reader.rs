@@ -1,4 +1,4 @@
-//! A sans-io reader of takes: the caller pushes bytes in and takes events out. Damage is an event; reading goes on
+//! A sans-io reader of takes: the caller pushes bytes in and takes events out. Damage is an event; reading continues
 //! after it.
 
 mod chunks;
@@ -32,7 +32,7 @@ pub enum TakeEvent<'a> {
     Stretch(Stretch<'a>),
     /// A stretch that continues a missing or damaged one: its rows are unknown, and its blocks cannot be decoded.
     Unplaced {
-        /// At least one stretch before it is missing.
+        /// Whether at least one stretch before it is missing.
         missing_before: bool,
         /// Number of its rows.
         n_rows: u32,
@@ -64,7 +64,7 @@ pub enum TakeEvent<'a> {
         /// Its type.
         kind: u8,
     },
-    /// Bytes that are not a chunk, or a chunk with invalid content. What they held is lost.
+    /// Bytes that are not a chunk, or a chunk with invalid content. Their content is lost.
     Damaged {
         /// File offset.
         offset: u64,
@@ -93,11 +93,11 @@ pub enum TakeEvent<'a> {
 /// Largest buffer in ordinary use: a search window, and a read pushed while the window lacks a byte.
 const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
 
-/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`] after damage, whatever
-/// lengths the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held only if it is a
-/// stretch, and only once its CRC is known to match.
+/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`] after damage, for any
+/// lengths that the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held only if it is
+/// a stretch, and only once its CRC is known to match.
 ///
-/// To learn that, the reader scans ahead and then [asks for earlier bytes again](Self::seek_request); no chunk is read
+/// To check that, the reader scans ahead and then [asks for earlier bytes again](Self::seek_request); no chunk is read
 /// more than twice.
 #[derive(Debug, Default)]
 pub struct TakeReader {
@@ -130,9 +130,9 @@ pub struct TakeReader {
     has_footer: bool,
     complete: bool,
     ended: bool,
-    /// A damaged region was met.
+    /// Whether a damaged region was met.
     had_damage: bool,
-    /// Neither times nor foreign parts are decoded.
+    /// Whether neither times nor foreign parts are decoded.
     skips_content: bool,
     /// What [`feed`] reads into.
     piece: Vec<u8>,

@@ -124,7 +124,7 @@ pub struct ChunkKindCount {
     pub discarded: u64,
 }
 
-/// Most bytes searched for a header; a header of 10 000 labels fits.
+/// Maximum number of bytes searched for a header; a header of 10 000 labels fits.
 const START_BYTES_MAX: u64 = 4 << 20;
 
 /// The reflected polynomial of CRC-32 (IEEE).
@@ -141,10 +141,10 @@ pub struct RepairedStart<R> {
 /// Reads the start of a file and repairs what it can: the magic before a valid header, and one byte of a header.
 /// Returns a reader of the repaired file and the list of repairs. Other damage stays.
 ///
-/// A CRC identifies a single wrong byte: in a header of 300 bytes hardly two single-byte errors give the same CRC, and
-/// where two do, nothing is changed. A header with more wrong bytes can look like one with a single wrong byte, in one
-/// of 50 000 cases. It is then altered to match its CRC, with content that was never written, if it can be decoded at
-/// all. So ordinary readers do not repair headers, and a recovery reports the repair.
+/// A CRC identifies a single wrong byte: in a header of 300 bytes hardly any two single-byte errors give the same CRC,
+/// and if two do, nothing is changed. A header with more wrong bytes can look like one with a single wrong byte, in
+/// one of 50 000 cases. It is then altered to match its CRC, with content that was never written, if it can be decoded
+/// at all. So ordinary readers do not repair headers, and a recovery reports the repair.
 /// # Errors
 /// Any error of reading `input`.
 pub fn repair_start<R: Read + Seek>(mut input: R) -> io::Result<(RepairedStart<R>, Vec<Problem>)> {
@@ -344,7 +344,7 @@ fn write_lost<W: Write>(
     number: u8,
 ) -> Result<(), TakeError> {
     let end = first_row.saturating_add(rows);
-    // Each covers the most rows that may be lost between two stretches; the last one has the given number.
+    // Each covers the maximum of rows that may be lost between two stretches; the last one has the given number.
     let pieces = rows.div_ceil(ROWS_PASSED_MAX).max(1);
     for piece in 0..pieces {
         let from = first_row.saturating_add(piece.saturating_mul(ROWS_PASSED_MAX));

@@ -16,11 +16,11 @@ pub use self::{
 
 use crate::{TakeError, record::SampledGroup, timeline::LossCauses, varint};
 
-/// Most samples of a channel in a block: those of ten seconds at 13 kHz.
+/// Maximum number of samples of a channel in a block: those of ten seconds at 13 kHz.
 pub const BLOCK_ROWS_MAX: u64 = 1 << 17;
 
-/// Most samples of a block, of all its channels: 4 MiB of float32. So a chunk is short enough to be held before its CRC
-/// is known to match, and a few bytes that claim so many samples cost a reader about a second.
+/// Maximum number of samples of a block, of all its channels: 4 MiB of float32. So a chunk is short enough to be held
+/// before its CRC is known to match, and a few bytes that claim this many samples cost a reader about a second.
 pub const BLOCK_SAMPLES_MAX: u64 = 1 << 20;
 
 const KEY: u8 = 1;
@@ -51,7 +51,7 @@ pub enum SampleContent {
 }
 
 impl SampleSpan {
-    /// The number of the sample behind it.
+    /// The number of the sample after it.
     #[must_use]
     pub fn end(&self) -> u64 {
         self.first.saturating_add(self.n)
@@ -124,7 +124,7 @@ impl SamplesChunk {
     }
 }
 
-/// Most samples of each channel in a block of so many channels.
+/// Maximum number of samples of each channel in a block of `n_channels` channels.
 fn block_rows_max(n_channels: usize) -> u64 {
     (BLOCK_SAMPLES_MAX / (n_channels as u64).max(1)).min(BLOCK_ROWS_MAX)
 }

@@ -1,4 +1,4 @@
-//! Statistics of a take: the figures of `info` that only its samples give. They are counted while a take is written,
+//! Statistics of a take: the figures of `info` that depend on its samples. They are counted while a take is written,
 //! from what the encoders report, and while one is decoded; SUMMARY stores them.
 //!
 //! Tallies lead to them in three steps: [`BlockTally`] of a group of channels over one stretch, [`StretchTally`] of all
@@ -80,7 +80,7 @@ fn ratio(over: u64, under: u64) -> Option<f64> {
     (under > 0).then(|| over as f64 / under as f64)
 }
 
-/// What the statistics count of one channel in one stretch.
+/// The counts of one channel in one stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct ChannelTally {
     samples: u32,
@@ -117,7 +117,7 @@ impl ChannelTally {
     }
 }
 
-/// What the statistics count of consecutive channels over the rows of one stretch. It is reused from block to block.
+/// The counts of consecutive channels over the rows of one stretch. It is reused from block to block.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct BlockTally {
     channels: Vec<ChannelTally>,
@@ -211,7 +211,7 @@ impl BlockTally {
     }
 }
 
-/// What the statistics count of a stretch.
+/// The counts of a stretch.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct StretchTally {
     /// By channel; channels after the last have no samples.
@@ -263,7 +263,7 @@ impl StretchTally {
         Self::of(&all)
     }
 
-    /// Memory used beside the structure itself, in bytes.
+    /// Memory used in addition to the structure itself, in bytes.
     #[must_use]
     pub fn heap_bytes(&self) -> usize {
         self.channels.capacity() * size_of::<ChannelTally>()
@@ -319,7 +319,7 @@ impl TakeTally {
         for ((channel, in_gap), tally) in statistics.channels.iter_mut().zip(in_gap).zip(tallies) {
             channel.samples += u64::from(tally.samples);
             channel.knots += u64::from(tally.kept);
-            // A gap that goes on is no new one.
+            // A gap that continues is not a new one.
             channel.gaps += u64::from(tally.gaps) - u64::from(*in_gap && tally.starts_in_gap);
             channel.error_step = channel.error_step.max(tally.error_step);
             *in_gap = tally.ends_in_gap;

@@ -24,23 +24,24 @@ use crate::{
     varint,
 };
 
-/// Most rows of a stretch of any kind: over an hour at 1000 Hz, for resamplers that encode a whole take as one stretch.
+/// Maximum number of rows of a stretch of any kind: over an hour at 1000 Hz, for resamplers that encode a whole take as
+/// one stretch.
 pub const ROWS_MAX: u64 = 1 << 22;
 
-/// Most rows of a stretch of a live kind. Imports have the longest: ten seconds, which exceed this only above 13 kHz
-/// and are then cut, and five minutes where nothing moves, of at most 2^20 samples. A recording has half a second, and
-/// at most as many rows as a time line can hold.
+/// Maximum number of rows of a stretch of a live kind. Imports have the longest: ten seconds, which exceed this only
+/// above 13 kHz and are then cut, and five minutes where nothing moves, of at most 2^20 samples. A recording has half a
+/// second, and at most as many rows as a time line can hold.
 pub const LIVE_ROWS_MAX: u64 = 1 << 17;
 
-/// Most recorded rows of a stretch with a time line: ten times half a second at 10 kHz; 1.5 MB in memory.
+/// Maximum number of recorded rows of a stretch with a time line: ten times half a second at 10 kHz; 1.5 MB in memory.
 pub(crate) const RECORDED_MAX: u64 = 1 << 16;
 
-/// Most rows from the end of one stretch to the end of the next, and so the most that are lost between them: days at 10
-/// kHz. A larger number is invalid wherever it occurs.
+/// Maximum number of rows from the end of one stretch to the end of the next, and so the maximum of rows lost
+/// between them: days at 10 kHz. A larger number is invalid wherever it occurs.
 pub(crate) const ROWS_PASSED_MAX: u64 = 1 << 32;
 
-/// Most samples that a stretch may decode to: 400 MB of positions; 1.5 GB with their flags and the state of `dense`
-/// decoders.
+/// Maximum number of samples that a stretch may decode to: 400 MB of positions; 1.5 GB with their flags and the state
+/// of `dense` decoders.
 pub const SAMPLES_MAX: u64 = 1 << 25;
 
 /// Longest chunk of a stretch: for each sample the 12 bytes of a position, and 4 for its presence, block lengths and
@@ -50,16 +51,16 @@ pub(crate) const BYTES_MAX: u64 = 16 * SAMPLES_MAX;
 /// Stretch numbers count modulo this.
 pub const NUMBERS: u8 = 32;
 
-/// Most channels of a take: a marker id has 16 bits.
+/// Maximum number of channels of a take: a marker id has 16 bits.
 pub const CHANNELS_MAX: usize = 1 << 16;
 
-/// Most groups of channels of a take.
+/// Maximum number of groups of channels of a take.
 const GROUPS_MAX: usize = CHANNELS_MAX / GROUP_CHANNELS;
 
-/// Most runs of a stretch. A writer has at most two per recorded row; eight times as many take 24 MB.
+/// Maximum number of runs of a stretch. A writer has at most two per recorded row; eight times as many take 24 MB.
 pub(crate) const RUNS_MAX: u64 = 16 * RECORDED_MAX;
 
-/// Most rows of a stretch of a take encoded with `kind`.
+/// Maximum number of rows of a stretch of a take encoded with `kind`.
 #[must_use]
 pub fn rows_max(kind: ResamplerKind) -> u64 {
     if kind.is_live() { LIVE_ROWS_MAX } else { ROWS_MAX }
@@ -72,7 +73,7 @@ pub struct Span {
     pub first_row: u64,
     /// Number of rows, including lost ones between them. 0 if the stretch only records lost rows.
     pub n_rows: u32,
-    /// Encoded without state from earlier stretches.
+    /// Whether it is encoded without state from earlier stretches.
     pub key: bool,
     /// Number of the stretch in the take, from 0, modulo [`NUMBERS`]; it reveals missing stretches.
     pub number: u8,
@@ -104,7 +105,7 @@ pub struct StretchSizes {
 pub struct Stretch<'a> {
     /// Its rows.
     pub span: Span,
-    /// At least one stretch before it is missing.
+    /// Whether at least one stretch before it is missing.
     pub missing_before: bool,
     /// The times of the rows from the end of the previous stretch to the end of this one; `None` in an import.
     pub timeline: Option<Timeline>,
@@ -194,7 +195,7 @@ pub struct StretchDecoder {
     chosen: Option<Vec<usize>>,
     /// Decoders by group, created with the group's first block.
     groups: Vec<Option<GroupDecoder>>,
-    /// The previous stretch was not decoded, so decoding resumes at the next key stretch.
+    /// Whether the previous stretch was not decoded, so decoding resumes at the next key stretch.
     waits_for_key: bool,
 }
 

@@ -120,7 +120,7 @@ impl Timeline {
         rows.zip(self.times.iter().copied())
     }
 
-    /// The time line of the rows `rows` alone.
+    /// The time line of the rows `rows` only.
     pub(crate) fn part(&self, rows: std::ops::Range<u64>) -> Self {
         let mut part = Self { first_row: self.first_row.max(rows.start), ..Self::default() };
         let mut at = self.first_row;

@@ -22,7 +22,7 @@ use mocapd_take::{
 
 const LIVE: [&str; 4] = ["dense", "fast", "lossless", "lossless:predictive"];
 
-/// Most rows between two stretches, from docs/take-format.md.
+/// Maximum number of rows between two stretches, from docs/take-format.md.
 const ROWS_PASSED_MAX: u64 = 1 << 32;
 
 /// Shapes of a stretch: with a listed number of rows; with a time line; with listed runs.
@@ -146,7 +146,7 @@ fn a_live_stretch_of_too_many_rows_is_damage() {
 }
 
 #[test]
-fn a_decoder_refuses_it_too() {
+fn a_decoder_refuses_too_many_rows() {
     for kind in LIVE {
         let mut decoder = StretchDecoder::new(settings(kind));
         let mut decode = |n_rows: u64| {
@@ -209,7 +209,7 @@ fn a_writer_refuses_what_no_reader_accepts() {
         assert!(ahead.contains(&ROWS_PASSED_MAX.to_string()), "{ahead}");
         write(LIVE_ROWS_MAX + ROWS_PASSED_MAX - 1, 1).unwrap();
     }
-    // Refused before the recording starts: a time line has no room for the times of so many rows.
+    // Refused before the recording starts: a time line cannot hold the times of this many rows.
     let device = Some(Device::default());
     let new = |rows| {
         let header = Header { device: device.clone(), stretch_rows: rows, ..header("dense") };
@@ -225,7 +225,7 @@ fn a_row_further_ahead_than_rows_can_be_lost_is_damage() {
     let sound = held(0, 0, 30, block);
     // Before the first stretch, and after one.
     for (before, known) in [(None, 0), (Some(sound), 30)] {
-        let behind = held(2, known + 1_000, 3, block);
+        let later = held(2, known + 1_000, 3, block);
         for (row, believed) in [
             (known + ROWS_PASSED_MAX, true),
             (known + ROWS_PASSED_MAX + 1, false),
@@ -238,7 +238,7 @@ fn a_row_further_ahead_than_rows_can_be_lost_is_damage() {
             assert_eq!(rows.contains(&row), believed, "{row}");
             assert_eq!(damage.is_empty(), believed, "{row}: {damage:?}");
             // Valid stretches after it are read.
-            let payloads = [payloads, vec![behind.clone()]].concat();
+            let payloads = [payloads, vec![later.clone()]].concat();
             let take = take("dense", &payloads, None);
             assert!(read(&take).0.contains(&(known + 1_000)));
             let end = if believed { row + 3 } else { known + 1_003 };
@@ -248,7 +248,7 @@ fn a_row_further_ahead_than_rows_can_be_lost_is_damage() {
 }
 
 #[test]
-fn more_lost_rows_than_can_be_are_damage() {
+fn too_many_lost_rows_are_damage() {
     let sound = held(0, 0, 30, &AT_REST);
     let most = ROWS_PASSED_MAX;
     for (runs, n_frames) in [
@@ -268,7 +268,7 @@ fn more_lost_rows_than_can_be_are_damage() {
 }
 
 #[test]
-fn a_footer_is_accepted_up_to_the_most_rows_that_can_be_lost() {
+fn a_footer_is_accepted_up_to_the_maximum_of_lost_rows() {
     let stretches = [held(0, 0, 30, &AT_REST), b"no stretch".to_vec()];
     for (n_rows, believed) in [
         (30, true),
@@ -316,7 +316,7 @@ fn a_row_reveals_missing_stretches_when_no_number_does() {
 }
 
 #[test]
-fn a_take_of_what_is_allowed_is_read_back() {
+fn a_take_within_the_limits_is_read_back() {
     let take = {
         let mut writer = TakeWriter::new(Vec::new(), &header("dense")).unwrap();
         let span = Span { first_row: 0, n_rows: LIVE_ROWS_MAX as u32, key: true, number: 0 };

@@ -59,7 +59,7 @@ fn frames_from_any_row_on_are_those_from_the_start() {
 }
 
 #[test]
-fn damage_before_the_row_costs_nothing_behind_the_next_key() {
+fn damage_before_the_row_costs_nothing_after_the_next_key() {
     let whole = take::take("dense");
     let all = frames(&whole, 0);
     let mut hurt = whole.clone();
@@ -95,7 +95,7 @@ fn the_map_from_heads_equals_the_map_from_chunks() {
 }
 
 #[test]
-fn what_is_cut_or_damaged_is_scanned() {
+fn truncated_and_damaged_takes_are_scanned() {
     let take = take::take("fast");
     let chunks = chunks(&take);
     for &end in &chunks[2..] {
@@ -142,7 +142,7 @@ fn damage_skipped_by_opening_is_reported_when_it_is_read() {
 }
 
 #[test]
-fn only_the_groups_that_are_wanted_have_rows() {
+fn only_requested_groups_have_rows() {
     let bytes =
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/v6/dense-1mm.mtake"))
             .unwrap();
@@ -184,7 +184,7 @@ impl<R: Seek> Seek for Counting<R> {
 }
 
 #[test]
-fn what_lies_before_the_key_is_not_read() {
+fn nothing_before_the_key_is_read() {
     let take = take::take("lossless");
     let read = Rc::new(Cell::new(0));
     let mut input = Counting(Cursor::new(&take), Rc::clone(&read));

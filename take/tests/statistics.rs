@@ -1,4 +1,4 @@
-//! The statistics in SUMMARY equal what decoding the take gives, whoever wrote it, and take few bytes.
+//! The statistics in SUMMARY equal what decoding the take gives, for takes of every writer, and take few bytes.
 
 #![expect(clippy::unwrap_used, reason = "a test stops there")]
 
@@ -280,7 +280,7 @@ fn realistic_statistics(n: usize) -> TakeStatistics {
 }
 
 #[test]
-fn it_takes_at_most_300_bytes_and_12_a_marker() {
+fn statistics_take_at_most_300_bytes_and_12_per_marker() {
     let settings =
         Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(0.5).unwrap() };
     let recording = Header {

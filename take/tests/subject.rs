@@ -48,7 +48,7 @@ fn samples(take: &[u8]) -> (Vec<u32>, Vec<Problem>, Option<Subject>) {
 }
 
 #[test]
-fn every_reader_finds_it() {
+fn every_reader_finds_the_subject() {
     let whole = take::take("dense");
     let (_, problems, found) = samples(&whole);
     assert_eq!((found, problems), (Some(take::subject()), vec![]));
@@ -70,7 +70,7 @@ fn every_reader_finds_it() {
 }
 
 #[test]
-fn readers_that_do_not_know_it_pass_over_it() {
+fn readers_that_do_not_know_it_skip_it() {
     const { assert!(Subject::KIND == 0x87 && Subject::KIND & MAY_SKIP != 0) };
     let whole = take::take("dense");
     let (wanted, ..) = samples(&whole);
@@ -90,7 +90,7 @@ fn readers_that_do_not_know_it_pass_over_it() {
 }
 
 #[test]
-fn a_damaged_one_costs_nothing_else() {
+fn a_damaged_subject_costs_nothing_else() {
     let whole = take::take("dense");
     let (wanted, ..) = samples(&whole);
     for at in place(&whole) {
@@ -115,7 +115,7 @@ fn a_damaged_one_costs_nothing_else() {
 }
 
 #[test]
-fn a_recovery_keeps_it() {
+fn a_recovery_keeps_the_subject() {
     let whole = take::take("dense");
     let hurt = {
         let mut hurt = whole.clone();

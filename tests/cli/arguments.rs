@@ -49,7 +49,7 @@ fn tolerances() {
             value_refused(&folder, command, "--tolerance", tolerance, facts);
         }
     }
-    // A number without a unit is in millimetres.
+    // Numbers without a unit are in millimetres.
     folder.run(&["import", "jump.csv", "-o", "new.take", "--tolerance", "5"]).with_code(0);
     assert_eq!(folder.run(&["info", "new.take", "--json"]).json()["tolerance_mm"], 5.0);
 }
@@ -67,7 +67,7 @@ fn distances_of_keys() {
     }
     let whole = [&import[..], &["--resampler", "spline", "--keys", "1s"]].concat();
     refused_with(&folder, &whole, &["--keys", "spline", "one stretch"]);
-    // What is written has the distance, and is found again with it.
+    // The written take has the interval, and the next run finds it.
     let again = [&import[..3], &["new", "--keys", "250ms"]].concat();
     std::fs::create_dir(folder.path("new")).unwrap();
     folder.run(&again).with_code(0);
@@ -184,7 +184,7 @@ fn file_extensions() {
 #[test]
 fn invalid_devices() {
     let folder = Folder::new();
-    // The message has the invalid part beside the whole.
+    // The message has the invalid part and the whole argument.
     for (device, part) in [
         ("/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
         ("ttyUSB0", "ttyUSB0"),

@@ -83,7 +83,7 @@ fn notes_and_token_files() {
 }
 
 #[test]
-fn unreadable_subject_files_are_listed_beside_the_other_errors() {
+fn unreadable_subject_files_are_listed_with_the_other_errors() {
     let folder = Folder::new();
     let subject = "[subject]\nskeleton = 's.json'\nface = 'f.json'\nface_markers = 'm.json'\n";
     folder.write("left.toml", format!("{subject}[arm]\npre_rol = '10s'\n"));

@@ -1,4 +1,4 @@
-//! Truncated and damaged takes: the rest is read, the loss is reported, and the exit code is 3.
+//! Truncated and damaged takes: readable parts are read, the loss is reported, and the exit code is 3.
 
 use mocapd_take::{NotATake, damage::Problem};
 use serde_json::Value;
@@ -34,7 +34,7 @@ fn problems(report: &Value) -> Vec<&str> {
 }
 
 /// Runs `info`, `verify` and `export` on the same damage: each exits with 3 and reports it on stderr.
-fn looked_at(folder: &Folder) -> (Value, Vec<String>) {
+fn inspected(folder: &Folder) -> (Value, Vec<String>) {
     let info = folder.run(&["info", "bad.take", "--json"]).with_code(3).json();
     assert!(!problems(&info).is_empty());
     let printed = folder.run(&["info", "bad.take"]).with_code(3);
@@ -61,7 +61,7 @@ fn a_truncated_take_is_read_to_its_end() {
     let mut most = 0;
     for cut in [take.len() / 2, take.len() - 200, take.len() - 1] {
         folder.write("bad.take", &take[..cut]);
-        let (info, rows) = looked_at(&folder);
+        let (info, rows) = inspected(&folder);
         assert_eq!(info["finished"], false);
         assert!(problems(&info).contains(&&*Problem::CutOff.to_string()), "{info}");
         assert_eq!(rows, original[..rows.len()], "cut at {cut}");
@@ -93,7 +93,7 @@ fn damage_in_the_middle_costs_its_stretch_and_no_more() {
     let mut bad = take.clone();
     bad[take.len() / 2] ^= 0x10;
     folder.write("bad.take", &bad);
-    let (info, rows) = looked_at(&folder);
+    let (info, rows) = inspected(&folder);
     assert_eq!(info["finished"], true);
     let (_, found) = crate::support::rows(&bad);
     let damaged = take.len() as u64 / 2;
@@ -127,7 +127,7 @@ fn every_byte_that_is_damaged_is_noticed() {
         bad[at] ^= 0x41;
         folder.write("bad.take", &bad);
         let code = folder.run(&["verify", "bad.take"]).code;
-        // The checksum restores type and length of a chunk, even those of the header.
+        // The checksum allows to restore type and length of a chunk, even those of the header.
         let header = at < header_end(&take) && !(8..11).contains(&at);
         assert_eq!(code, Some(if header { 1 } else { 3 }), "byte {at} of {}", take.len());
     }

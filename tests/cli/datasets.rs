@@ -58,7 +58,7 @@ fn subjects_sessions_and_runs_share_a_data_set() {
     }
     assert_eq!(found.len(), 4 + 5 * 4, "{found:#?}");
     assert_eq!(folder.text("study/participants.tsv"), "participant_id\nsub-01\nsub-02\n");
-    // What is there is not replaced, and the message says what to do.
+    // Existing files are not replaced, and the message says what to do.
     for labels in all {
         let line = folder.refuses(&export(labels), 1);
         assert_mentions(&line, &["study", "--run", "--session"]);
@@ -75,7 +75,7 @@ fn subjects_sessions_and_runs_share_a_data_set() {
 }
 
 #[test]
-fn a_folder_that_is_no_data_set_is_refused() {
+fn a_folder_that_is_not_a_data_set_is_refused() {
     let folder = folder();
     fs::create_dir(folder.path("study")).unwrap();
     folder.write("study/notes.txt", "mine");
@@ -91,8 +91,7 @@ fn a_folder_that_is_no_data_set_is_refused() {
     folder.refuses(&stdout, 2);
 }
 
-/// Killed at any moment, an export leaves the whole recording or nothing that can be seen, and the next one removes what
-/// is hidden.
+/// An export killed at any moment leaves the whole recording or only hidden files, which the next export removes.
 #[test]
 fn a_killed_export_leaves_nothing_visible() {
     let folder = folder();

@@ -268,7 +268,7 @@ fn cut_concat_and_diff() {
     let folder = Folder::new();
     folder.run(&["demo", "--seconds", "2s", "--out", "demo"]).with_code(0);
     let (take, csv) = ("demo/jump-001.take", "demo/jump-001.csv");
-    // Which rows a chunk of a later version belongs to is unknown.
+    // The rows of a chunk of a later version are unknown.
     let bytes = folder.read(take);
     let mut strange = bytes[..chunk::MAGIC.len()].to_vec();
     let mut rest = &bytes[chunk::MAGIC.len()..];

@@ -1,4 +1,4 @@
-//! `cut`, `concat` and `diff`: parts of takes, takes joined of parts, and what differs.
+//! `cut`, `concat` and `diff`: parts of takes, takes joined from parts, and differences.
 
 use mocapd_acquire::files::NameTaken;
 
@@ -197,7 +197,7 @@ fn an_export_of_a_part_is_the_part_of_an_export() {
     folder.run(&["verify", "all.take", "--against", "walk.c3d"]).with_code(0);
     let found = folder.run(&["diff", "walk.take", "all.take", "--json"]).with_code(1).json();
     assert_eq!(found["content"]["foreign"], serde_json::json!([]));
-    // In another order the samples follow their frames; parameters are those of both.
+    // In another order the samples follow their frames; the parameters of both are kept.
     folder.run(&["concat", "part1.take", "part0.take", "-o", "swapped.take"]).with_code(0);
     folder.run(&["verify", "swapped.take"]).with_code(0);
 }

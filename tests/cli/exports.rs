@@ -100,7 +100,7 @@ fn parquet_and_mcap_are_built_in_or_the_error_says_how_to_get_them() {
 
 /// Events stay with their frames: from a file to the take, to another file, and those of an excerpt to the excerpt.
 #[test]
-fn events_go_where_their_frames_go() {
+fn events_stay_with_their_frames() {
     let folder = Folder::new();
     let mut motion = jump(1, 100.0, 1.0);
     let event = |frame: u64, kind: EventKind, text: &str| MotionEvent {

@@ -73,7 +73,7 @@ fn agrees(name: &str) {
     let output = format!("{:#}\n{}", played.report["ledger"], played.ran.stderr);
     assert_eq!(played.ran.code, Some(i32::from(expect.exit)), "{output}");
     ledger_agrees(&played, &expect, &output);
-    // The totals show the fault, whatever it does to frames.
+    // The totals show the fault, with or without an effect on frames.
     let totals = played.sent.faults.as_ref().unwrap();
     for windowed in &script.faults {
         let kind = windowed.fault.kind();
@@ -84,7 +84,7 @@ fn agrees(name: &str) {
     contradictions_are_reported(&folder, &played, &expect);
 }
 
-/// An exit code of 3 is explained, and so is it by commands that read the take; a ledger that closes causes no such
+/// `record` and the commands that read the take explain an exit code of 3; a ledger that closes causes no such
 /// message.
 fn contradictions_are_reported(folder: &Folder, played: &Played, expect: &ExpectedRecording) {
     let (verify, info) = (folder.run(&["verify", "a.take"]), folder.run(&["info", "a.take"]));

@@ -11,13 +11,13 @@ use crate::support::{
 };
 
 /// A level plate of 400 x 600 mm whose z axis points down, its centre at 1000, 500, 0 mm. For 20 frames of five analog
-/// samples a force of 700 N at 100 mm beside the centre along the laboratory's x axis, drifted by 5 N; no force in the
-/// first ten frames. z is up.
+/// samples a force of 700 N at 100 mm from the centre along the laboratory's x axis, with a drift of 5 N; no force in
+/// the first ten frames. z is up.
 pub(super) fn plate(zero: [u16; 2]) -> Vec<u8> {
     plate_of(zero, (20, 5))
 }
 
-/// The same for another number of frames, and of samples in a frame.
+/// A [`plate`] file with another number of frames and of samples per frame.
 fn plate_of(zero: [u16; 2], (n_frames, ratio): (usize, usize)) -> Vec<u8> {
     let frames = (0..n_frames).map(|frame| {
         // Along the plate's axes: x of the plate is y of the laboratory, y is x, z points down.
@@ -122,7 +122,7 @@ fn assert_loads(row: &[f64], force_n: [f64; 3], cop_mm: Option<[f64; 3]>) {
 }
 
 #[test]
-fn a_csv_has_analog_channels_and_force_plates_beside_it() {
+fn a_csv_export_has_side_files_of_analog_channels_and_force_plates() {
     let folder = folder([0, 0]);
     let ran = folder.run(&["export", "walk.take", "-o", "walk.csv", "--json"]).with_code(0);
     let report = ran.json();
@@ -163,7 +163,7 @@ fn a_csv_has_analog_channels_and_force_plates_beside_it() {
 }
 
 #[test]
-fn files_beside_an_output_are_written_with_it_or_not_at_all() {
+fn side_files_are_written_with_their_output_or_not_at_all() {
     let folder = folder([0, 0]);
     for format in ["csv", "parquet"] {
         let [walk, analog, plates] =
@@ -180,7 +180,7 @@ fn files_beside_an_output_are_written_with_it_or_not_at_all() {
             std::fs::remove_file(folder.path(name)).unwrap();
         });
     }
-    // Standard output has the positions, and says what it has not.
+    // Standard output has the positions, and a message says what it lacks.
     let ran = folder.run(&["export", "walk.take", "-o", "-", "--to", "csv"]).with_code(0);
     assert_eq!(ran.stdout.lines().count(), 21);
     assert_mentions(&ran.stderr, &["analog channels", "force plates", "-o FILE"]);
@@ -194,9 +194,9 @@ fn files_beside_an_output_are_written_with_it_or_not_at_all() {
     assert_eq!(std::fs::read_dir(folder.path("again")).unwrap().count(), 1);
 }
 
-/// Interrupted while the last of the files is written: the others are complete, and none has its name.
+/// Interrupted while the last of the files is written: the others are complete, but none has its final name yet.
 #[test]
-fn an_export_that_is_interrupted_leaves_no_file_beside_its_output() {
+fn an_interrupted_export_leaves_no_side_file() {
     let folder = Folder::new();
     // 300 000 samples: seconds of work.
     folder.write("walk.c3d", plate_of([0, 0], (6000, 50)));
@@ -214,7 +214,7 @@ fn an_export_that_is_interrupted_leaves_no_file_beside_its_output() {
     }
 }
 
-/// How many files in the folder a process has open beside the take that it reads.
+/// Number of files in the folder that a process has open, besides the take that it reads.
 fn n_written(folder: &Folder, process: u32) -> usize {
     let open = std::fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten();
     let open = open.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());
@@ -223,7 +223,7 @@ fn n_written(folder: &Folder, process: u32) -> usize {
 }
 
 #[test]
-fn names_that_spreadsheets_take_for_formulas_are_escaped_beside_the_output_too() {
+fn names_that_look_like_formulas_are_escaped_in_side_files() {
     let folder = Folder::new();
     let frames = (0..3).map(|_| vec![1.0, 2.0, 3.0, 0.0, 7.0]).collect();
     let mut file = C3dFile { order: Order::Intel, analog: (1, 1), ..C3dFile::new(1, frames) };
@@ -310,7 +310,7 @@ fn sizes_include_the_analog_channels() {
     };
     assert_eq!(analog(&raw), analog(&take));
     assert_eq!((analog(&raw).0, analog(&raw).1), (6.into(), 100.into()));
-    // As much as an import is larger for them.
+    // The difference between the sizes of two imports.
     for (name, option) in [("all.take", None), ("bare.take", Some("--drop-foreign"))] {
         let args = ["import", "walk.c3d", "-o", name, "--resampler", "fast", "--tolerance", "1mm"];
         folder.run(&[&args[..], option.as_slice()].concat()).with_code(0);
@@ -318,7 +318,7 @@ fn sizes_include_the_analog_channels() {
     let size = |name: &str| folder.path(name).metadata().unwrap().len();
     let difference = size("all.take") - size("bare.take");
     let stated = analog(&raw).2.as_u64().unwrap();
-    // The others are for the file's parameters.
+    // The remaining bytes are the file's parameters.
     assert!(stated < difference && difference < stated + 4096, "{stated} of {difference}");
     folder.run(&["plot", "sizes", "walk.c3d", "--tolerances", "1mm", "-o", "s.svg"]).with_code(0);
     assert_mentions(&folder.text("s.svg"), &["analog", "600 analog samples"]);

@@ -5,8 +5,8 @@ use std::process::{Command, Stdio};
 use super::{Folder, Ran, devices::Simulated};
 use crate::support::{assert_mentions, crowd};
 
-/// Runs a script in `folder`, where `disk` is a file system of so many bytes; `None`, with the reason printed, where
-/// none can be mounted. The program is `$mocapd`, the device `$device`.
+/// Runs a script in `folder`, where `disk` is a file system of `bytes` bytes; prints the reason and returns `None`
+/// if none can be mounted. The program is `$mocapd`, the device `$device`.
 #[expect(clippy::print_stderr, reason = "a test that is skipped says why")]
 fn on_small_disk(folder: &Folder, bytes: u64, device: &str, script: &str) -> Option<Ran> {
     std::fs::create_dir(folder.path("disk")).unwrap();
@@ -54,7 +54,7 @@ fn a_take_is_closed_before_the_disk_is_full_and_the_next_is_refused() {
     assert_mentions(line, &["disk/b.take", "4 MB", "--keep-free"]);
 }
 
-/// Every message about a full disk says what to do, whatever was being written.
+/// Every message about a full disk says what to do, for every kind of file.
 #[test]
 fn a_full_disk_has_a_remedy() {
     let folder = Folder::new();

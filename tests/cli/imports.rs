@@ -1,4 +1,4 @@
-//! Every resampler through import, info and verify; every format there and back.
+//! Every resampler through import, info and verify; round trips of every format.
 
 use mocapd_take::{
     TakeEvent,
@@ -172,7 +172,7 @@ fn analog_samples_become_sampled_channels() {
     folder.run(&["export", "again.take", "-o", "again.c3d"]).with_code(0);
     assert!(folder.read("whole.c3d") == folder.read("again.c3d"));
 
-    // A damaged block: what it held is stated, NaN in an export, and everything else is as before.
+    // A damaged block: its samples are reported and are NaN in an export; everything else is unchanged.
     let mut take = folder.read("1.take");
     let blocks = places(&take).into_iter().filter(|(kind, _)| *kind == types::SAMPLES);
     let second = blocks.clone().nth(1).unwrap().1;

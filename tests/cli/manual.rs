@@ -38,7 +38,7 @@ fn a_page_is_printed_or_all_are_written() {
 }
 
 #[test]
-fn what_is_refused() {
+fn invalid_arguments_are_refused() {
     let folder = Folder::new();
     let line = folder.refuses(&["man", "frob"], 2);
     assert_mentions(&line, &["'mocapd' has no command 'frob'", "import", "export"]);

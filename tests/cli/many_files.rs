@@ -29,7 +29,7 @@ fn with_input(mut command: Command, input: &[u8]) -> (Option<i32>, Vec<u8>, Stri
     let mut child = command.spawn().unwrap();
     let mut stdin = child.stdin.take().unwrap();
     let input = input.to_vec();
-    // It may be refused unread.
+    // The program may refuse it unread.
     let write = move || drop(stdin.write_all(&input));
     let writer = std::thread::Builder::new().name("input".to_owned()).spawn(write).unwrap();
     let output = child.wait_with_output().unwrap();
@@ -68,9 +68,9 @@ fn a_folder_is_imported_but_for_the_files_that_fail_and_the_next_run_does_the_re
     assert!(first == folder.read("out/0.take"), "and none is overwritten");
 }
 
-/// The take itself is no original, and the case of an extension does not matter.
+/// The take itself is not an original, and the case of an extension does not matter.
 #[test]
-fn an_original_beside_the_take_is_found() {
+fn an_original_in_the_folder_of_the_take_is_found() {
     let folder = Folder::new();
     folder.write_motion("jump.csv", &jump(5, 120.0, 1.0));
     folder.run(&["import", "jump.csv"]).with_code(0);
@@ -209,7 +209,7 @@ fn an_interrupted_export_leaves_nothing() {
             let status = child.wait().unwrap();
             let after = folder.content();
             if after.contains_key(&folder.path("out")) {
-                // The signal came when the output had its name already: then it is whole.
+                // The output had its name before the signal came, so it is complete.
                 assert!(after == finished, "{format}, {status}: {:?}", after.keys());
                 remove_output();
             } else {

@@ -47,8 +47,8 @@ fn a_recording_equals_what_was_sent() {
             (&channels[0]["label"], &channels[1]["label"]),
             (&"head".into(), &"pelvis".into())
         );
-        // A stray may change its number after an occlusion, but none may be lost. Such a system keeps one frame, and on
-        // a busy machine some are missed: those are rows without a position.
+        // A stray marker may change its number after an occlusion, but none may be lost. Such a system keeps one frame,
+        // and on a busy machine some are missed: those are rows without a position.
         folder.run(&["export", name, "-o", "out.csv"]);
         let [sent, found] = ["sent.csv", "out.csv"].map(|file| samples_by_row(&folder.text(file)));
         assert_eq!(found.len(), sent.len());
@@ -92,7 +92,7 @@ fn samples_by_row(table: &str) -> Vec<Vec<[String; 3]>> {
 
 /// On a line that carries a quarter of the frames, to the end of the motion and stopped before it.
 #[test]
-fn what_a_slow_line_misses_is_on_both_accounts_the_same() {
+fn frames_missed_on_a_slow_line_agree_in_both_accounts() {
     let folder = Folder::new();
     let motion = jump(5, 60.0, 4.0);
     for (looping, bx2) in [(false, true), (false, false), (true, true)] {
@@ -131,7 +131,7 @@ fn slow_line(
         assert_mentions(&printed, &[&tools.len().to_string(), &appeared.to_string()]);
     }
     let log = device.unplug();
-    // Of the last run, or of the only one.
+    // The take of the last run, or of the only one.
     let take = if looping { &take } else { &words };
     let info = folder.run(&["info", take, "--json"]).json();
     let ledger = &info["ledger"];
@@ -183,7 +183,7 @@ fn a_line_too_slow_for_its_tools_is_refused_and_a_rate_cannot_be_set() {
 }
 
 #[test]
-fn the_time_is_up_and_the_next_host_finds_it_as_this_one_did() {
+fn a_timed_recording_leaves_the_system_ready_for_the_next_host() {
     let folder = Folder::new();
     let motion = jump(5, 60.0, 1.0);
     let settings = NdiSettings { looping: true, ..system(&motion, &["head"]) };

@@ -94,7 +94,7 @@ fn an_import_that_fails_leaves_nothing() {
 }
 
 #[test]
-fn a_closed_pipe_is_no_failure() {
+fn a_closed_pipe_is_not_a_failure() {
     let folder = folder();
     for args in [
         &["info", "jump.take"][..],
@@ -156,8 +156,8 @@ fn info_is_a_summary_unless_markers_are_asked_for() {
     assert!(stored > 0 && stored < report["bytes"]["foreign"].as_u64().unwrap(), "{report}");
 }
 
-/// Interrupted while coding, as by Ctrl-C: the output is open, but has no name yet. (If a shell runs a test in the
-/// background, its children ignore Ctrl-C.)
+/// Interrupted while encoding, as by Ctrl-C: the output is open, but has no name yet. (If a shell runs a test in
+/// the background, its children ignore Ctrl-C.)
 #[test]
 fn an_import_that_is_interrupted_leaves_nothing() {
     let folder = Folder::new();
@@ -178,7 +178,7 @@ fn an_import_that_is_interrupted_leaves_nothing() {
     assert!(folder.content() == before, "{:?}", folder.content().keys());
 }
 
-/// Whether a process has another file open in the folder than the motion that it reads.
+/// Whether a process has a file open in the folder besides the motion that it reads.
 fn has_begun(folder: &Folder, process: u32) -> bool {
     let open = std::fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten();
     let open = open.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());

@@ -25,7 +25,7 @@ fn a_killed_recording_is_recovered() {
     assert_mentions(&ran.stderr, &["killed.take", &Problem::CutOff.to_string(), &losses]);
     assert_eq!(folder.read("killed.take"), killed, "it is only read");
     let verified = folder.run(&["verify", "new.take", "--json"]).with_code(3).json();
-    // The new take is intact; the frames behind the cut cannot be counted.
+    // The new take is intact; the frames after the cut cannot be counted.
     assert_eq!((&verified["intact"], &verified["health"]), (&true.into(), &"lossy".into()));
     // The other commands point to `recover`.
     for command in ["info", "verify"] {
@@ -87,7 +87,7 @@ fn nothing_is_overwritten_and_nothing_left_behind() {
     folder.write("head.take", &take[..60]);
     let line = folder.refuses(&["recover", "head.take", "-o", "new.take"], 1);
     assert_mentions(&line, &["head.take", &NotATake::HeaderCut.to_string()]);
-    // Nor can one with two wrong bytes; `recover` does not recommend itself.
+    // A header with two wrong bytes cannot be recovered either; the message does not recommend `recover`.
     let mut bad = take.clone();
     bad[40] ^= 0x20;
     bad[50] ^= 0x20;

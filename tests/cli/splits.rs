@@ -81,8 +81,8 @@ fn logged() -> DeviceSettings {
     DeviceSettings { log_frames: true, ..DeviceSettings::default() }
 }
 
-/// Asserts that `concat` joins the parts to the recording, without a gap: its frames are `frames`, and its ledger counts
-/// what those of the parts count together.
+/// Asserts that `concat` joins the parts to the whole recording without a gap: its frames are `frames`, and its ledger
+/// is the sum of the parts' ledgers.
 fn check_joined(folder: &Folder, report: &Value, frames: &[(u64, u64)], code: i32) {
     let parts = report["parts"].as_array().unwrap();
     let takes: Vec<_> = parts.iter().map(|part| part["take"].as_str().unwrap()).collect();
@@ -148,7 +148,7 @@ fn every_frame_is_in_exactly_one_take() {
     assert!(infos.iter().all(|info| info["subject"]["name"] == "S01"), "{}", infos[1]);
     assert!(infos.is_sorted_by(|a, b| a["created"].as_str() < b["created"].as_str()));
     check_joined(&folder, &report, &frames, 0);
-    // A folder stands for its takes.
+    // A folder argument selects its takes.
     std::fs::create_dir(folder.path("parts")).unwrap();
     for name in names {
         std::fs::copy(folder.path(name), folder.path(&format!("parts/{name}"))).unwrap();
@@ -201,7 +201,7 @@ fn takes_end_at_their_size() {
 }
 
 #[test]
-fn seconds_that_are_a_multiple_leave_no_short_take_behind() {
+fn a_duration_that_is_a_multiple_leaves_no_short_take() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 2.0));
     let record =
@@ -299,7 +299,7 @@ fn an_outage_across_a_seam_is_divided_between_its_takes() {
     }
 }
 
-/// The takes before the one whose file goes are complete, and the recording goes on in the next.
+/// The takes before the removed one are complete, and the recording continues in the next.
 #[test]
 fn a_take_that_is_removed_is_saved_and_the_next_one_begins() {
     let folder = Folder::new();

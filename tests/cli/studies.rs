@@ -121,7 +121,7 @@ fn verify_reports_the_errors_of_derivatives() {
         let found = folder.run(&verify).with_code(0).json();
         assert_eq!(found["derivatives"]["markers"].as_array().unwrap().len(), 15);
         let all = &found["derivatives"]["all"];
-        // The velocity of the original does not depend on the tolerance.
+        // The velocity of the original is independent of the tolerance.
         assert!(
             (3000.0..15000.0).contains(&all["original_velocity_max_mm_s"].as_f64().unwrap()),
             "{all}"

@@ -29,7 +29,7 @@ struct Troubled<D> {
     begun_ns: Option<u64>,
     /// When the device last ran.
     last_ns: Option<u64>,
-    /// How often the machine did not run the device for so long that it was silent once more.
+    /// Number of times that the machine stalled the device long enough to make it silent.
     starved: Arc<AtomicU64>,
 }
 
@@ -45,7 +45,7 @@ enum Trouble<D> {
 const AFTER_NS: u64 = 1_500_000_000;
 
 /// A device that is not run for this long is silent. An NDI host gives up after three polls of 100 ms each and the pauses
-/// between them: with stalls of 200 to 420 ms it went on, with 530 ms it set the system up again.
+/// between them: with stalls of 200 to 420 ms it continued, with 530 ms it set the system up again.
 const STARVED_NS: u64 = 250_000_000;
 
 impl<D> Troubled<D> {
@@ -56,7 +56,7 @@ impl<D> Troubled<D> {
         (Self { device, trouble, begun_ns: None, last_ns: None, starved }, count)
     }
 
-    /// The device runs: it is polled every 10 ms, so a longer pause is the machine's.
+    /// Notes that the device runs: it is polled every 10 ms, so a longer pause is due to the machine.
     fn runs(&mut self, now_ns: u64) {
         let last_ns = self.last_ns.replace(now_ns).filter(|_| self.begun_ns.is_some());
         let is_starved = last_ns.is_some_and(|last_ns| now_ns - last_ns > STARVED_NS);
@@ -82,7 +82,7 @@ impl<D: LineDevice> LineDevice for Troubled<D> {
             None => {}
             Some(Trouble::Stalls(time)) => {
                 std::thread::sleep(time);
-                // This silence is meant.
+                // This silence is intended.
                 self.last_ns = None;
             }
             Some(Trouble::IsReset) => self.device.on_break(now_ns),
@@ -152,10 +152,10 @@ fn assert_away(info: &serde_json::Value, starved: u64) {
     assert!((1..=1 + starved).contains(&count), "{count}, starved {starved}: {}", info["events"]);
     let n_lost = info["outages"]["frames"].to_string();
     let mut events = info["events"].as_array().unwrap().iter();
-    let is_told = |event: &serde_json::Value| {
+    let states_loss = |event: &serde_json::Value| {
         event["kind"] == "host" && mentions(event["text"].as_str().unwrap(), &n_lost)
     };
-    assert!(events.any(is_told), "{n_lost} frames: {}", info["events"]);
+    assert!(events.any(states_loss), "{n_lost} frames: {}", info["events"]);
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn an_ndi_system_that_stalls_or_is_reset_or_replaced_invents_no_frame() {
 
 /// A rig on a UART adapter: the port stays when the rig loses its power.
 #[test]
-fn a_device_that_loses_its_power_behind_a_line_that_stays_is_started_again() {
+fn a_device_that_loses_its_power_while_the_line_stays_is_started_again() {
     let device = || {
         let settings = DeviceSettings {
             looping: true,

@@ -1,4 +1,4 @@
-//! `verify` of intact takes whose statements about themselves are wrong.
+//! `verify` of intact takes with wrong statements in their records.
 
 use mocapd_take::{
     chunk::{self, ChunkParse, types},
@@ -109,7 +109,7 @@ fn a_take_that_contradicts_itself_fails() {
 }
 
 #[test]
-fn lost_frames_are_no_difference_and_wrong_samples_are() {
+fn lost_frames_are_not_a_difference_but_wrong_samples_are() {
     let folder = Folder::new();
     let motion = jump(1, 30.0, 30.0);
     folder.write_motion("jump.csv", &motion);

@@ -46,7 +46,7 @@ fn a_marker_that_appears_becomes_a_channel() {
     }
 }
 
-/// A second group of channels starts in the middle of the take, without a key stretch.
+/// A second group of channels starts in mid-take, without a key stretch.
 #[test]
 fn markers_that_appear_may_need_another_group() {
     for codec in [dense(0.5), fast(0.5), lossless()] {

@@ -98,7 +98,7 @@ fn a_jump_is_an_event_and_a_segment_and_loses_no_frame() {
 fn a_long_silence_is_an_event_at_the_frame_that_ends_it() {
     let motion = jump(9, 120.0, 2.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
-    // Held up for 2.5 s after frame 100, without loss; a pause of 0.9 s later is no event.
+    // Held up for 2.5 s after frame 100, without loss; a pause of 0.9 s later is not an event.
     for seq in 0..240_u64 {
         let delay_ns = match seq {
             ..100 => 0,

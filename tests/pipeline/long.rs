@@ -82,8 +82,7 @@ impl TakeOutput for Gated {
     }
 }
 
-/// Waits for space in the rings for at most a second: after that a queue is full, and it is not the workers that are
-/// late.
+/// Waits for space in the rings for at most a second: after that a queue is full and the workers are not to blame.
 fn wait_for_room(intake: &mut Intake) {
     let since = Instant::now();
     while intake.is_full() && since.elapsed() < Duration::from_secs(1) {

@@ -249,7 +249,7 @@ fn lost_rows_belong_to_the_take_that_has_their_place() {
     feed_all(&mut intake, &motion, 7350..8100);
     let counts = intake.finish();
     let takes = divided.finish();
-    // No take is without a frame: the one that begins in the long absence goes on after it.
+    // Every take has a frame: the one that begins during the long absence continues after it.
     assert_eq!(first_rows(&takes), [0, 1000, 2000, 3000, 4000, 5000, 8000]);
     let gaps = [3456..4010, 4100..7300];
     let recorded = (0..8100).filter(sent).filter(|seq| !gaps.iter().any(|gap| gap.contains(seq)));
@@ -286,7 +286,7 @@ fn a_take_ends_at_the_first_end_of_a_stretch_that_makes_it_large_enough() {
             std::thread::yield_now();
         }
         feed(&mut intake, &motion, seq);
-        // As slowly as the writer finds out how long the take is.
+        // Pauses, so that the writer can update the length of the take.
         if seq.is_multiple_of(20) {
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -299,7 +299,7 @@ fn a_take_ends_at_the_first_end_of_a_stretch_that_makes_it_large_enough() {
     for (first_row, written, bytes) in whole {
         assert_eq!(written.file_bytes, bytes.len() as u64);
         assert!(written.file_bytes >= LIMIT, "from row {first_row}: {}", written.file_bytes);
-        // Besides the stretches that were in work by then: 100 rows of 150 markers take 180 kB.
+        // Plus the stretches in progress by then: 100 rows of 150 markers take 180 kB.
         assert!(written.file_bytes < LIMIT + 1_500_000, "{}", written.file_bytes);
     }
 }
@@ -407,7 +407,7 @@ fn a_take_goes_on_when_the_next_cannot_begin() {
 fn a_disk_that_fails_ends_the_recording_and_leaves_the_takes_before() {
     let motion = jump(49, 100.0, 10.0);
     let config = PipelineConfig { sync_every: Duration::ZERO, ..config(&motion, dense(1.0)) };
-    // Between two stretches, or in the end of a take: whenever it happens, no take begins after it.
+    // Between two stretches, or at the end of a take: no take begins after the failure.
     let mut n_failed_at_the_end = 0;
     for writes in 1..20 {
         let disk = move |number| {

@@ -89,7 +89,7 @@ fn any_damage_is_found_and_reported_as_by_decoding() {
             assert_ne!(stated.take.problems, [], "{what}");
             assert_alike(&hurt, &what);
         }
-        // A chunk that is gone.
+        // A missing chunk.
         let mut gone = take.clone();
         gone.drain(place.clone());
         assert_alike(&gone, &format!("without a chunk of type {kind:02x}"));
@@ -118,7 +118,7 @@ fn verify_finds_forged_figures() {
     let whole = record(&motion, &config(&motion, dense(0.5)), 0..motion.n_frames()).1;
     assert_eq!(Summary::read_stated(&whole[..]).unwrap().health(), TakeHealth::Complete);
     let folder = Folder::new();
-    // Figures with which everything else agrees: `info` believes them, and so shows that it does not decode.
+    // Figures that nothing else contradicts: `info` shows them, which proves that it does not decode.
     let knots = |figures: &mut TakeStatistics| figures.channels[2].knots -= 1;
     let gaps = |figures: &mut TakeStatistics| figures.channels[1].gaps += 1;
     let error = |figures: &mut TakeStatistics| figures.channels[0].error_step -= 1;
@@ -187,7 +187,7 @@ fn forged(take: &[u8], change: impl Fn(u8, &[u8]) -> Vec<Vec<u8>>) -> Vec<u8> {
 }
 
 #[test]
-fn verify_finds_what_no_writer_writes() {
+fn verify_finds_records_that_no_writer_writes() {
     let folder = Folder::new();
     folder.write_motion("a.csv", &jump(8, 60.0, 2.0));
     folder.run(&["import", "a.csv", "-o", "import.take"]).with_code(0);

@@ -158,7 +158,7 @@ fn each_take_has_the_loss_of_its_own_rows() {
     let motion = jump(14, 100.0, 12.0);
     let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
     feed_all(&mut intake, &motion, (0..300).filter(|seq| seq % 50 != 49));
-    // Frame 299 is lost, which nobody knows yet.
+    // Frame 299 is lost, which is not known yet.
     let handle = armed.takes.begin(new_take(&motion, Duration::ZERO, 300)).unwrap();
     feed_all(&mut intake, &motion, (300..600).filter(|seq| seq % 100 != 0 && seq % 100 != 99));
     feed_all(&mut intake, &motion, [598, 597]);
@@ -220,7 +220,7 @@ fn markers_that_appeared_before_a_take_are_in_its_table_and_later_ones_when_they
 }
 
 #[test]
-fn memory_bounds_the_pre_roll_and_a_take_without_a_frame_is_no_error_of_the_pipeline() {
+fn memory_bounds_the_pre_roll_and_a_take_without_a_frame_is_not_a_pipeline_error() {
     let motion = jump(16, 100.0, 20.0);
     let small = PreRollConfig { time: Duration::from_secs(600), bytes_max: 15_000 };
     let (mut intake, pipeline, mut armed) = arm(&motion, small);

@@ -14,7 +14,7 @@ const SOON: Duration = Duration::from_secs(30);
 #[test]
 fn a_take_that_begins_while_the_device_is_away_excludes_its_absence() {
     let motion = jump(21, 100.0, 20.0);
-    // The device is away; it is back but has sent no frame; or nobody has noticed yet that it was away.
+    // The device is away; it is back but has sent no frame; or its absence is not noticed yet.
     for when in ["away", "back", "silent"] {
         let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
         feed_all(&mut intake, &motion, 0..300);
@@ -104,7 +104,7 @@ fn a_take_does_not_wait_while_frames_come() {
 
 /// With two seconds requested and one second since the return, the take has that second, not the minutes of absence.
 #[test]
-fn a_pre_roll_does_not_reach_behind_an_absence() {
+fn a_pre_roll_does_not_reach_back_beyond_an_absence() {
     let motion = jump(23, 100.0, 40.0);
     for requested_s in [2, 30] {
         let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
@@ -130,7 +130,7 @@ fn a_pre_roll_does_not_reach_behind_an_absence() {
         if requested_s == 2 {
             assert_eq!((first.row, ledger.frames_sent, ledger.recorded), (3000, 300, 300));
         } else {
-            // A request that reaches behind the absence includes it, with its rows.
+            // A request that reaches back beyond the absence includes its rows.
             assert!(first.row < 330, "{first:?}");
             assert_eq!(ledger.unknown_after_disconnect, 2670, "{ledger:?}");
             assert_eq!(ledger.recorded, 330 - first.row + 300);
@@ -192,7 +192,7 @@ fn drops_that_are_reported_late_contradict_nothing() {
 /// 300 frames, then a silence of 200, in which the take is stopped. During the silence the counter stands still,
 /// continues, or continues with late frames; the device reports nothing meanwhile, or that it produced none.
 #[test]
-fn a_take_that_ends_in_a_silence_has_what_was_due_in_it_and_the_next_one_has_none_of_it() {
+fn frames_due_in_a_silence_belong_to_the_take_that_ends_in_it() {
     let motion = jump(27, 100.0, 20.0);
     for (continues, accounted) in [(true, false), (false, false), (false, true)] {
         let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);

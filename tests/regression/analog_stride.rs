@@ -20,7 +20,7 @@ const HEADER_POINTS: usize = 2;
 const HEADER_ANALOG: usize = 4;
 const HEADER_RATIO: usize = 18;
 
-/// Where a marker is: all go on from frame to frame, each at a place of its own.
+/// Position of a marker: all move on from frame to frame, each along its own path.
 fn position(frame: usize, point: usize) -> [f32; 3] {
     let (t, p) = (frame as f32 / 100.0, point as f32);
     [
@@ -30,7 +30,7 @@ fn position(frame: usize, point: usize) -> [f32; 3] {
     ]
 }
 
-/// Analog samples that are no motion.
+/// Analog samples that are not motion.
 fn analog(frame: usize, sample: usize) -> f32 {
     ((frame * 31 + sample * 17) % 97) as f32 * 20.0 - 900.0
 }
@@ -82,7 +82,7 @@ fn read(bytes: &[u8]) -> Motion {
     Format::C3d.read(bytes).unwrap()
 }
 
-/// Every marker of every frame, where it is.
+/// Asserts that every marker is at its position in every frame.
 fn assert_true(motion: &Motion, scale: f32, what: &str) {
     assert_eq!((motion.info.markers.len(), motion.n_frames()), (POINTS, FRAMES), "{what}");
     let apart = if scale > 0.0 { scale } else { 1e-3 };
@@ -106,7 +106,7 @@ fn analog_samples_are_counted_by_what_accounts_for_the_bytes() {
             let agreed = read(&file(order, scale, CHANNELS, TRUE));
             assert_true(&agreed, scale, "all agree");
             assert!(!is_noted(&agreed), "{:?}", agreed.info.source.warnings);
-            // The header is wrong: nothing, the number of channels, half of it, all of a channel.
+            // The header is wrong: 0, the number of channels, half of the true number, all samples of one channel.
             for (words, ratio) in [(0, 0), (CHANNELS, 1), (CHANNELS, RATIO), (15, 5), (31, RATIO)] {
                 let mut bytes = file(order, scale, CHANNELS, TRUE);
                 put(&mut bytes, order, HEADER_ANALOG, words);
@@ -163,7 +163,7 @@ fn unexplained_sizes_are_refused_with_their_figures() {
     let mut bytes = file(Order::Intel, -1.0, CHANNELS, TRUE);
     put(&mut bytes, Order::Intel, HEADER_ANALOG, 77);
     put(&mut bytes, Order::Intel, HEADER_RATIO, 7);
-    // And the data are noise, of a length that none of the figures gives.
+    // The data are noise, of a length that matches none of the figures.
     let start = (usize::from(u16::from_le_bytes([bytes[16], bytes[17]])) - 1) * 512;
     bytes.truncate(bytes.len() - 1000);
     let mut noise = 1u32;
@@ -217,7 +217,7 @@ enum Content {
     Moving,
     Still,
     Missing,
-    /// Markers that jump about.
+    /// Markers that jump at random.
     Restless,
 }
 

@@ -18,16 +18,16 @@ use crate::{
     support::{config, dense, jump, record},
 };
 
-/// Begins a line, clears a screen, turns the direction of text, hides, ends a line in other ways.
+/// A new line, a forged log line, a clear screen, a change of text direction, hidden text, other line separators.
 const HOSTILE: &str = "first\n2026-01-01T00:00:00Z ERROR forged\x1b[2J\u{9b}31m\u{202e}\u{2066}\u{200f}\u{61c}\u{2028}\r\u{7f}";
 
-/// Every character of a text that is more than text, but for line ends.
+/// The control and formatting characters of a text, except line ends.
 fn unsafe_characters(text: &str) -> Vec<char> {
     let is_format = |c: char| matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     text.chars().filter(|&c| c != '\n' && (c.is_control() || is_format(c))).collect()
 }
 
-/// `mocapd run`, as a process of its own with its log in a file.
+/// `mocapd run` in a separate process, with its log in a file.
 pub(super) struct Service {
     child: Child,
 }
@@ -72,7 +72,7 @@ impl Service {
 
 impl Drop for Service {
     fn drop(&mut self) {
-        // One that has ended already is not there.
+        // Fails if the process has ended already, which is fine.
         self.child.kill().ok();
         self.child.wait().ok();
     }
@@ -110,7 +110,7 @@ fn events_are_exact_and_command_no_terminal(folder: &Folder) {
     let events = File::options().append(true).open(folder.path("events")).unwrap();
     let mut follow = folder.command(&["ctl", "--connect", "unix:rig.sock", "events", "--json"]);
     let follow = follow.stdout(events).stderr(Stdio::null()).spawn().unwrap();
-    // Ended however this ends.
+    // Killed at the end of the scope.
     let _follow = Service { child: follow };
     let began = Instant::now();
     let line = loop {

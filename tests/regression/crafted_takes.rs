@@ -35,7 +35,7 @@ fn take(fill: impl FnOnce(&mut TakeWriter<Vec<u8>>)) -> Vec<u8> {
     take.finish(&Ledger { finished: true, ..Ledger::default() }).unwrap().0
 }
 
-/// Every command that reads the take ends, reports a problem, and uses little memory.
+/// Asserts that every command that reads the take ends, reports a problem, and uses little memory.
 fn assert_survived(bytes: &[u8]) {
     let folder = Folder::new();
     folder.write("a.take", bytes);

@@ -115,7 +115,7 @@ fn config_check_warns_of_what_run_warns_of() {
 fn a_stop_of_a_take_that_has_failed_says_why() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 3.0));
-    // No file grows beyond 32 KiB at most: the take fails after a second or two, with an earlier one beside it.
+    // No file grows beyond 32 KiB at most: the take fails after a second or two, and an earlier one is in the folder.
     let limits = "trap '' XFSZ; ulimit -f 32;";
     let config = format!("{ALONE}[arm]\npre_roll = '0s'\n");
     let service = Service::run(&folder, limits, &device.path, &config);

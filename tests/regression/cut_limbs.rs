@@ -77,7 +77,7 @@ fn no_joint_of_a_body_with_a_missing_limb_is_wrong_and_confident() {
 }
 
 #[test]
-fn what_is_cut_off_is_left_out_and_the_other_side_keeps_its_place() {
+fn a_cut_off_part_is_left_out_and_the_other_side_keeps_its_place() {
     let (mesh, truth) = body(0, Pose::A, BodyOptions::default());
     // A shank: neither its ankle nor its foot is in the scan.
     let cuts = (0..64).map(|turn| 8 * turn + 1).filter_map(|seed| cut_limb(&mesh, &truth, seed));

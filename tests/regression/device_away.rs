@@ -49,7 +49,7 @@ fn a_recording_without_its_device_is_not_shown_as_healthy() {
     assert!(status.summary().starts_with("no device for "), "{}", status.summary());
     let printed = ctl(&["status"]).with_code(0).stdout;
     let first = printed.lines().next().unwrap();
-    // For how long the take still waits for it.
+    // The remaining time for which the take waits for it.
     assert_mentions(first, &["test", "9 min"]);
     let json = ctl(&["status", "--json"]).with_code(0).json();
     assert!(json["device"]["outage"]["frames"].as_u64().unwrap() >= outage.frames);

@@ -1,4 +1,4 @@
-//! The frame of an event has one number: in `info` as in the file that was imported, and in what is exported.
+//! The frame of an event has the same number in `info`, in the imported file and in exports.
 
 use mocapd_take::interchange::Format;
 
@@ -8,7 +8,7 @@ use crate::{
 };
 
 #[test]
-fn info_numbers_the_frame_of_an_event_as_the_files_do() {
+fn info_and_files_number_the_frame_of_an_event_alike() {
     let folder = Folder::new();
     let mut motion = jump(1, 100.0, 1.0);
     motion.info.source.first_frame = 695;

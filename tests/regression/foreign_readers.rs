@@ -16,7 +16,7 @@ fn write(motion: &Motion) -> Vec<u8> {
     bytes
 }
 
-/// By group and name, read plainly.
+/// Finds a parameter by group and name.
 fn parameter(file: &[u8], group: &str, name: &str) -> Option<Parameter> {
     let mut at = 512 + 4;
     let mut ids = Vec::new();
@@ -70,7 +70,7 @@ fn first_analog(file: &[u8]) -> Vec<f32> {
 
 #[test]
 fn the_analog_group_is_whole_and_its_offsets_are_words() {
-    // No OFFSET at all; OFFSETS in its place; floats; too few.
+    // No OFFSET at all; OFFSETS instead; floats; too few values.
     let written = with_analog(|_| {});
     let (kind, dimensions, offsets) = parameter(&written, "ANALOG", "OFFSET").unwrap();
     assert_eq!((kind, &dimensions[..], words(&offsets)), (2, &[2][..], vec![0, 0]));
@@ -88,7 +88,7 @@ fn the_analog_group_is_whole_and_its_offsets_are_words() {
     assert_eq!(first_analog(&written), [10.0, -20.0, 11.0, -21.0]);
     let written = with_analog(|file| file.words(2, "OFFSET", &[7]));
     assert_eq!(words(&parameter(&written, "ANALOG", "OFFSET").unwrap().2), [7, 0]);
-    // What no word holds is taken from the samples.
+    // An offset that does not fit into a word is subtracted from the samples.
     let written = with_analog(|file| file.floats(2, "OFFSET", &[0.5, 70_000.0]));
     assert_eq!(words(&parameter(&written, "ANALOG", "OFFSET").unwrap().2), [0, 0]);
     assert_eq!(first_analog(&written), [9.5, -70_020.0, 10.5, -70_021.0]);

@@ -31,7 +31,7 @@ fn payload(take: &[u8], place: std::ops::Range<usize>) -> &[u8] {
     payload
 }
 
-/// The take's stretches again, with another ledger behind the second one and at the end.
+/// The take's stretches, with another ledger after the second one and at the end.
 fn with_ledgers(take: &[u8], early: Option<&Ledger>, last: impl Fn(Ledger) -> Ledger) -> Vec<u8> {
     let (mut header, mut decoder, mut spans) = (None, None, Vec::new());
     let mut ledger = Ledger::default();
@@ -63,7 +63,7 @@ fn with_ledgers(take: &[u8], early: Option<&Ledger>, last: impl Fn(Ledger) -> Le
     writer.finish(&last(ledger)).unwrap().0
 }
 
-/// The same bytes, with another chunk in the place of each of a kind; none is longer or shorter.
+/// Replaces each chunk of a type by another one of the same length.
 fn with_chunks(take: &[u8], of: u8, forged: impl Fn(&[u8]) -> (u8, Vec<u8>)) -> Vec<u8> {
     let mut out = MAGIC.to_vec();
     for (kind, place) in places(take) {
@@ -122,7 +122,7 @@ fn a_recovery_leaves_no_wrong_ledger() {
     folder.write("a.take", take);
     folder.run(&["verify", "a.take"]).with_code(1);
     let ran = folder.run(&["recover", "a.take", "-o", "b.take"]).with_code(3);
-    // The names are all there.
+    // All names are mentioned.
     assert_mentions(&ran.stderr, &["a.take", &wrong.to_string(), "ledger was missing or wrong"]);
     assert!(!ran.stderr.contains("marker names"), "{}", ran.stderr);
     let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();

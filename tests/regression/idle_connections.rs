@@ -16,7 +16,7 @@ use crate::service::{
     http::client::{Answer, connect, exchange, request},
 };
 
-/// Places of each listener.
+/// Connection slots of each listener.
 const CONNECTIONS_MAX: usize = 8;
 
 /// Idle connections: several times as many.
@@ -75,7 +75,7 @@ impl Rig {
         line.unwrap_or_else(|| panic!("no {name}: {metrics}")).parse::<f64>().unwrap() as u64
     }
 
-    /// Waits until the server has accepted every connection that was made: one holds a place, or was turned away.
+    /// Waits until the server has accepted every connection: each holds a slot or was turned away.
     fn settled(&self, made: usize) {
         let deadline = Instant::now() + Duration::from_secs(20);
         loop {
@@ -141,7 +141,7 @@ fn idle_and_dripping_strangers_on_tcp_leave_the_socket_alone() {
             turned_away += 1;
         }
     }
-    // A wrong login may have been answered before its turn came.
+    // A wrong login may have been answered before it was turned away.
     assert!(turned_away >= STRANGERS * 3 / 4 - CONNECTIONS_MAX, "{turned_away}");
 }
 

@@ -8,7 +8,7 @@ use mocapd_take::{
 
 use crate::{cli::Folder, support::mentions};
 
-/// Two markers at 120 Hz, in metres or whatever `mm` of them make one.
+/// Two markers at 120 Hz, in a unit of `mm` millimetres.
 fn csv(frames: impl Iterator<Item = usize>, mm: f64) -> String {
     let rows = frames.map(|i| {
         let (t, at) = (i as f64 / 120.0, (800.0 + i as f64) / mm);
@@ -47,7 +47,7 @@ fn rounded_times_tell_the_rate_and_missing_lines_keep_their_time() {
 }
 
 #[test]
-fn a_number_that_may_be_cut_off_is_no_coordinate() {
+fn a_number_that_may_be_cut_off_is_not_a_coordinate() {
     let text = csv(0..20, 1.0);
     let whole = read(Format::Csv, &text);
     for n_cut in 1..40 {
@@ -61,7 +61,7 @@ fn a_number_that_may_be_cut_off_is_no_coordinate() {
                 );
             }
         }
-        // A line end alone is no loss.
+        // A line end alone is not a loss.
         let n_more = motion.info.source.warnings.len() - whole.info.source.warnings.len();
         assert!(n_cut > 4 || (n_more > 0) == (n_cut > 1), "{n_cut} bytes");
     }
@@ -94,7 +94,7 @@ fn spreadsheets_of_all_locales_are_read() {
             (120.0, &expected.info.source.warnings[..])
         );
     }
-    // Commas between thousands are no decimal points.
+    // Commas between thousands are not decimal points.
     let text = "time;A_x;A_y;A_z\n0;1,234;2.5;3\n0.01;1,234;2.5;3\n";
     assert!(is_gap(read(Format::Csv, text).positions_mm[0]));
 }
@@ -110,7 +110,7 @@ fn a_unit_that_is_stated_and_wrong_does_not_destroy_the_motion() {
         folder.run(&args).with_code(0);
         std::fs::remove_file(folder.path("a.take")).unwrap();
     }
-    // What is small is not far from the origin only in its own unit.
+    // Millimetres stated as metres get a hint; real metres do not.
     folder.write("far.csv", format!("# units=m\n{}", csv(0..100, 1.0)));
     let ran = folder.run(&["import", "far.csv", "-o", "a.take"]).with_code(0);
     assert!(ran.stderr.contains("--unit"), "{}", ran.stderr);

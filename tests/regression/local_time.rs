@@ -8,7 +8,7 @@ use crate::{
     support::jump,
 };
 
-/// Five and three quarters of an hour ahead of UTC, which no machine is by accident; by POSIX, it has its sign turned.
+/// 5:45 h ahead of UTC, an unlikely default; POSIX inverts the sign.
 const ZONE: (&str, &str) = ("TZ", "XYZ-05:45");
 const OFFSET: &str = "+05:45";
 

@@ -1,4 +1,4 @@
-//! Names of takes that end as files do, that were used before, and that are not UTF-8.
+//! Names of takes with a file extension, names in use, and names that are not UTF-8.
 
 use std::{ffi::OsStr, fs, os::unix::ffi::OsStrExt};
 
@@ -15,7 +15,7 @@ use crate::{
 };
 
 #[test]
-fn an_ending_is_added_once_and_a_listed_name_is_that_take() {
+fn the_extension_is_added_once_and_a_listed_name_selects_that_take() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 2.0));
     let engine =
@@ -33,7 +33,7 @@ fn an_ending_is_added_once_and_a_listed_name_is_that_take() {
 }
 
 #[test]
-fn a_take_is_recovered_beside_the_recovery_of_another_one_of_its_name() {
+fn a_take_with_the_name_of_a_recovered_one_is_recovered() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 2.0));
     let start =
@@ -52,7 +52,7 @@ fn a_take_is_recovered_beside_the_recovery_of_another_one_of_its_name() {
         drop(engine);
         fs::remove_file(&take).unwrap();
     }
-    // What was recovered is not recovered again.
+    // A recovered take is not recovered again.
     assert!(!folder.path("n.recovered-3.take").exists());
 }
 

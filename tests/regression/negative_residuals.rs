@@ -48,12 +48,12 @@ fn coordinates_are_samples_where_every_fourth_word_is_negative() {
         assert_eq!(gaps, [6], "zeros are a missing sample");
         assert_eq!(motion.frame(9)[1], [109.25, 20.0, 1000.5]);
         assert_eq!(motion.info.source.ambiguities, [Ambiguity::FourthWords { samples: 19 }]);
-        // Written again, they are samples for other readers as well.
+        // Written again, they are valid samples for other readers as well.
         let back = Format::C3d.read(&write(&motion)).unwrap();
         assert_eq!(back.frame(9), motion.frame(9));
         assert_eq!(back.info.source.ambiguities, []);
     }
-    // Without coordinates all is missing.
+    // Without coordinates every sample is missing.
     let nothing = C3dFile::new(1, vec![vec![0.0, 0.0, 0.0, -1.0]; 5]);
     let motion = Format::C3d.read(&nothing.bytes()).unwrap();
     assert!(motion.positions_mm.iter().all(|&at| is_gap(at)));

@@ -1,4 +1,4 @@
-//! The noise estimate is the same everywhere: that of fourth differences, on one axis.
+//! The noise estimate is the same everywhere: by fourth differences, per axis.
 
 use mocapd_codec::Settings;
 use mocapd_report::{
@@ -104,7 +104,7 @@ fn the_service_shows_the_same_figure_of_the_markers_that_come() {
     });
     let quality = engine.quality();
     let figures: Vec<_> = quality.iter().map(|marker| marker.noise_mm).collect();
-    // Of a few seconds: each scatters by 8 %.
+    // Estimated from a few seconds, each figure has a spread of 8 %.
     assert_near(&figures, 0.3);
     assert!(quality.iter().all(|marker| marker.still_sigma_mm == marker.noise_mm));
 }

@@ -1,4 +1,4 @@
-//! Damage that costs the stretches behind it: `info`, `verify`, `export` and `recover` name the same places.
+//! Damage that makes later stretches undecodable: `info`, `verify`, `export` and `recover` name the same places.
 
 use mocapd_take::damage::Problem;
 

@@ -28,7 +28,7 @@ fn rounding_the_vertices_refuses_no_body() {
             let rounded = rounded(&mesh, decimals);
             let found = repaired(rounded.clone()).unwrap();
             assert_eq!(found.genus, 0, "{pose:?} in {decimals} decimals");
-            // What hangs together is not taken apart, wherever it lies.
+            // Connected parts stay connected.
             assert!(found.mesh == rounded, "{pose:?} in {decimals} decimals");
             if decimals > 2 {
                 ScanAnalysis::new(&found.mesh, Method::Default).unwrap();
@@ -40,7 +40,7 @@ fn rounding_the_vertices_refuses_no_body() {
 #[test]
 fn lips_that_touch_stay_apart() {
     let (mut mesh, _) = body(4, Pose::Down, BodyOptions { n_faces: 6000, turned: false });
-    // Two triangles that share nothing, corner on corner: an upper lip upon a lower one.
+    // Two triangles with coinciding corners but no shared vertex: an upper lip on a lower one.
     let upper = mesh.triangles[100];
     let far = |corners: &[u32; 3]| corners.iter().all(|corner| !upper.contains(corner));
     let way = |corners: &[u32; 3]| {

@@ -22,7 +22,7 @@ use crate::{
     support::jump,
 };
 
-/// It falls silent after a second and confirms no stop.
+/// A device that falls silent after a second and does not confirm a stop.
 fn falls_silent(at: Option<PathBuf>) -> Simulated {
     let script = "seed = 1\n[[fault]]\nkind = 'stall'\nat_s = 1\nfor_s = 100";
     let script = Arc::new(Script::parse("stall", script).unwrap());

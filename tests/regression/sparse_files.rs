@@ -33,7 +33,7 @@ fn claimed_bytes() -> u64 {
 /// far less than the file claims.
 const ADDRESSES_KIB: u64 = 400 << 10;
 
-/// What it may have in memory at most, all of it: the decoders of fifteen markers take next to nothing.
+/// Maximum resident memory: the decoders of fifteen markers need very little.
 const RESIDENT_MAX_BYTES: u64 = 64 << 20;
 
 /// Thirty seconds of a recording, in stretches of half a second.
@@ -92,7 +92,7 @@ fn watch(pid: u32, mut is_done: impl FnMut() -> bool) -> u64 {
     loop {
         let text = std::fs::read_to_string(&status).unwrap_or_default();
         let kib = text.lines().find_map(|line| line.strip_prefix("VmHWM:")?.strip_suffix("kB"));
-        // A process that has ended has none.
+        // An ended process has no memory.
         let Some(kib) = kib.and_then(|kib| kib.trim().parse::<u64>().ok()) else { return most };
         most = most.max(kib << 10);
         if is_done() {
@@ -142,7 +142,7 @@ fn holes_cost_no_memory_and_the_data_between_them_is_found() {
     );
 }
 
-/// A file with more analog samples than the program may hold: 5 points, of which one is no marker and one has
+/// A file with more analog samples than the program may hold: 5 points, of which one is not a marker and one has
 /// residuals, and at times coordinates under gaps.
 fn file_with_analog_samples() -> C3dFile {
     const ANALOG: (usize, usize) = (64, 100);
@@ -167,7 +167,7 @@ fn file_with_analog_samples() -> C3dFile {
 }
 
 #[test]
-fn what_a_source_had_beside_markers_is_imported_and_exported_as_a_stream() {
+fn data_other_than_markers_are_imported_and_exported_as_a_stream() {
     let folder = Folder::new();
     let file = file_with_analog_samples();
     let n_frames = file.frames.len();
@@ -185,19 +185,19 @@ fn what_a_source_had_beside_markers_is_imported_and_exported_as_a_stream() {
     assert_small("export with analog samples", resident);
     export.with_code(0);
     assert!(words(&folder.read("b.c3d"), n_words) == source, "the words are not the same");
-    // If the disk is full, the message names the disk and not the take.
+    // A failure of the temporary folder is reported as such, not as damage of the take.
     let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd"));
     command.args(["export", "a.take", "-o", "d.c3d"]).env("TMPDIR", folder.path("nowhere"));
     command.current_dir(folder.path("."));
     let line = folder.refused(command, 1);
     let nowhere = folder.path("nowhere").display().to_string();
     assert_mentions(&line, &[&nowhere, "TMPDIR"]);
-    // From the middle on, and turned.
+    // From the middle on, and rotated.
     let part = ["export", "a.take", "-o", "c.c3d", "--from", "0.5s", "--up", "y"];
     let (export, resident) = run(&folder, &part);
     assert_small("export of a part, turned", resident);
     export.with_code(0);
-    // Of each frame the points were turned, and the analog samples not.
+    // The points of each frame are rotated, the analog samples are not.
     let frame_words = n_words / n_frames;
     let part = words(&folder.read("c.c3d"), n_words - 50 * frame_words);
     let analog = |words: &[u32]| -> Vec<u32> {
@@ -247,7 +247,7 @@ fn the_service_starts_where_a_file_is_a_header_and_a_hole() {
     let path = folder.path("takes/hole.take");
     let mut file = File::create(&path).unwrap();
     file.write_all(&take[..header]).unwrap();
-    // A stretch that claims all that a chunk can, and none of it is there.
+    // A stretch of the maximum size, with no data.
     file.write_all(&[types::STRETCH, 0x80, 0x80, 0x80, 0x80, 0x04, 2]).unwrap();
     file.set_len(claimed_bytes()).unwrap();
     drop(file);

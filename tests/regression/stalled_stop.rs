@@ -14,7 +14,7 @@ use mocapd_acquire::{clock::LineDeviation, inspect::Summary};
 use self::world::{Ended, Stalled, World};
 use crate::support::chunks;
 
-/// Seeded instants that a stall is tried at.
+/// Number of seeds, each of which sets the time of a stall.
 const INSTANTS: u64 = 100;
 
 /// The contradictions in a take.
@@ -73,7 +73,7 @@ fn no_take_around_a_stall_contradicts_itself() {
 
 /// The simplest case: the disk stalls when the take is stopped, while round trips continue.
 #[test]
-fn a_disk_that_stalls_at_the_stop_leaves_out_what_came_after_it() {
+fn observations_after_the_stop_are_left_out_when_the_disk_stalls() {
     let world =
         World { stalled: Stalled::Disk, save_s: None, splits: false, jump_s: None, ..World::of(1) };
     let world = World { start_s: 2.0, stall_s: (12.0, 30.0), stop_s: 12.5, ..world };
@@ -81,9 +81,9 @@ fn a_disk_that_stalls_at_the_stop_leaves_out_what_came_after_it() {
     assert_eq!(contradictions(ended), [] as [String; 0]);
 }
 
-/// A disk that stalls for minutes, beside more round trips than wait for it: the line is laid through what is stored.
+/// A disk that stalls for minutes, with more round trips than the queue holds: the line is fitted to the stored ones.
 #[test]
-fn observations_that_find_no_room_are_left_out_of_the_line_as_well() {
+fn observations_that_do_not_fit_are_left_out_of_the_line_as_well() {
     let (take, written) = world::flooded();
     let summary = Summary::read(&take[..]).unwrap();
     let apart = summary.clock_deviation().unwrap();

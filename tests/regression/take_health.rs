@@ -1,4 +1,4 @@
-//! A take keeps its health and ending, whatever is recorded after it.
+//! A take keeps its health and ending after further recordings.
 
 use std::{fs, path::Path, time::Duration};
 
@@ -24,7 +24,7 @@ fn service_of(folder: &Path) -> Engine {
     Engine::start(options(folder, &folder.join("no-device")), &Heartbeat::default()).unwrap()
 }
 
-/// By name, health and ending as the API lists them.
+/// Health and ending by name, as the API lists them.
 fn listed(engine: &Engine) -> Value {
     let takes = serde_json::to_value(engine.takes(100).unwrap()).unwrap();
     let of = |take: &Value| {
@@ -34,7 +34,7 @@ fn listed(engine: &Engine) -> Value {
 }
 
 /// Health and ending by `info --json`.
-fn told_by_info(folder: &Folder, name: &str) -> Value {
+fn health_by_info(folder: &Folder, name: &str) -> Value {
     let info = folder.run(&["info", &format!("{name}.take"), "--json"]).json();
     json!([info["health"], info["ending"].as_str().unwrap_or_default()])
 }
@@ -82,9 +82,9 @@ fn losses_come_from_the_last_ledger() {
     assert_eq!(takes["noise"], json!(["unreadable", ""]));
     assert_eq!(takes["damaged"][0], "damaged");
     for name in ["whole", "lossy", "old"] {
-        assert_eq!(told_by_info(&folder, name), takes[name], "{name}");
+        assert_eq!(health_by_info(&folder, name), takes[name], "{name}");
     }
-    assert_eq!(told_by_info(&folder, "damaged")[0], "damaged");
+    assert_eq!(health_by_info(&folder, "damaged")[0], "damaged");
     // The list is cached, and updated when a file changes.
     assert_eq!(listed(&engine), takes);
     fs::copy(folder.path("whole.take"), folder.path("cut.take")).unwrap();
@@ -135,7 +135,7 @@ fn a_device_that_went_away_and_a_recorder_that_was_killed_are_in_the_take() {
         ("again", ["lossy", "cut off"]),
     ] {
         assert_eq!(takes[name], json!(expected), "{name}");
-        assert_eq!(told_by_info(&folder, name), json!(expected), "{name}");
+        assert_eq!(health_by_info(&folder, name), json!(expected), "{name}");
     }
     for name in ["gone", "copied"] {
         let take = format!("{name}.take");

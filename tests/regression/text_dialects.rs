@@ -26,7 +26,7 @@ fn trc(between: &str) -> String {
 }
 
 #[test]
-fn zeros_in_a_trc_are_gaps_while_others_move() {
+fn zeros_in_a_trc_are_gaps_while_other_markers_move() {
     let text = trc("\t")
         .replace("301\t200\t900", "0\t0\t0")
         .replace("302\t200\t900", "0.000\t0.000\t0.000");
@@ -38,7 +38,7 @@ fn zeros_in_a_trc_are_gaps_while_others_move() {
 }
 
 #[test]
-fn trc_between_spaces_and_commas_is_that_between_tabs() {
+fn trc_separated_by_spaces_or_commas_reads_like_trc_with_tabs() {
     let expected = Format::Trc.read(trc("\t").as_bytes()).unwrap();
     assert_eq!(labels(&expected), ["HEAD", "KNEE"]);
     assert_eq!(expected.info.source.warnings, [""; 0]);
@@ -54,15 +54,15 @@ fn trc_between_spaces_and_commas_is_that_between_tabs() {
 }
 
 #[test]
-fn a_row_between_spaces_that_lacks_a_marker_is_a_gap() {
-    // HEAD is not seen in the third frame: no cells stand there, and those of KNEE would be its own.
+fn a_space_separated_row_that_lacks_a_marker_is_a_gap() {
+    // HEAD is not seen in the third frame: it has no cells, and those of KNEE would be taken for them.
     let text = trc(" ").replace("2.5 100 1700 302", "   302");
     let motion = Format::Trc.read(text.as_bytes()).unwrap();
     assert_eq!(labels(&motion), ["HEAD", "KNEE"]);
     let gaps: Vec<bool> = motion.positions_mm.iter().map(|&at| is_gap(at)).collect();
     assert_eq!(gaps, [false, false, false, false, true, true, false, false]);
     assert_eq!(motion.info.source.warnings.len(), 1, "{:?}", motion.info.source.warnings);
-    // Where the figures disagree, rows tell; where no row has the cells of all markers, nothing does.
+    // Where the figures disagree, the rows decide; if no row has the cells of all markers, nothing can.
     for markers in ["3", "0"] {
         let text = text.replace("100 100 4 2 mm", &format!("100 100 4 {markers} mm"));
         let found = Format::Trc.read(text.as_bytes()).unwrap();
@@ -71,14 +71,14 @@ fn a_row_between_spaces_that_lacks_a_marker_is_a_gap() {
     }
     let short = (0..4).fold(trc(" "), |text, i| text.replace(&format!(" {i}.5 100 1700"), "   "));
     Format::Trc.read(short.as_bytes()).unwrap_err();
-    // A label with a space in it does not move the others to markers that are not theirs.
+    // A label that contains a space does not shift the others to wrong markers.
     let named = Format::Trc.read(trc(" ").replace("HEAD", "L HEAD").as_bytes()).unwrap();
     assert_eq!(labels(&named), ["u001", "u002"]);
     assert_eq!(named.frame(3), motion.frame(3));
 }
 
 #[test]
-fn a_line_without_the_separator_of_the_others_is_a_gap() {
+fn a_line_with_another_separator_is_a_gap() {
     for between in ["\t", ",", ";"] {
         let row = |i: usize| format!("{} 0.0{i} {i}.5 100 1700 {} 200 900", i + 1, 300 + i);
         let text = trc(between).replace(&row(2).replace(' ', between), "3 0.02 302 200 900");
@@ -96,7 +96,7 @@ fn a_line_without_the_separator_of_the_others_is_a_gap() {
     assert_eq!(found.positions_mm, expected.positions_mm);
 }
 
-/// Motive's export: rows that tell of the columns with or without names of their own.
+/// Motive's export, whose header rows have titles or not.
 fn motive(is_named: bool, columns: &[[&str; 4]], rows: &[&str]) -> String {
     let line = |lead: &str, field: usize| {
         let cells: Vec<&str> = columns.iter().map(|column| column[field]).collect();
@@ -150,7 +150,7 @@ fn motive_exports_are_read() {
         assert_eq!(motion.frame(0)[..2], [[100.0, 200.0, 300.0], [1500.0, 250.0, -500.0]]);
         let gaps: Vec<bool> = motion.positions_mm.iter().map(|&at| is_gap(at)).collect();
         assert_eq!(gaps, [false, false, true, false, true, false, true, false, false]);
-        // Twice there, a body's position, and what is left out: each is has_warning.
+        // Duplicates, a rigid body's position and omitted columns each get a warning.
         let has_warning =
             |start: &str| source.warnings.iter().any(|warning| warning.starts_with(start));
         assert_eq!(source.warnings.len(), 3, "{:?}", source.warnings);
@@ -189,7 +189,7 @@ fn samples_of_a_long_csv_before_the_first_and_after_the_last_time_are_kept() {
     assert_eq!((motion.info.rate_hz, motion.info.n_frames), (100.0, 7));
     let x: Vec<f32> = motion.positions_mm.iter().map(|at| at[0]).filter(|x| !x.is_nan()).collect();
     assert_eq!(x, [2.0, 3.0, 4.0, 5.0, 6.0, 8.0]);
-    // One time among several frames tells no rate; of one frame none is needed.
+    // A single time among several frames gives no rate; a single frame needs none.
     read("4,0.04,a,4,0,0\n5,,a,5,0,0\n").unwrap_err();
     assert_eq!(read("4,,a,4,0,0\n").unwrap().n_frames(), 1);
     read("").unwrap_err();
@@ -211,6 +211,6 @@ fn a_csv_with_zeros_for_missing_markers_gets_a_warning() {
         "{:?}",
         motion.info.source.warnings
     );
-    // They stay: our own format has another word for a gap.
+    // They are kept: our own format marks gaps otherwise.
     assert_eq!(motion.frame(3)[0], [0.0; 3]);
 }

@@ -7,7 +7,7 @@ use crate::{
     support::{assert_mentions, jump, mentions},
 };
 
-/// No file may be longer than this: 512 or 1024 bytes, as the shell counts.
+/// Limits files to 512 or 1024 bytes, depending on the shell.
 const SHORT_FILES: &str = "trap '' XFSZ; ulimit -f 1";
 
 /// A device whose header is longer than that.
@@ -29,7 +29,7 @@ fn the_service_removes_it_and_says_so() {
     for device in [with_long_header(), with_long_stretches()] {
         let folder = Folder::new();
         let service = Service::start(&folder, &device, "lossless = true", SHORT_FILES);
-        // Twice: its name is free again.
+        // Twice, since the name is free again.
         for _ in 0..2 {
             let (status, problem) = service.post("/v1/start", r#"{"name": "torn"}"#);
             assert_eq!((status, problem["kind"].as_str()), (507, Some("disk")), "{problem}");

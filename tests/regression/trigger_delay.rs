@@ -70,8 +70,8 @@ impl Desk {
     }
 }
 
-/// Two minutes: the known sender starts and stops a take every two seconds, beside so many hostile ones, each of which
-/// sends a datagram a second. Returns how late each stop was handed out.
+/// Two minutes: the known sender starts and stops a take every two seconds, while each of `hostile` senders sends a
+/// datagram a second. Returns how late each stop was executed.
 fn two_minutes(desk: &mut Desk, hostile: u8) -> Vec<Duration> {
     let known = IpAddr::from([192, 0, 2, 1]);
     let (mut late, mut sent) = (Vec::new(), HashMap::new());
@@ -111,7 +111,7 @@ fn two_minutes(desk: &mut Desk, hostile: u8) -> Vec<Duration> {
 }
 
 #[test]
-fn every_stop_acts_at_once_beside_hostile_senders_in_virtual_time() {
+fn every_stop_acts_at_once_despite_hostile_senders_in_virtual_time() {
     let alone = two_minutes(&mut Desk::new(&[]), 0);
     assert_eq!(alone, [Duration::ZERO; 60]);
 
@@ -168,7 +168,7 @@ impl Served {
         self.fake.status().take.map(|take| take.name)
     }
 
-    /// How long it takes until this take is being recorded, or none.
+    /// Time until this take is being recorded, or none.
     fn until_recording(&self, wanted: Option<&str>) -> Duration {
         let began = Instant::now();
         while self.recording().as_deref() != wanted {
@@ -191,7 +191,7 @@ impl Drop for Served {
 fn a_delayed_trigger_holds_up_neither_stops_nor_announcements() {
     let served = Served::start();
     served.send("CaptureStart", "later", 5000, 1);
-    // It was received before this one, which was sent after it.
+    // The delayed trigger was received before this one.
     served.send("CaptureStart", "soon", 0, 2);
     served.until_recording(Some("soon"));
     served.send("CaptureStop", "soon", 0, 3);
@@ -257,7 +257,7 @@ fn a_flood_of_triggers_without_effect_is_a_few_lines_in_the_log() {
         // No more at once than a socket's buffer holds.
         std::thread::sleep(Duration::from_millis(1));
     }
-    // On a loaded machine what has come may still wait: of so many from one sender, the last may be refused.
+    // On a loaded machine earlier datagrams may still be queued, and the last of many from one sender may be refused.
     let began = Instant::now();
     for packet in 1000.. {
         if served.recording().is_none() {
@@ -269,6 +269,6 @@ fn a_flood_of_triggers_without_effect_is_a_few_lines_in_the_log() {
     }
     let told = served.fake.told.lock().unwrap();
     let of_nothing = told.iter().filter(|(_, words)| words.contains("other")).count();
-    // Those of the socket and of the worker: five each, and one more for each ten seconds that this may have lasted.
+    // The messages of the socket and of the worker: five each, and one more for each ten seconds of the test.
     assert!((1..=14).contains(&of_nothing), "{of_nothing}: {told:?}");
 }

@@ -10,7 +10,7 @@ use crate::{
     support::{c3d_file::C3dFile, mentions},
 };
 
-/// Three markers of a body that is 1.8 m tall, in a unit of so many millimetres.
+/// Three markers of a body that is 1.8 m tall, in a unit of `mm` millimetres.
 fn file(unit: &'static str, mm: f32) -> Vec<u8> {
     let frames = (0..50)
         .map(|frame| {

@@ -15,7 +15,7 @@ use crate::{
     support::{assert_mentions, jump, mentions},
 };
 
-/// A folder with one in it for the take, and a device that never ends.
+/// A folder with a subfolder for the take, and an endless device.
 fn rig() -> (Folder, Simulated) {
     let folder = Folder::new();
     fs::create_dir(folder.path("in")).unwrap();
@@ -216,7 +216,7 @@ fn a_renamed_take_is_live_under_the_name_that_it_has() {
     let verify = |name: &str| service.post(&format!("/v1/takes/{name}/verify"), "{}");
     let (status, problem) = verify("b");
     assert_eq!((status, &problem["kind"]), (409, &"conflict".into()), "{problem}");
-    // Another file that has the name by now is not being recorded.
+    // Another file with the old name is not being recorded.
     fs::write(place("a"), b"another").unwrap();
     let (status, check) = verify("a");
     assert_eq!((status, &check["health"]), (200, &"unreadable".into()), "{check}");
@@ -227,7 +227,7 @@ fn a_renamed_take_is_live_under_the_name_that_it_has() {
     assert_eq!(stopped["path"], place("c").to_str().unwrap());
 }
 
-/// No file of the process grows beyond 12 KiB, and that is an error instead of a signal.
+/// Limits files to 12 KiB, with an error instead of a signal.
 const LIMITED: &str = "trap '' XFSZ; ulimit -f 24";
 
 #[test]

@@ -9,7 +9,7 @@ use crate::service::{
 
 const TOKEN: &str = "correct-horse-battery-staple";
 const FORM: (&str, &str) = ("content-type", "application/x-www-form-urlencoded");
-/// As browsers send it when a form is submitted.
+/// The `accept` header of a browser that submits a form.
 const BROWSER: (&str, &str) =
     ("accept", "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8");
 
@@ -39,7 +39,7 @@ fn a_wrong_token_brings_the_form_again_in_a_browser() {
     is_form_with_alert(&empty, 400);
     let cross = [FORM, BROWSER, ("origin", "https://evil.example")];
     is_form_with_alert(&ask(at, "POST", "/login", &cross, "token=x"), 403);
-    // Other pages say what is refused; the way in has no alert, and the right token still leads in.
+    // Other pages say what is refused; the login form has no alert, and the right token is still accepted.
     let elsewhere = ask(at, "GET", "/", &[BROWSER, ("host", "rig.example")], "");
     assert_eq!(elsewhere.status, 421);
     assert!(elsewhere.header("content-type").unwrap().starts_with("text/html"));

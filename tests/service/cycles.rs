@@ -13,7 +13,7 @@ use mocapd_service::control::{Control, Request};
 
 use super::engine::{Room, named, read, room, wait_until};
 
-/// Resources of this process: threads, open files, and resident memory in bytes.
+/// Resource use of this process: threads, open files, and resident memory in bytes.
 fn resources() -> (usize, usize, u64) {
     let count = |folder: &str| fs::read_dir(folder).unwrap().count();
     let statm = fs::read_to_string("/proc/self/statm").unwrap();

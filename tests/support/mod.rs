@@ -49,7 +49,7 @@ pub(crate) fn mentions(message: &str, fact: &str) -> bool {
     })
 }
 
-/// Asserts that a message mentions all facts that its reader needs, whatever its wording.
+/// Asserts that a message mentions all facts that its reader needs, in any wording.
 #[track_caller]
 pub(crate) fn assert_mentions(message: &str, facts: &[&str]) {
     for fact in facts {

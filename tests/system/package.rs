@@ -17,7 +17,7 @@ fn assets() -> Vec<(String, String)> {
 }
 
 #[test]
-fn what_is_in_the_source_exists_and_what_the_system_needs_is_there() {
+fn package_files_exist_and_required_files_are_listed() {
     let assets = assets();
     assert!(assets.len() > 20, "{assets:?}");
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -64,14 +64,14 @@ fn completions_and_pages_of_both_programs_are_in_it() {
 }
 
 #[test]
-fn its_version_is_the_program_s() {
+fn package_and_program_have_the_same_version() {
     let changelog = text("systemd/deb/changelog");
     let version = format!("mocapd ({}-1)", env!("CARGO_PKG_VERSION"));
     assert!(changelog.starts_with(&version), "{version} has no entry in systemd/deb/changelog");
 }
 
 #[test]
-fn its_licence_text_is_the_licence() {
+fn the_package_has_the_licence_text() {
     let words = |text: &str| -> Vec<String> {
         text.split_whitespace().filter(|word| *word != ".").map(str::to_owned).collect()
     };
@@ -83,7 +83,7 @@ fn its_licence_text_is_the_licence() {
 
 /// Scripts stop at the first error and run no interactive command.
 #[test]
-fn its_scripts_are_scripts() {
+fn maintainer_scripts_are_well_formed() {
     for name in ["postinst", "prerm", "postrm"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/deb").join(name);
         assert!(fs::read_to_string(&path).unwrap().contains("\nset -e\n"), "{name}");

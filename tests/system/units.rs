@@ -1,4 +1,5 @@
-//! The unit files: well-formed, with what the service relies on, and accepted by systemd where it is installed.
+//! The unit files: well-formed, with the settings that the service relies on, and accepted by systemd where it is
+//! installed.
 
 use std::{collections::BTreeMap, fs, process::Command};
 
@@ -92,7 +93,7 @@ fn systemd_finds_nothing_wrong_with_them() {
     for name in UNITS {
         let path = folder.path().join(name);
         let path = path.to_str().unwrap();
-        // Without the option an unknown key is no error.
+        // Without the option an unknown key is not an error.
         let Some((good, report)) = analyze(&["verify", "--recursive-errors=no", path]) else {
             return;
         };
@@ -113,7 +114,7 @@ fn the_page_states_the_exposure() {
 }
 
 #[test]
-fn systemd_finds_what_is_planted() {
+fn systemd_finds_planted_errors() {
     let folder = installable();
     let path = folder.path().join(UNITS[0]);
     let good = fs::read_to_string(&path).unwrap();

@@ -4,8 +4,8 @@ use mocapd_take::record::{ClockBound, ClockLine, ClockPoint};
 
 use super::seconds;
 
-/// Most points, and most bursts, that a line is fitted to: eight points of the first ten seconds, and one per five
-/// seconds of a window of 120; a burst every half minute, and those of the beginning.
+/// Maximum number of points, and of bursts, that a line is fitted to: eight points of the first ten seconds, and one
+/// per five seconds of a window of 120; a burst every half minute, and those at the start.
 pub(super) const POINTS_MAX: usize = 48;
 pub(super) const BURSTS_MAX: usize = 16;
 
@@ -15,7 +15,7 @@ const DRIFT_MAX_PPM: f64 = 20_000.0;
 /// Steepest line considered for the bound: five times the error of a crystal.
 const USUAL_PPM: f64 = 500.0;
 
-/// Regularisation: a rate of 1 ppm has to improve the fit by so many seconds times 1 ppm. Observations within less
+/// Regularisation: a rate of 1 ppm must improve the fit by this many seconds times 1 ppm. Observations within less
 /// time say nothing about a rate.
 const PRIOR_S: f64 = 0.25;
 
@@ -35,7 +35,7 @@ const LATE_MAX_US: f64 = 10e6;
 /// Smallest uncertainty of a bound: two clock readings.
 const NOISE_MIN_US: f64 = 3.0;
 
-/// Steps of the search for a rate, each of which reduces the range to two thirds: down to a ten thousandth of a ppm.
+/// Steps of the search for a rate, each of which reduces the range to two thirds: down to a ten-thousandth of a ppm.
 const SEARCH_STEPS: usize = 48;
 
 /// The best bounds of several consecutive round trips.
@@ -101,7 +101,7 @@ impl Line {
     }
 }
 
-/// Points that bound the line on one side, as (seconds, microseconds beside the nominal rate).
+/// Points that bound the line on one side, as (seconds, deviation from the nominal rate in microseconds).
 struct BoundPoints<const N: usize> {
     n: usize,
     x_s: [f64; N],

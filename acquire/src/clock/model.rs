@@ -26,11 +26,11 @@ pub type StoreItem<'a> = dyn FnMut(ClockItem) -> bool + 'a;
 /// A discontinuity of the device's clock: a new segment begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ClockEvent {
-    /// The ticks went back by so many seconds.
+    /// The ticks went back by this many seconds.
     WentBack(f64),
     /// A 32-bit counter wrapped to 0.
     Wrapped,
-    /// The clock jumped ahead by so many seconds; behind when negative.
+    /// The clock jumped ahead by this many seconds; back when negative.
     Jumped(f64),
 }
 
@@ -252,7 +252,7 @@ impl ClockModel {
         self.line.map_or(0.0, |line| line.drift_ppm)
     }
 
-    /// Detects a clock that went back. A 64-bit counter wraps after ten thousands of years, a 32-bit one within
+    /// Detects a clock that went back. A 64-bit counter wraps after thousands of years, a 32-bit one within
     /// minutes.
     fn went_back(&self, ticks: u64, last: u64, silent_us: u64) -> Option<ClockEvent> {
         let by = last.wrapping_sub(ticks).cast_signed();
@@ -293,7 +293,7 @@ impl ClockModel {
     }
 }
 
-/// Tolerance beside the measured one: for a line fitted to few points, and for the scheduler.
+/// Tolerance in addition to the measured one: for a line fitted to few points, and for the scheduler.
 const SLACK_US: f64 = 2_000.0;
 
 /// Age below which a batch of frames may have tilted a segment's line.
@@ -319,7 +319,7 @@ enum Gating {
     Accepted,
     /// An outlier, which is left out; it may be the first observation after a jump.
     Outlier,
-    /// The clock jumped ahead by so many microseconds; back when negative.
+    /// The clock jumped ahead by this many microseconds; back when negative.
     Jumped(f64),
 }
 

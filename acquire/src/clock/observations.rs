@@ -210,8 +210,8 @@ impl Arrivals {
     }
 }
 
-/// Most rounds. Two are usually enough, because a rate hardly changes; where few round trips were held up, the choice
-/// can cycle between two or three.
+/// Maximum number of rounds. Two are usually enough, because a rate hardly changes; where few round trips were held up,
+/// the choice can cycle between two or three.
 const ROUNDS_MAX: usize = 8;
 
 /// Rates this close count as equal: within a burst of half a second the difference is 0.005 us.
@@ -237,11 +237,11 @@ pub(super) fn lines(
     })
 }
 
-/// Most round trips to hold: ten per second, which is the link's budget, over the window.
+/// Maximum number of round trips to hold: ten per second, which is the link's budget, over the window.
 const STORED_PROBES_MAX: usize = 1200;
 
-/// Permitted distance of the two lines, beside a quarter of the bound: the first versions chose the best round trip of
-/// a burst with the rate known at that time, and not with the final one as here.
+/// Permitted distance of the two lines, in addition to a quarter of the bound: the first versions chose the best round
+/// trip of a burst with the rate known at that time, and not with the final one as here.
 const SLACK_US: f64 = 20.0;
 const SLACK_PPM: f64 = 2.0;
 

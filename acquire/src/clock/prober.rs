@@ -1,9 +1,9 @@
 //! Schedules pings, which ask the device for its clock.
 //!
-//! Round trips come in bursts of eight, of which the best bounds count. On a line that sends in batches (an FTDI
-//! adapter: every 16 ms), a pong waits for the next batch, and a burst timed at random never sees a short way
-//! back. On such a line a burst therefore measures the batch interval and sends its pings shortly before the next
-//! batch.
+//! Round trips come in bursts of eight; the best bounds of a burst count. On a line that sends in batches (an
+//! FTDI adapter: every 16 ms), a pong waits for the next batch, and a burst timed at random never sees a short
+//! way back. On such a line a burst therefore measures the batch interval and sends its pings shortly before the
+//! next batch.
 
 /// Round trips of a burst, as in LSL.
 pub(super) const PROBES: u32 = 8;
@@ -38,7 +38,7 @@ const QUICK_NS: u64 = 400_000;
 /// arrive during the wait.
 const PERIOD_MAX_NS: u64 = 20_000_000;
 
-/// Shortest time from a ping to the batch that answers it: how late a sleep ends on an idle machine.
+/// Shortest time from a ping to the batch that answers it: the timer latency of an idle machine.
 const LEAD_MIN_NS: u64 = 80_000;
 
 /// Number of pings in a row that missed their batch, after which the interval is measured again.
@@ -70,7 +70,7 @@ struct BatchTiming {
     missed: bool,
     /// Arrival of this burst's last pong.
     last_pong_ns: Option<u64>,
-    /// The pending ping was timed to precede a batch.
+    /// Whether the pending ping was timed to precede a batch.
     is_timed: bool,
 }
 
@@ -118,7 +118,7 @@ impl Prober {
         self.timing.is_timed = false;
     }
 
-    /// Starts the schedule again because the clocks changed, but no sooner than links allow.
+    /// Starts the schedule again because the clocks changed, but not before the link allows it.
     pub fn restart_schedule(&mut self) {
         if self.bursts > 0 {
             self.bursts = 0;

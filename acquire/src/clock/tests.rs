@@ -28,7 +28,7 @@ struct World {
     frame_us: f64,
     lost: f64,
     pongs: Pongs,
-    /// At this second the device's clock jumps ahead by so many seconds.
+    /// When the device's clock jumps, and how far ahead, in seconds.
     jump: Option<(f64, f64)>,
     /// Width of the device's tick counter in bits.
     bits: u32,
@@ -37,7 +37,7 @@ struct World {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Pongs {
     Prompt,
-    /// Half of the pongs are late by so many milliseconds.
+    /// Half of the pongs are late by this many milliseconds.
     Late(f64),
     None,
 }
@@ -266,7 +266,7 @@ fn lost_frames_and_late_pongs_do_no_harm() {
 
 /// A pong noticed late gives a wrong send time, and a wrong interval between two.
 #[test]
-fn a_host_that_wakes_up_late_now_and_then_does_no_harm() {
+fn occasional_late_wake_ups_do_no_harm() {
     for (stalled, most_us) in [(0.1, 120.0), (0.3, 500.0)] {
         let busy = World { stalled, ..USUAL };
         assert!(worst_us(worlds(busy), 35.0) < most_us, "{stalled}");
@@ -355,7 +355,7 @@ fn a_clock_that_fell_behind_is_detected_by_round_trips() {
 }
 
 #[test]
-fn a_clock_of_32_bits_wraps_without_a_fault() {
+fn a_32_bit_clock_wraps_without_an_error() {
     // 1000 s at 4.29 MHz: it wraps after 2^32 ticks, 1.2 s into the run.
     let world = World { bits: 32, tick_hz: 4_289_800, drift_ppm: 80.0, ..USUAL };
     let run = world.run(30.0);
@@ -477,7 +477,7 @@ fn is_finite(bound: Bound) -> bool {
 proptest! {
     /// No panic, memory bounded by construction, and numbers that a take can store.
     #[test]
-    fn any_times_give_a_line_of_numbers(
+    fn any_times_give_a_finite_line(
         tick_hz in prop_oneof![Just(0_u64), 1..100_000_000_u64, any::<u64>()],
         steps in times(),
         sums in any::<bool>(),

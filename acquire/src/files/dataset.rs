@@ -1,8 +1,8 @@
 //! Recordings that are added to a BIDS data set, whole or not at all.
 //!
-//! Files are written without names, so a killed program leaves none. Only when all are complete they get their names,
-//! in milliseconds: for a new data set in a hidden folder that is then renamed; in an existing one they are linked into
-//! their folders from a [`Staging`], which the next export uses to undo what a killed one left.
+//! Files are written without names, so a killed program leaves none. They get their names within milliseconds, once all
+//! are complete: for a new data set in a hidden folder that is then renamed; in an existing one they are linked into
+//! their folders from a [`Staging`], with which the next export undoes what a killed one left.
 
 use std::{
     collections::BTreeSet,
@@ -41,7 +41,7 @@ pub enum DatasetError {
         .0.display()
     )]
     Exists(PathBuf),
-    /// The folder is no data set.
+    /// The folder is not a data set.
     #[error("{} is no BIDS data set that a recording can be added to: {reason}", .path.display())]
     NotADataset {
         /// The folder.
@@ -73,7 +73,7 @@ impl NewRecording {
     /// Begins a recording in the data set `dataset`, or in a new one. Removes what killed programs left there.
     ///
     /// # Errors
-    /// [`DatasetError`] if the recording exists, or something else than a data set is there; if nothing can be created.
+    /// [`DatasetError`] if the recording exists, or `dataset` is not a data set; if nothing can be created.
     pub fn begin(dataset: &Path, labels: &BidsLabels) -> anyhow::Result<Self> {
         let Some(name) = dataset.file_name() else {
             bail!("{} is not a folder name", dataset.display())
@@ -87,9 +87,9 @@ impl NewRecording {
             }
         }
         let (dataset, labels) = (dataset.to_owned(), labels.clone());
-        let mut begun = Self { dataset, labels, files: Vec::new(), staging: None };
-        begun.check_writable()?;
-        Ok(begun)
+        let mut staged_addition = Self { dataset, labels, files: Vec::new(), staging: None };
+        staged_addition.check_writable()?;
+        Ok(staged_addition)
     }
 
     /// Makes the recording part of the data set, once its content is on disk.

@@ -147,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_open_here_is_mounted() {
+    fn an_open_file_is_mounted() {
         assert!(is_mounted(&tempfile::tempfile().unwrap()));
         assert_eq!(mount_of("pos:\t0\nflags:\t0100001\nmnt_id:\t29\nino:\t5\n"), Some("29"));
         assert_eq!(mount_of("pos:\t0\n"), None);

@@ -7,7 +7,7 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
-/// What removing a hidden path takes.
+/// How to remove a hidden path.
 #[derive(Debug, Clone)]
 enum Kind {
     File,

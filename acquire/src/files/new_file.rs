@@ -30,7 +30,7 @@ pub struct NewFile {
     path: PathBuf,
 }
 
-/// What became of the name of a new file.
+/// Whether a new file got its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kept {
     /// The file has its name.
@@ -193,7 +193,7 @@ pub(super) fn unnamed_file(path: &Path) -> anyhow::Result<Option<File>> {
             // Without /proc it could never be given a name.
             Ok(proc_link(&file).exists().then_some(file))
         }
-        // Network file systems, and kernels that take the flag for a folder to be opened.
+        // Network file systems, and kernels that ignore the flag and open the folder.
         Err(Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL) => Ok(None),
         Err(error) => Err(cannot_create(path, &error.into())),
     }

@@ -27,10 +27,10 @@ use super::{folder_of, hidden_path::HiddenPath};
 /// The table of subjects.
 pub(super) const PARTICIPANTS: &str = "participants.tsv";
 
-/// Endings of the folder while links are made, and when all are there.
+/// Extensions of the folder's name while links are made, and when all are there.
 const PART: &str = ".part";
 const DONE: &str = ".done";
-/// Ending while the folder is removed.
+/// Extension while the folder is removed.
 const DISCARDED: &str = "discarded.part";
 
 // The content of the folder.
@@ -38,12 +38,13 @@ const LOCK: &str = "lock";
 const CONTENT: &str = "content";
 /// Folders that are moved into the data set, with links to the files in [`CONTENT`].
 const PUBLISHED: &str = "published";
-/// The folders that were created in the data set, one a line, the outermost first.
+/// The folders that were created in the data set, one per line, the outermost first.
 const FOLDERS: &str = "folders";
 /// The length of the table of subjects, a line end, and the row appended to it.
 const ROW: &str = "row";
 
-/// Most attempts to create a folder. One fails only if another program looks for leftovers within microseconds.
+/// Maximum number of attempts to create a folder. One fails only if another program looks for leftovers within
+/// microseconds.
 const TRIES_MAX: u32 = 100;
 
 /// Longest [`FOLDERS`] and [`ROW`]: a few paths, or a row of the table.
@@ -115,7 +116,7 @@ impl Staging {
     }
 
     /// Gives files their names in the data set, within microseconds: folders that are missing appear with all their
-    /// files. What is there already is not replaced.
+    /// files. Existing files are not replaced.
     ///
     /// # Errors
     /// The path that could not be created, and why.
@@ -256,7 +257,7 @@ pub(super) fn remove_leftovers(folder: &Path, prefix: &OsStr, dataset: &Path) {
     }
 }
 
-/// Opens a file for reading and writing: not what a link leads to, and not a pipe, which would wait for its other end.
+/// Opens a file for reading and writing. Refuses links, and pipes, which would wait for their other end.
 fn open_file(path: &Path) -> io::Result<File> {
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
     let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(path)?;
@@ -272,8 +273,8 @@ fn discard(root: &Path, dataset: &Path) {
     remove(root);
 }
 
-/// Removes a staging folder, its lock last: as long as there is one, the next program goes on where a killed one stopped.
-/// Files of others in it stay, and with them the folder.
+/// Removes a staging folder, its lock last: as long as there is one, the next program continues where a killed one
+/// stopped. Files of others in it stay, and with them the folder.
 fn remove(root: &Path) {
     for folder in [CONTENT, PUBLISHED] {
         fs::remove_dir_all(root.join(folder)).ok();
@@ -339,7 +340,7 @@ fn read_journal(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The files in a folder and its folders. A recording has three levels of folders at most.
+/// The files in a folder and its subfolders. A recording has three levels of folders at most.
 fn files_in(folder: &Path) -> Vec<PathBuf> {
     let (mut files, mut folders) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(folder) = folders.pop() {
@@ -357,8 +358,8 @@ mod tests {
 
     use super::*;
 
-    /// A data set with one subject, to which a program adds another one; the folder of that program.
-    fn begun(dir: &Path) -> (PathBuf, Staging) {
+    /// A data set with one subject, and the staging folder of an export that adds another.
+    fn staged_addition(dir: &Path) -> (PathBuf, Staging) {
         let dataset = dir.join("set");
         fs::create_dir_all(dataset.join("sub-01/motion")).unwrap();
         fs::write(dataset.join("sub-01/motion/a.tsv"), "1").unwrap();
@@ -392,10 +393,10 @@ mod tests {
     }
 
     #[test]
-    fn what_a_killed_program_added_is_undone() {
+    fn additions_of_a_killed_program_are_undone() {
         for n_steps in 0..=4 {
             let dir = tempfile::tempdir().unwrap();
-            let (dataset, staging) = begun(dir.path());
+            let (dataset, staging) = staged_addition(dir.path());
             let before: Vec<_> = content(&dataset)
                 .into_iter()
                 .filter(|(path, _)| !path.starts_with(staging.root.path()))
@@ -435,7 +436,7 @@ mod tests {
     #[test]
     fn nothing_outside_the_data_set_is_removed() {
         let dir = tempfile::tempdir().unwrap();
-        let (dataset, staging) = begun(dir.path());
+        let (dataset, staging) = staged_addition(dir.path());
         drop(staging);
         let victim = dir.path().join("victim");
         fs::create_dir_all(victim.join("content")).unwrap();
@@ -462,7 +463,7 @@ mod tests {
     #[test]
     fn later_rows_and_files_of_others_stay() {
         let dir = tempfile::tempdir().unwrap();
-        let (dataset, staging) = begun(dir.path());
+        let (dataset, staging) = staged_addition(dir.path());
         let mut killed = ManuallyDrop::new(staging);
         publish(&killed, "sub-02/motion/c.tsv");
         let participants = dataset.join(PARTICIPANTS);
@@ -480,7 +481,7 @@ mod tests {
     #[test]
     fn a_file_that_exists_is_not_replaced() {
         let dir = tempfile::tempdir().unwrap();
-        let (dataset, staging) = begun(dir.path());
+        let (dataset, staging) = staged_addition(dir.path());
         // Both appear while it is written.
         let file = dataset.join("sub-01/motion/b.tsv");
         fs::write(&file, "mine").unwrap();

@@ -35,7 +35,7 @@ impl FileId {
     /// Whether `path` leads to the file.
     ///
     /// # Errors
-    /// When that cannot be determined. A path that does not exist is no error.
+    /// When that cannot be determined. A path that does not exist is not an error.
     pub fn is_at(self, path: &Path) -> io::Result<bool> {
         match path.symlink_metadata() {
             Ok(found) => Ok(Self::of(&found) == self),
@@ -176,7 +176,7 @@ impl TakeFile {
             return Some(FileState::InPlace);
         }
         let link = proc_link(&self.file).read_link().ok();
-        // Not a symbolic link: one that leads elsewhere by now says nothing of the file.
+        // Not a symbolic link: one that now leads elsewhere says nothing about the file.
         if let Some(link) = &link
             && self.id.is_at(link).ok()?
         {
@@ -223,7 +223,7 @@ impl TakeFile {
 
 impl Write for TakeFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        // A write behind a cut would leave a hole, and the file would have its full length again.
+        // A write beyond the end of a truncated file would leave a hole, and the file would have its full length again.
         if self.file.metadata()?.len() < self.written {
             self.state = FileState::Truncated;
             return Err(io::Error::other("another program cut the file short"));
@@ -325,7 +325,7 @@ mod tests {
     use crate::files::NameTaken;
 
     #[test]
-    fn only_the_file_itself_loses_its_name() {
+    fn only_the_same_file_is_removed() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.take");
         let take = TakeFile::create(&path).unwrap();
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn changes_by_others_are_noticed_and_what_was_written_is_kept() {
+    fn changes_by_others_are_noticed_and_written_data_is_kept() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("takes");
         std::fs::create_dir(&folder).unwrap();
@@ -407,7 +407,7 @@ mod tests {
         assert_eq!(take.check_state(), FileState::InPlace);
     }
 
-    /// As on a network file system that does not answer, or in a folder that cannot be searched for a while.
+    /// The case of a network file system that does not answer, or a folder that temporarily cannot be searched.
     #[test]
     fn an_unknown_state_changes_nothing() {
         let dir = tempfile::tempdir().unwrap();
@@ -428,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn undoing_half_a_write_is_no_truncation() {
+    fn undoing_a_partial_write_is_not_a_truncation() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.take");
         let mut take = TakeFile::create(&path).unwrap();

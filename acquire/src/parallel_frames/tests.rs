@@ -163,7 +163,7 @@ fn stretches_that_fill_the_memory_are_read_by_one_thread() {
 }
 
 #[test]
-fn a_file_that_shrinks_meanwhile_is_damaged() {
+fn a_file_that_shrinks_while_it_is_read_is_damaged() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
     let frames = open(&path);
@@ -177,7 +177,7 @@ fn a_file_that_shrinks_meanwhile_is_damaged() {
 
 /// A file that changes, or a disk that returns other bytes, after the take was opened: none of it may become a gap.
 #[test]
-fn a_byte_that_changes_meanwhile_is_damage() {
+fn a_byte_that_changes_while_it_is_read_is_damage() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
     let (frames, bytes) = (open(&path), fs::read(&path).unwrap());

@@ -1,9 +1,10 @@
 //! Commands to a running pipeline: begin, end and save takes, and set marks.
 //!
 //! A command goes into a bounded queue that the reader polls between two frames, at the cost of one load when it is
-//! empty. A mark becomes an event there and never waits for the writer. For a take the reader closes the open stretch
-//! and sends a boundary, a stretch without rows, the way of all stretches. The command goes to the writer on a queue of
-//! its own, with the boundary's number, and takes effect when the writer reaches it: exactly between two frames.
+//! empty. A mark becomes an event there and never waits for the writer. To begin or end a take, the reader closes the
+//! open stretch and sends a boundary, a stretch without rows, through the queues of stretches. The command goes to the
+//! writer through a separate queue, with the boundary's number, and takes effect when the writer reaches the boundary:
+//! exactly between two frames.
 
 use std::{
     fmt,

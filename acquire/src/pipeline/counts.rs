@@ -216,7 +216,7 @@ impl Counts {
         let unknown_after_disconnect = self.lost_in_outages + if self.ended { 0 } else { unseen };
         let missing = frames_sent - self.recorded - self.ring_full - unknown_after_disconnect;
         let dropped = self.status.map_or(self.dropped_before, |status| status.frames_dropped);
-        // Nobody knows which frames of an outage were dropped.
+        // It is unknown how many frames of an outage the device dropped.
         let may_be = missing.saturating_add(self.lost_in_outages);
         if self.ended && dropped > may_be.saturating_add(self.dropped_late_max) {
             contradictions.push(format!(

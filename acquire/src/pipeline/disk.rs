@@ -34,14 +34,14 @@ pub(super) struct DiskReserve {
     keep_free_bytes: u64,
     /// Space is allocated to the file up to this byte.
     reserved_to: u64,
-    /// Some file systems cannot allocate ahead.
+    /// Whether the file system can allocate ahead.
     can_reserve: bool,
-    /// The last allocation was refused although the disk reports enough free bytes: a quota.
+    /// Whether the last allocation was refused although the disk reports enough free bytes, as under a quota.
     is_over_quota: bool,
     /// The last check: its time, the bytes of the take, and the bytes of the raw log.
     last_poll: Option<(Instant, u64, u64)>,
     bytes_per_s: f64,
-    /// Data rate of the raw log beside the take.
+    /// Data rate of the raw log on the same disk.
     raw_log_bytes_per_s: f64,
     state: DiskSpace,
 }
@@ -53,7 +53,7 @@ pub struct DiskSpace {
     pub free_bytes: Option<u64>,
     /// Seconds until the disk is full, at the mean rate of the last 30 s. `None` before a rate is known.
     pub left_s: Option<f64>,
-    /// The take has to end: less than `keep_free_bytes` would remain.
+    /// Whether the take has to end, because less than `keep_free_bytes` would remain.
     pub is_full: bool,
 }
 
@@ -99,12 +99,12 @@ impl DiskReserve {
         self.state.free_bytes = output.free_bytes();
         let reserved = self.reserved_to.saturating_sub(written);
         let available = match self.state.free_bytes {
-            // A quota does not say how much it leaves.
+            // The free bytes of a quota are unknown.
             Some(free) if !self.is_over_quota => free.saturating_sub(self.keep_free_bytes),
             Some(_) => 0,
             None => u64::MAX,
         };
-        // The last few bytes are for closing the take.
+        // The last `RESERVE_MIN_BYTES` are for closing the take.
         let left = available.saturating_add(reserved);
         self.state.is_full |= left < RESERVE_MIN_BYTES;
         let is_known = self.bytes_per_s > 0.0 && self.state.free_bytes.is_some();
@@ -230,8 +230,8 @@ mod tests {
 
     const MIB: u64 = 1 << 20;
 
-    /// A take of 1 MiB a second on a disk of 40 MiB, 10 of which stay free: the second at which it has to end, the
-    /// fewest bytes that were free, and the remaining times it estimated.
+    /// A take of 1 MiB a second on a disk of 40 MiB, with 10 MiB kept free: the second at which it has to end, the
+    /// minimum of free bytes, and the estimates of the time left.
     fn run_until_full(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
         let mut disk = Disk { free: 40 * MIB, holds };
         let (mut reserve, progress, start) =
@@ -286,7 +286,7 @@ mod tests {
 
     #[test]
     fn the_time_left_includes_the_raw_log() {
-        // 3 MiB a second of raw log beside 1 MiB of the take: 950 MiB last for a quarter of the time.
+        // With 3 MiB/s of raw log and 1 MiB/s of take, 950 MiB last for a quarter of the time.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
         let (mut reserve, progress, start) =
             (DiskReserve::new(50 * MIB), PipelineProgress::default(), Instant::now());

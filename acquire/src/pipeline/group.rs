@@ -98,7 +98,7 @@ impl Group {
         let (producer, consumer) = ring(plan.timeline_items());
         let coder = TimelineCoder::new(consumer, header, plan.timeline_items());
         let coder = GroupCoder::Timeline(Box::new(coder));
-        (Self::new(plan, plan.n_groups(), coder, plan.front_bytes_max(), parts), producer)
+        (Self::new(plan, plan.n_groups(), coder, plan.header_bytes_max(), parts), producer)
     }
 
     fn new(
@@ -210,7 +210,7 @@ pub(super) struct TimelineCoder {
     ring: RingConsumer<TimelineItem>,
     timeline: Timeline,
     next_row: u64,
-    front: StretchHeaderWriter,
+    header_writer: StretchHeaderWriter,
 }
 
 impl TimelineCoder {
@@ -222,8 +222,8 @@ impl TimelineCoder {
         let mut timeline = Timeline::default();
         timeline.runs.reserve(items_max);
         timeline.times.reserve(items_max);
-        let front = StretchHeaderWriter::with_times(header.stretch_rows, times);
-        Self { ring, timeline, next_row: 0, front }
+        let header_writer = StretchHeaderWriter::with_times(header.stretch_rows, times);
+        Self { ring, timeline, next_row: 0, header_writer }
     }
 
     /// Writes nothing when no row was recorded or lost since the last stretch.
@@ -245,7 +245,7 @@ impl TimelineCoder {
         }
         if self.timeline.n_rows() > 0 {
             let alone = end.n_channels <= GROUP_CHANNELS;
-            self.front.put(end.span, &self.timeline, &[], alone, out);
+            self.header_writer.put(end.span, &self.timeline, &[], alone, out);
         }
     }
 }

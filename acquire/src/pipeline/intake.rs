@@ -81,7 +81,7 @@ pub struct Intake {
     counts: Counts,
     clocks: ClockTracker,
     is_away: bool,
-    /// The device is back after an outage, and its first frame has not arrived.
+    /// Whether the device is back after an outage, and its first frame has not arrived.
     rejoining: bool,
     /// A take that begins with that frame, so that it does not contain the absence of the device before it.
     deferred_begin: Option<TakeCommand>,
@@ -96,8 +96,8 @@ pub struct Intake {
     tap: PreviewSender,
 }
 
-/// Most frames that a device can have produced beyond those seen: a day and more at 10 kHz. A larger number
-/// is a contradiction, not loss.
+/// Maximum number of frames that a device can have produced beyond those seen: a day and more at 10 kHz. A larger
+/// number is a contradiction, not loss.
 const UNSEEN_MAX: u64 = 1 << 30;
 
 /// The reader's ends of the queues that it shares with other threads.

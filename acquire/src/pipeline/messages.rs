@@ -31,9 +31,9 @@ pub(super) struct StretchEnd {
     pub(super) last_arrival_ns: u64,
     /// Number of channels with rows in it: they have the first slots.
     pub(super) n_channels: usize,
-    /// It is the last one.
+    /// Whether it is the last one.
     pub(super) last: bool,
-    /// A boundary at which the recording is divided: the next take begins with the row after it.
+    /// Whether the recording is divided at this boundary: the next take begins with the row after it.
     pub(super) splits: bool,
 }
 
@@ -62,7 +62,7 @@ pub(super) struct Part {
 /// The memory of a part.
 #[derive(Debug)]
 pub(super) struct PartBuffer {
-    /// The group's block with its length, or the stretch's front with its timeline.
+    /// The group's block with its length, or the stretch's header with its timeline.
     pub(super) bytes: Vec<u8>,
     /// What the block holds; empty for the timeline's group.
     pub(super) tally: BlockTally,

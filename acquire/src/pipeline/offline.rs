@@ -126,7 +126,7 @@ fn write_foreign<W: Write>(
     Ok(take.push_events(&info.events)?)
 }
 
-/// An error of reading frames.
+/// Wraps an I/O error of a frame source in [`SourceFailed`].
 fn of_source(error: TakeError) -> anyhow::Error {
     match error {
         TakeError::Io(error) => SourceFailed(error).into(),
@@ -237,7 +237,7 @@ mod tests {
     use crate::header;
 
     #[test]
-    fn results_come_in_order_and_none_is_far_ahead() {
+    fn results_come_in_order_and_the_queue_is_bounded() {
         for n_workers in [1, 3, 8] {
             let mut next = 0;
             let worker = || {

@@ -19,8 +19,8 @@ use crate::heartbeat::Heartbeat;
 const STRETCH: Duration = Duration::from_millis(500);
 const SYNC_EVERY: Duration = Duration::from_millis(500);
 
-/// Permitted lengths of a stretch: a longer one makes a kill too costly, with shorter ones a take is mostly fronts of
-/// stretches.
+/// Permitted lengths of a stretch: with longer ones a killed process loses too much, with shorter ones a take is
+/// mostly headers of stretches.
 pub const STRETCH_LENGTHS: RangeInclusive<Duration> =
     Duration::from_millis(50)..=Duration::from_secs(10);
 
@@ -138,7 +138,7 @@ pub(super) const RUNS_MAX: usize = 8;
 pub(super) const CONTROL_MAX: usize = 1024;
 
 /// Clock observations queued for the writer: at most ten round trips a second (the link's budget) and
-/// four points a second, and only at the start; some 60 in a stall of 30 s.
+/// four points a second, and only at the start; about 60 in a stall of 30 s.
 pub(super) const CLOCK_ITEMS_MAX: usize = 1024;
 
 /// The sizes derived from a [`PipelineConfig`].
@@ -241,16 +241,16 @@ impl Plan {
         self.codec.max_block_bytes(n_channels, n_rows) + 5
     }
 
-    /// Largest size of a stretch's front: per item a run (11 + 1), ticks and arrival (16 unless both are noise of
-    /// hours) and timecode (5); 64 for its head and a key stretch's clocks.
-    pub(super) fn front_bytes_max(&self) -> usize {
+    /// Largest size of a stretch's header: per item a run (11 + 1), ticks and arrival (16 unless both are noise
+    /// of hours) and timecode (5); 64 for its head and a key stretch's clocks.
+    pub(super) fn header_bytes_max(&self) -> usize {
         self.timeline_items() * 33 + 64
     }
 
     /// Largest size of a stretch's payload.
     pub(super) fn stretch_bytes_max(&self) -> usize {
         let parts = (0..self.n_groups()).map(|group| self.part_bytes_max(group));
-        parts.sum::<usize>() + self.front_bytes_max()
+        parts.sum::<usize>() + self.header_bytes_max()
     }
 }
 

@@ -33,7 +33,7 @@ struct ParkedGroup {
     unpark: Receiver<Group>,
     jobs: Receiver<EncodeJob>,
     buffers: Receiver<PartBuffer>,
-    /// A wake-up for this group is queued.
+    /// Whether a wake-up for this group is queued.
     woken: AtomicBool,
 }
 
@@ -161,8 +161,8 @@ fn run_worker(
     };
     while let Ok(Some(index)) = next() {
         let place = &parked[index];
-        // A swap and not a store: whoever found the flag set had sent its job before, and that job must be visible
-        // below. A plain store could move past the check of the jobs, and the wake-up would be lost.
+        // A swap, not a store: a thread that found the flag set had sent its job before, and that job must be
+        // visible below. A plain store could move past the check of the jobs, and the wake-up would be lost.
         place.woken.swap(false, Ordering::AcqRel);
         while let Ok(mut group) = place.unpark.try_recv() {
             group.run_jobs(heartbeat);
@@ -174,8 +174,8 @@ fn run_worker(
     }
 }
 
-/// Marks the pipeline as failed when a thread panics: a worker takes its group with it, a writer the file, and the
-/// recording cannot go on as if nothing had happened.
+/// Marks the pipeline as failed when a thread panics: a panicking worker loses its group, a panicking writer loses
+/// the file, so the recording must stop.
 #[derive(Debug)]
 pub(super) struct FailOnPanic(pub(super) Arc<PipelineProgress>);
 

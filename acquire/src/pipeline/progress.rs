@@ -28,9 +28,9 @@ pub struct PipelineProgress {
     pub raw_log_bytes: OnceLock<Arc<AtomicU64>>,
     /// Seconds until the disk is full; `u64::MAX` while unknown.
     pub disk_left_s: AtomicU64,
-    /// The disk is so full that the take has to end: stop feeding the pipeline, and it is closed.
+    /// Whether the disk is so full that the take has to end: stop feeding the pipeline, and it is closed.
     pub disk_full: AtomicBool,
-    /// The writer failed and writes no more, or a worker is gone: stop feeding the pipeline.
+    /// Whether the writer failed and writes no more, or a worker is gone: stop feeding the pipeline.
     pub failed: AtomicBool,
     /// Fill level of the fullest ring when the last stretch was closed, in thousandths.
     pub ring_fill_permille: AtomicU64,
@@ -39,7 +39,7 @@ pub struct PipelineProgress {
     pub ring_latency_p99_ns: AtomicU64,
     /// Times that the device was disconnected and came back.
     pub outages: AtomicU64,
-    /// The device is disconnected.
+    /// Whether the device is disconnected.
     pub is_away: AtomicBool,
     /// Arrival of the last recorded frame, in nanoseconds of the monotonic clock; 0 before the first.
     pub last_arrival_ns: AtomicU64,
@@ -49,11 +49,11 @@ pub struct PipelineProgress {
     pub pre_roll_bytes: AtomicU64,
     /// Length of the pre-roll buffer in milliseconds.
     pub pre_roll_ms: AtomicU64,
-    /// The pre-roll is shorter than configured because it reached its memory limit.
+    /// Whether the pre-roll is shorter than configured because it reached its memory limit.
     pub pre_roll_is_cut: AtomicBool,
     /// Takes begun by a recording that is divided; 0 for one that is not.
     pub takes_begun: AtomicU32,
-    /// The writer found the take long enough: divide the recording at the end of the open stretch.
+    /// Whether the writer found the take long enough: divide the recording at the end of the open stretch.
     pub(super) split_is_due: AtomicBool,
     /// Messages of the writer to the user, and whether there are any.
     notices: Mutex<Vec<String>>,

@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_nobody_takes_are_left_out() {
+    fn frames_without_a_viewer_are_left_out() {
         let (mut tap_in, mut tap_out) = tap(1);
         for row in 0..2000 {
             let head = PreviewFrame {

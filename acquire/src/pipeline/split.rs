@@ -17,8 +17,8 @@ use super::{NewTake, TakeResult};
 /// When a take of a divided recording is long enough.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SplitAt {
-    /// At each multiple of a number of rows, lost ones included. If no frame came between two of them, the take goes on
-    /// to the next: no take is without a frame.
+    /// At each multiple of a number of rows, lost ones included. If no frame came between two of them, the take
+    /// continues to the next: no take is without a frame.
     Rows {
         /// Rows of a take, at least those of a stretch.
         rows: u64,
@@ -26,8 +26,8 @@ pub enum SplitAt {
         /// stopped belong to the last take.
         end_row: Option<u64>,
     },
-    /// At the first end of a stretch at which the file has this many bytes. The stretches in work at that moment still
-    /// belong to it: usually one.
+    /// At the first end of a stretch at which the file has this many bytes. Stretches that are being encoded at that
+    /// moment still belong to it: usually one.
     Bytes(u64),
 }
 
@@ -50,7 +50,7 @@ pub trait TakeSeries: Send {
     /// disk, but for nothing else.
     ///
     /// # Errors
-    /// When its file cannot be created. The take before it then goes on, and the next one is tried when that is due.
+    /// When its file cannot be created. The take before it then continues, and the next one is tried when that is due.
     fn next_take(&mut self, first_row: u64) -> anyhow::Result<NextTake>;
 }
 
@@ -73,7 +73,7 @@ pub struct Split {
 #[derive(Debug, Clone, Copy)]
 pub(super) enum SplitSchedule {
     Never,
-    /// At row `next`, and every so many rows after it, as long as that is before `end`.
+    /// At row `next`, and every `every` rows after it, as long as that is before `end`.
     Rows {
         every: u64,
         next: u64,
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn takes_end_at_multiples_and_none_is_empty() {
+    fn takes_end_at_multiples_and_are_never_empty() {
         let mut splits = SplitSchedule::new(SplitAt::Rows { rows: 10, end_row: Some(60) });
         let firsts = |splits: &mut SplitSchedule, rows: &[u64]| -> Vec<Option<u64>> {
             rows.iter().map(|&row| splits.take_due(row, true)).collect()

@@ -50,7 +50,7 @@ pub(super) struct Writer {
     next_command: Option<(u64, TakeCommand)>,
     clocks: ClockWriter,
     /// Received from `control`; its stretch is not written yet.
-    waiting: Option<(u64, Control)>,
+    next_control: Option<(u64, Control)>,
     buffers_back: Vec<Sender<PartBuffer>>,
     wakes: WakeQueue,
     progress: Arc<PipelineProgress>,
@@ -66,7 +66,7 @@ pub(super) struct Writer {
     sync_every: Duration,
     pre_roll: Option<PreRollBuffer>,
     live: Option<LiveTake>,
-    /// The pipeline serves a single take, or those of a recording that is divided, and fails with it.
+    /// Whether the pipeline serves a single take, or those of a recording that is divided, and fails with it.
     single_take: bool,
     /// How the recording is divided, if it is.
     split: Option<SplitState>,
@@ -89,7 +89,7 @@ impl Writer {
             commands: from_reader.commands,
             next_command: None,
             clocks: ClockWriter::new(from_reader.clock),
-            waiting: None,
+            next_control: None,
             buffers_back,
             wakes,
             progress: Arc::clone(progress),
@@ -174,7 +174,7 @@ impl Writer {
     /// The ending of a take that is open when the reading is over.
     fn ending(&self) -> TakeEnding {
         let ending = self.progress.ending.get().cloned().unwrap_or_default();
-        // In the service commands end takes, and whoever stops its reader stops the service.
+        // In the service, commands end takes; its reader is stopped only when the service ends.
         if ending.kind == EndingKind::Stopped && !self.single_take {
             return EndingKind::ServiceStopped.into();
         }
@@ -254,9 +254,11 @@ impl Writer {
     /// Applies the channels and events that precede stretch `stretch`, except those for the next take of a recording
     /// that is divided.
     fn apply_control(&mut self, stretch: u64, end: &StretchEnd) {
-        while let Some((at, item)) = self.waiting.take().or_else(|| self.control.try_recv().ok()) {
+        while let Some((at, item)) =
+            self.next_control.take().or_else(|| self.control.try_recv().ok())
+        {
             if at > stretch {
-                self.waiting = Some((at, item));
+                self.next_control = Some((at, item));
                 return;
             }
             match item {
@@ -349,7 +351,7 @@ impl Writer {
                 self.with_take(|take, _| take.mark_request(end.span.first_row, requested_ns));
             }
             TakeCommand::Save(take, reply) => {
-                // The open take goes on, and observers keep seeing that one.
+                // The open take continues, and observers keep seeing that one.
                 let mut clocks = self.clocks.for_saved_take();
                 let progress = PipelineProgress::new(&[]);
                 if let Some(saved) = self.begin_take(*take, &reply, end, &mut clocks, &progress) {
@@ -453,7 +455,7 @@ pub(super) struct StretchAssembly {
 }
 
 impl StretchAssembly {
-    /// Of a complete stretch, the timeline's part and the channels' parts in order.
+    /// The timeline's part and the channels' parts in order, if the stretch is complete.
     pub(super) fn parts(&self) -> Option<(&Part, impl Iterator<Item = &Part>)> {
         let mut present = self.slots.iter().flatten();
         Some((present.next_back()?, present))
@@ -463,7 +465,7 @@ impl StretchAssembly {
 /// Encoded stretches that are not written yet, oldest first.
 #[derive(Debug)]
 pub(super) struct StretchAssembler {
-    waiting: VecDeque<StretchAssembly>,
+    assemblies: VecDeque<StretchAssembly>,
     spare: Vec<Vec<Option<Part>>>,
     next_stretch: u64,
     plan: Plan,
@@ -472,12 +474,12 @@ pub(super) struct StretchAssembler {
 impl StretchAssembler {
     pub(super) fn new(plan: &Plan) -> Self {
         // No group can be further ahead than it has buffers.
-        let most = plan.buffers_per_group() + 1;
+        let ahead_max = plan.buffers_per_group() + 1;
         let n_groups = plan.n_groups() + 1;
         let empty = || (0..n_groups).map(|_| None).collect();
         Self {
-            waiting: VecDeque::with_capacity(most),
-            spare: (0..most).map(|_| empty()).collect(),
+            assemblies: VecDeque::with_capacity(ahead_max),
+            spare: (0..ahead_max).map(|_| empty()).collect(),
             next_stretch: 0,
             plan: plan.clone(),
         }
@@ -486,15 +488,15 @@ impl StretchAssembler {
     pub(super) fn add(&mut self, part: Part) {
         let at = (part.stretch - self.next_stretch) as usize;
         let n_groups = self.plan.n_groups() + 1;
-        while self.waiting.len() <= at {
-            self.waiting.push_back(StretchAssembly {
-                stretch: self.next_stretch + self.waiting.len() as u64,
+        while self.assemblies.len() <= at {
+            self.assemblies.push_back(StretchAssembly {
+                stretch: self.next_stretch + self.assemblies.len() as u64,
                 end: part.end,
                 slots: self.spare.pop().unwrap_or_else(|| (0..n_groups).map(|_| None).collect()),
                 missing: usize::MAX,
             });
         }
-        let assembly = &mut self.waiting[at];
+        let assembly = &mut self.assemblies[at];
         if assembly.missing == usize::MAX {
             assembly.end = part.end;
             assembly.missing = self.plan.groups_of(part.end.n_channels) + 1;
@@ -506,7 +508,7 @@ impl StretchAssembler {
 
     /// The oldest stretch.
     pub(super) fn front(&self) -> Option<&StretchAssembly> {
-        self.waiting.front()
+        self.assemblies.front()
     }
 
     /// If the oldest stretch is complete: whether it is the last of all.
@@ -514,10 +516,10 @@ impl StretchAssembler {
         self.front().filter(|front| front.missing == 0).map(|front| front.end.last)
     }
 
-    /// Removes the oldest stretch and hands out its parts.
-    pub(super) fn pop_front(&mut self, mut give: impl FnMut(Part)) {
-        let Some(mut front) = self.waiting.pop_front() else { return };
-        front.slots.iter_mut().filter_map(Option::take).for_each(&mut give);
+    /// Removes the oldest stretch and passes its parts to `give_back`.
+    pub(super) fn pop_front(&mut self, mut give_back: impl FnMut(Part)) {
+        let Some(mut front) = self.assemblies.pop_front() else { return };
+        front.slots.iter_mut().filter_map(Option::take).for_each(&mut give_back);
         self.spare.push(front.slots);
         self.next_stretch += 1;
     }

@@ -23,7 +23,7 @@ fn a_stalled_disk_costs_bytes_of_the_log_and_the_log_counts_them() {
     let mut log = Vec::new();
     put_header(&mut log);
     let mut passed = 0;
-    // Far more than two blocks hold, and nothing is written: every read returns all the same.
+    // Far more than two blocks hold, and nothing is written: every read returns nevertheless.
     for round in 0..20u8 {
         device.write_all(&vec![round; 40_000]).unwrap();
         let mut got = 0;
@@ -42,7 +42,7 @@ fn a_stalled_disk_costs_bytes_of_the_log_and_the_log_counts_them() {
         log.extend_from_slice(&block.bytes);
         counted += block.line_bytes;
         block.clear();
-        // At the end the tap that would take it is is_closed.
+        // At the end the tap that would receive it is gone.
         free.send(block).ok();
     };
     written.try_iter().for_each(&mut give_back);
@@ -109,7 +109,7 @@ impl LogOutput for Disk {
     }
 }
 
-/// A log on such a disk: what was synced, a function that hands over blocks of a given size, and the result.
+/// A log on a [`Disk`]: what was synced, a function that submits blocks of a given size, and the result.
 fn start_log(
     space: usize,
     sync_every: Duration,
@@ -132,7 +132,7 @@ fn start_log(
 }
 
 #[test]
-fn what_is_written_is_synced_in_time_and_at_the_end() {
+fn written_blocks_are_synced_in_time_and_at_the_end() {
     let (synced, put, finish) = start_log(1000, Duration::from_millis(100));
     // The head is synced, though nothing follows.
     assert_eq!(synced.recv_timeout(Duration::from_secs(20)).unwrap(), 0);

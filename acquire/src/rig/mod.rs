@@ -27,7 +27,7 @@ use crate::{
     setting::{Setting, SettingRefused},
 };
 
-/// Bytes read at once: more than a pty or a USB serial driver delivers.
+/// Bytes requested per read: more than a pty or a USB serial driver delivers.
 const READ_BYTES: usize = 64 << 10;
 
 /// Time that a device has to answer a command.
@@ -297,7 +297,7 @@ impl Rig {
         Ok(rig)
     }
 
-    /// Asks the device for its identity and marker table, in whatever state it is.
+    /// Asks the device for its identity and marker table, also while it streams to an earlier host.
     pub(super) fn query_identity(&mut self, cancel: &dyn Fn() -> bool) -> anyhow::Result<()> {
         let damaged_before = self.protocol.counters().messages_damaged;
         for _ in 0..ATTEMPTS_MAX {

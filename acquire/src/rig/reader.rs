@@ -44,8 +44,8 @@ pub struct ReadOptions<'a> {
     /// Stop after this time by the host's clock as well, plus a grace period for frames in transit: frames may come
     /// slowly or not at all.
     pub length: Option<Duration>,
-    /// The reader serves a single take: the end of the take ends the reading, and changes to the take's file are
-    /// reported.
+    /// Whether the reader serves a single take: the end of the take ends the reading, and changes to the take's file
+    /// are reported.
     pub single_take: bool,
     /// Receives messages for the user while the reader runs.
     pub notify: &'a dyn Fn(&str),
@@ -480,7 +480,7 @@ pub(super) fn host_event(text: &str) -> Event {
 /// device that is starting up needs a while, and the query stops one that only pauses.
 const IDENTIFY_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Restarts that are reported: a device restarted in vain must fill neither the take nor the screen.
+/// Restarts that are reported: a device that restarts again and again must fill neither the take nor the screen.
 const RESTARTS_REPORTED_MAX: u32 = 32;
 
 /// After this many answers that came with damaged messages the last one is believed: on a line that is never clean the
@@ -495,7 +495,7 @@ pub(super) struct IdentityQuery {
     damaged: u64,
     /// Queries since the last frame.
     attempts: u32,
-    /// Not answered yet.
+    /// Whether it has not been answered yet.
     is_pending: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Reconnecting: waits for a device that was disconnected, finds it and starts it again, so that the take goes on.
+//! Reconnecting: waits for a device that was disconnected, finds it and starts it again, so that the take continues.
 
 use std::time::Duration;
 

@@ -1,12 +1,12 @@
 //! The exact samples of a channel: three columns of integers as packed differences.
 //!
-//! `lossless` writes every channel so, and all other kinds but `dense` their raw channels. The integers are the float32
-//! bit patterns, mapped so that they have the order of the numbers.
+//! `lossless` writes every channel in this form, and all other kinds but `dense` their raw channels. The integers are
+//! the float32 bit patterns, mapped so that they have the order of the numbers.
 //!
 //! One head byte: bits 0-1, 2-3 and 4-5 are the difference order (0, 1 or 2) of x, y and z. Then per
-//! column: while fewer earlier values are known than the order asks for, a zigzag varint of the
-//! difference of the highest order possible; then groups of zigzag differences, each group at the width of
-//! its widest member: one byte of width (0 to 64), then `len * width` bits, least significant bit first.
+//! column: while fewer earlier values are known than the order needs, a zigzag varint of the difference of
+//! the highest order possible; then groups of zigzag differences, each group at the width of its widest
+//! member: one byte of width (0 to 64), then `len * width` bits, least significant bit first.
 
 use super::bytes::{Bytes, varint_len, write_varint};
 use crate::{CodecError, DecodedRows, Position, Result, Rows, ensure};
@@ -36,7 +36,7 @@ fn from_ordered(ordered: i64) -> Option<f32> {
 }
 
 impl Raw {
-    /// Most bytes of `samples` samples.
+    /// Maximum number of bytes of `samples` samples.
     pub(crate) fn max_bytes(samples: usize) -> usize {
         // Order 0 takes no varints and at most 32 bits per value, and the order with the fewest bytes is chosen.
         1 + 3 * (4 * samples + samples.div_ceil(GROUP_LEN))
@@ -254,7 +254,7 @@ const fn unzigzag(code: u64) -> i64 {
 /// Number of values of a group; the last group of a column may be shorter.
 const GROUP_LEN: usize = 32;
 
-/// The number of bits of the widest member, from the bitwise or of all members.
+/// The number of bits of the widest member, from the bitwise OR of all members.
 const fn width_of(union: u64) -> u32 {
     64 - union.leading_zeros()
 }

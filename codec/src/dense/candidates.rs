@@ -46,8 +46,9 @@ pub(super) struct LatticeCell<'a> {
 }
 
 impl LatticeCell<'_> {
-    /// The steps to the cheapest of `N` lattice points that `is_inside`, the first of equals; zero where none is.
-    /// `PARITIES` is 1 for the cubic lattice, 2 for the even and the odd points of the centred one.
+    /// The steps to the cheapest of the `N` lattice points for which `is_inside` holds, the first of equals; zero
+    /// if there is none. `PARITIES` is 1 for the cubic lattice, 2 for the even and the odd points of the centred
+    /// one.
     #[inline(always)]
     pub(super) fn cheapest<const PARITIES: usize, const N: usize>(
         &self,
@@ -84,7 +85,7 @@ impl LatticeCell<'_> {
         }
     }
 
-    /// Passes on the steps to all corners of the cell, of which there are eight for each of the `PARITIES`.
+    /// Passes the steps to all corners of the cell to `take`: eight for each of the `PARITIES`.
     pub(super) fn corners<const PARITIES: usize>(&self, take: &mut impl FnMut([f64; 3])) {
         for parity in 0..PARITIES {
             let (odd, free) = (parity as f64, [0.0; AXES]);

@@ -1,4 +1,4 @@
-//! What coding the rows of one channel in a span changes: it is kept, and put back before other points are tried.
+//! The state that coding the rows of one channel in a span changes: saved, and restored before other points are tried.
 
 use std::ops::RangeInclusive;
 
@@ -48,7 +48,7 @@ impl ChannelState {
         }
     }
 
-    /// Puts the state back.
+    /// Restores the state.
     pub(super) fn restore(
         &self,
         channels: &mut Channels,

@@ -1,4 +1,4 @@
-//! The numbering of contexts and mixers, one family after another, and the classes by which contexts are chosen.
+//! The numbering of contexts and mixers, one family after another, and the classes that select contexts.
 
 use super::LEVELS;
 
@@ -13,7 +13,7 @@ pub(super) const INTERPOLATED: usize = 4;
 pub(super) const UNARY: usize = 4;
 /// Exp-Golomb exponents with contexts of their own; larger ones share the last.
 pub(super) const EXPONENTS: usize = 24;
-/// Most ends of other channels' runs that are candidates for the origin of a first row.
+/// Maximum number of ends of other channels' runs that are candidates for the origin of a first row.
 pub(super) const MAX_ORIGIN_ENDS: usize = 16;
 /// Largest Exp-Golomb exponent: one more than any encoder needs.
 pub(super) const MAX_EXPONENT: usize = 42;

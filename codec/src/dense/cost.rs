@@ -1,4 +1,4 @@
-//! The cost of decisions under a model that stays as it is, in place of their code.
+//! Counts the cost of decisions under a model that does not adapt, without coding them.
 
 use super::model::ModelCoder;
 use crate::coding::range::BinaryCoder;

@@ -24,7 +24,7 @@ use crate::{
 
 /// Classes of levels with covariances of their own: anchors; strides 8 and more; 4; 2; 1.
 const CLASSES: usize = 5;
-/// Most references of a channel.
+/// Maximum number of references of a channel.
 const REFERENCES: usize = 3;
 
 /// The ridge of the regression: a reference's variance is multiplied by the first number, and the second, in squared
@@ -124,7 +124,7 @@ impl CrossChannel {
         self.references.fill(References::default());
     }
 
-    /// Takes over the covariances of `n` channels.
+    /// Copies the covariances of `n` channels.
     pub(super) fn follow(&mut self, other: &Self, n: usize) {
         for class in 0..CLASSES {
             let rows = class * GROUP_CHANNELS..class * GROUP_CHANNELS + n;
@@ -141,7 +141,7 @@ impl CrossChannel {
         &mut self.residuals[j]
     }
 
-    /// Exchanges a residual of the current span for another.
+    /// Swaps a residual of the current span with `residual`.
     pub(super) fn exchange_residual(&mut self, j: usize, slot: usize, residual: &mut [f32; 3]) {
         for (axis, units) in self.residuals[j].iter_mut().zip(residual) {
             std::mem::swap(&mut axis[slot], units);
@@ -531,7 +531,7 @@ impl ReferenceSolver<'_> {
             let covariance = lane_at(&buffers.own_row, found.channels[i]);
             found.signs[i] = if covariance < 0.0 { -1.0 } else { 1.0 };
         }
-        // Anchors later in the span are missing from the sums: the matrix may be no covariance, and nearly singular.
+        // Anchors later in the span are missing from the sums: the matrix may not be a covariance, and nearly singular.
         let bounded = found.weights.iter().all(|weight| weight.abs() < MAX_WEIGHT);
         if !(bounded && gain > MIN_GAIN.1) {
             found.weights = [0.0; REFERENCES];

@@ -1,7 +1,7 @@
 //! Correction of predictions by the distances to the partners.
 //!
 //! A prediction is moved along the line to a partner by a share of its error in distance. The share is learnt by least
-//! squares: how much of such errors proved real at earlier rows.
+//! squares: the share of such errors that was real at earlier rows.
 
 use super::{
     contexts::{INTERPOLATED, KINDS},
@@ -33,7 +33,7 @@ pub(super) struct Share {
 }
 
 impl Share {
-    /// Updates the sums with an error in distance and how much of it was true, in tolerances.
+    /// Updates the sums with an error in distance and its true part, in tolerances.
     #[inline(always)]
     fn learn(&mut self, difference: f64, truth: f64) {
         // Not `clamp`, which handles NaN at a cost.
@@ -109,7 +109,7 @@ impl DistanceCorrection {
         &mut self.shares[j]
     }
 
-    /// Takes over the shares of `n` channels.
+    /// Copies the shares of `n` channels.
     pub(super) fn follow(&mut self, other: &Self, n: usize) {
         self.shares[..n].copy_from_slice(&other.shares[..n]);
     }
@@ -159,7 +159,7 @@ impl DistanceCorrection {
     }
 
     /// The predictions of the rows of a level from index `at` on, corrected by the partners of channel `j` one after
-    /// another, by axis in whole units. On `COARSE` levels the distance and direction are computed anew after the
+    /// another, by axis in whole units. On `COARSE` levels the distance and direction are recomputed after the
     /// correction of each partner; elsewhere all start from one position, which costs 0.1 % and is faster.
     #[inline(always)]
     pub(super) fn correct<const N: usize, const COARSE: bool>(

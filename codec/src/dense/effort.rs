@@ -1,4 +1,4 @@
-//! How much an encoder of `dense` tries.
+//! The effort of an encoder of `dense`.
 
 use std::{fmt, str::FromStr};
 
@@ -34,9 +34,9 @@ pub(super) struct SearchDepth {
 }
 
 impl Effort {
-    /// The least effort: each row is chosen without looking ahead. Recordings always use it.
+    /// The minimum effort: each row is chosen without looking ahead. Recordings always use it.
     pub const MIN: Self = Self(1);
-    /// The greatest effort.
+    /// The maximum effort.
     pub const MAX: Self = Self(9);
 
     /// # Errors
@@ -72,7 +72,7 @@ impl Effort {
 }
 
 impl Default for Effort {
-    /// The least effort.
+    /// The minimum effort.
     fn default() -> Self {
         Self::MIN
     }

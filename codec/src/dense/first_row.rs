@@ -80,7 +80,7 @@ impl OriginCandidates {
             points[1] = follow_nearest(tracks, channel, at, end.point, age);
         }
         let first_end = 1 + usize::from(own.is_some());
-        // The latest end first; of equals that of the lower channel.
+        // The latest end first; ties in the order of channels.
         let (mut n, mut rows) = (first_end, [u64::MAX; MAX_ORIGIN_ENDS + 2]);
         for (k, track) in tracks.iter().enumerate().take(present.len()) {
             let Some(end) = track.end.filter(|_| k != channel) else { continue };

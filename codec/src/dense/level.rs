@@ -66,7 +66,7 @@ pub(super) trait RowCodec {
         0
     }
 
-    /// Whether nothing that follows matters, so that the rest of a level may be left out.
+    /// Whether the result is already decided, so that the rest of a level may be skipped.
     #[inline(always)]
     fn gives_up(&self) -> bool {
         false
@@ -118,7 +118,7 @@ impl Channels {
         self.correction.reset();
     }
 
-    /// Takes over the state of `n` channels before a span, and the rows `rows`.
+    /// Copies the state of `n` channels before a span, and the rows `rows`.
     pub(super) fn follow(&mut self, other: &Self, n: usize, rows: RangeInclusive<usize>) {
         self.grow(n);
         for (track, other) in self.tracks.iter_mut().zip(&other.tracks) {
@@ -292,7 +292,7 @@ impl<S: RowCodec, const N: usize, const COARSE: bool> Kernel for LevelPass<'_, S
                 return Ok(());
             }
         }
-        // What is learnt for the spans and channels that follow.
+        // Learn for the spans and channels that follow.
         if COARSE && S::Coder::LEARNS {
             channels.segments.learn(&layout, &channels.tracks);
         }

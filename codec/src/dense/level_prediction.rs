@@ -14,7 +14,7 @@ use super::{
 /// Rows before the block from which predictions are made: a whole span.
 pub(super) const PAST_ROWS: usize = 64;
 
-/// Most rows of one level in a span: those of stride 1, every other row.
+/// Maximum number of rows of one level in a span: those of stride 1, every other row.
 const MAX_LEVEL_ROWS: usize = SPAN / 2;
 const _: () = assert!(MAX_LEVEL_ROWS.is_multiple_of(LANES));
 

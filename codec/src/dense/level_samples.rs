@@ -16,7 +16,7 @@ use crate::{
 
 /// Price of the squared distance from the sample, in bits at the radius of the ball, by kind of row: higher where more
 /// rows are predicted from the point. Chosen by measurement: a price on all levels gains 0.3 %, these prices 0.6 %;
-/// choosing the cheapest point whatever its distance loses 3 %.
+/// choosing the cheapest point regardless of its distance loses 3 %.
 const DISTANCE_PRICES: [f64; KINDS] = [20.0, 20.0, 20.0, 20.0, 0.1, 5.0, 10.0, 20.0, 20.0, 20.0];
 /// The price where no row is predicted from the point.
 const LAST_LEVEL_PRICE: f64 = 0.1;

@@ -36,8 +36,8 @@
 //!
 //! All constants but the encoder's prices in [`candidates`] belong to the frozen format. docs/codec.md lists what was
 //! tried, measured on 18 recorded public takes (15 to 83 markers, 60 to 400 Hz) at six tolerances from 0.1 to 20 mm.
-//! "Gain" in these modules is the change of the geometric mean of the ratio over all of them. A constant without a
-//! derivation or a measurement beside it has none on record.
+//! "Gain" in these modules is the change of the geometric mean of the ratio over all of them. A constant documented
+//! without a derivation or a measurement has none on record.
 //!
 //! # Modules, each built on those before it
 //!

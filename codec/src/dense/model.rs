@@ -148,7 +148,7 @@ struct Mixer {
     n_bits: u32,
 }
 
-/// By how much of its error a context moves at its n-th bit, in 2^-16: 1/(n + 1.6), at least 2 %.
+/// The share of its error by which a context moves at its n-th bit, in 2^-16: 1/(n + 1.6), at least 2 %.
 const CONTEXT_RATES: [u32; 64] = {
     let mut rates = [0; 64];
     let mut n = 0;
@@ -180,7 +180,7 @@ const _: () = assert!(MIXER_RATES[63] == MIN_RATE);
 
 /// A coder of modelled decisions.
 pub(super) trait ModelCoder: BinaryCoder {
-    /// Whether the model learns from the decisions. It does not where they only are priced.
+    /// Whether the model learns from the decisions. It does not where they are only priced.
     const LEARNS: bool = true;
 }
 
@@ -218,7 +218,7 @@ impl Model {
         self.tally.key();
     }
 
-    /// Takes over the probabilities and weights of another model.
+    /// Copies the probabilities and weights of another model.
     pub(super) fn follow(&mut self, other: &Self) {
         self.contexts.states.copy_from_slice(&other.contexts.states);
         self.contexts.logits.copy_from_slice(&other.contexts.logits);

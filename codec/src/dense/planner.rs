@@ -1,8 +1,8 @@
 //! Plans of the points of whole spans.
 //!
 //! Within a span the points of a channel depend on the channels before it and on itself alone; only the probabilities
-//! run on in the order in which rows are coded. So a copy of the group, with probabilities that stay as they are at the
-//! beginning of the span, is enough to find out what each choice leads to, one channel after another.
+//! adapt in the order in which rows are coded. So a copy of the group, with the probabilities fixed at the beginning of
+//! the span, is enough to evaluate each choice, one channel after another.
 
 use super::{
     LEVELS,

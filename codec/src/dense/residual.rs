@@ -65,7 +65,7 @@ pub(super) fn moving(
     model.mixed(coder, contexts, MIX_MOVING + kind, moved)
 }
 
-/// Codes the residual of a moved row, in lattice steps, of which at least one axis is nonzero.
+/// Codes the residual of a moved row in lattice steps; at least one axis is nonzero.
 #[derive(Debug)]
 pub(super) struct Residual<'a, C> {
     pub(super) coder: &'a mut C,

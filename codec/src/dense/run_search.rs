@@ -1,10 +1,10 @@
 //! The search for the points of a run in a span.
 //!
 //! For each coarse row, from the anchor down, every lattice point in the tolerance ball is tried: the rest of the run is
-//! coded greedily, and its cost counted. The cheapest plans so far go on to the next row.
+//! coded greedily, and its cost counted. The cheapest plans so far continue to the next row.
 //!
 //! Plans are made channel by channel, but rows are coded level by level: where a run ends between the rows of a whole
-//! span, the rows beside its ends have not been decoded in all channels before it, and are hidden.
+//! span, the rows next to its ends have not been decoded in all channels before it, and are hidden.
 
 use std::{ops::RangeInclusive, rc::Rc};
 
@@ -44,7 +44,7 @@ pub(super) struct RunSearch<'s, 'a> {
 }
 
 impl RunSearch<'_, '_> {
-    /// Adds the rows of the run to a plan, and codes them by it.
+    /// Adds the rows of the run to a plan, and codes them according to it.
     pub(super) fn run(mut self, plan: SpanPlan) -> Result<SpanPlan> {
         let levels: Vec<usize> =
             (0..=self.first_bit).rev().filter(|&bit| self.layout(bit).n > 0).collect();
@@ -200,8 +200,7 @@ impl HiddenRow {
         found
     }
 
-    /// Exchanges what is known of the row for nothing, or the reverse, if the row is decoded after the rows of the
-    /// stride `1 << bit`.
+    /// Hides the row, or restores it, if it is decoded after the rows of the stride `1 << bit`.
     fn exchange(&mut self, channels: &mut Channels, bit: usize) {
         if self.bit >= bit {
             return;

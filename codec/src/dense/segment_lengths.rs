@@ -14,14 +14,14 @@ use super::{
 };
 use crate::{GROUP_CHANNELS, bound::squared_distance};
 
-/// Most partners of a channel; two in place of three lose 0.3 %.
+/// Maximum number of partners of a channel; two instead of three lose 0.3 %.
 pub(super) const PARTNERS: usize = 3;
-/// Number of nearest earlier channels whose distances are followed. All pairs in place of six channels gain 0.0 %,
+/// Number of nearest earlier channels whose distances are followed. All pairs instead of six channels gain 0.0 %,
 /// eight channels lose 0.1 %.
 const NEAR: usize = 6;
 /// [`NEAR`], padded to whole vectors.
 const NEAR_LANES: usize = NEAR.next_multiple_of(LANES);
-/// Least number of errors of a pair before its channels may be partners.
+/// Minimum number of errors of a pair before its channels may be partners.
 const N_ERRORS_MIN: f64 = 6.0;
 /// Memory of the variance of a distance, in rows.
 const MEMORY_ROWS: f64 = 60.0;
@@ -40,14 +40,14 @@ struct Spread {
 impl Spread {
     /// Updates pairs with the absolute errors of their predicted distances; NaN, where one is unknown, changes nothing.
     #[inline(always)]
-    fn update(pairs: &mut [Self; NEAR_LANES], offs: [f64; NEAR_LANES]) {
-        for (pair, off) in pairs.iter_mut().zip(offs) {
+    fn update(pairs: &mut [Self; NEAR_LANES], errors: [f64; NEAR_LANES]) {
+        for (pair, error) in pairs.iter_mut().zip(errors) {
             let Self { variance, n_errors } = *pair;
-            let cut = if off < MAX_DIFFERENCE { off } else { MAX_DIFFERENCE };
+            let cut = if error < MAX_DIFFERENCE { error } else { MAX_DIFFERENCE };
             let rows = if n_errors < MEMORY_ROWS { n_errors } else { MEMORY_ROWS };
             let learnt = variance + (cut * cut - variance) / (rows + 1.0);
-            pair.variance = if off.is_nan() { variance } else { learnt };
-            pair.n_errors = if off.is_nan() { n_errors } else { n_errors + 1.0 };
+            pair.variance = if error.is_nan() { variance } else { learnt };
+            pair.n_errors = if error.is_nan() { n_errors } else { n_errors + 1.0 };
         }
     }
 }
@@ -66,8 +66,8 @@ impl<const N: usize> ChannelList<N> {
         &self.channels[..self.n]
     }
 
-    /// The `N` candidates with the smallest values, the first of equals first. The channels in `before`, the previous
-    /// result, must be candidates too.
+    /// The `N` candidates with the smallest values, in ascending order; ties keep the order of the candidates. The
+    /// channels in `before`, the previous result, must be candidates too.
     fn smallest(
         candidates: impl Iterator<Item = usize>,
         value: impl Fn(usize) -> f64,
@@ -85,7 +85,7 @@ impl<const N: usize> ChannelList<N> {
             if own > most || n == N && own >= values[N - 1] {
                 continue;
             }
-            // Insertion sort: one place, or that of the last one, is free.
+            // Insertion sort; a full list loses its last entry.
             let mut place = n.min(N - 1);
             n = (n + 1).min(N);
             while place > 0 && own < values[place - 1] {
@@ -108,7 +108,7 @@ pub(super) type PartnerDistances = [SpanRows; PARTNERS];
 /// The distances of two channels at every eighth row, those of anchors and of the strides 8 and more.
 type NearRows = [f64; 2 * SPAN / 8];
 
-/// The distances of a group, and what was learnt of them.
+/// The distances of a group, and their statistics.
 #[derive(Debug)]
 pub(super) struct SegmentLengths {
     /// Spreads by channel and channel.
@@ -148,7 +148,7 @@ impl SegmentLengths {
         &mut self.partner_distances[j]
     }
 
-    /// Takes over what was learnt of the distances of `n` channels.
+    /// Copies the statistics of the distances of `n` channels.
     pub(super) fn follow(&mut self, other: &Self, n: usize) {
         for j in 0..n {
             let pairs = j * GROUP_CHANNELS..j * GROUP_CHANNELS + j;
@@ -215,21 +215,21 @@ impl SegmentLengths {
         let known = &mut self.near_distances[j * NEAR..(j + 1) * NEAR];
         let mut lengths = [0.0; PADDED_ROWS];
         // Absolute errors by near channel and row.
-        let mut offs = [[f64::NAN; LANES]; NEAR_LANES];
+        let mut errors = [[f64::NAN; LANES]; NEAR_LANES];
         let mut learning = [Spread::default(); NEAR_LANES];
         for (slot, (&k, known)) in near.channels().iter().zip(known).enumerate() {
             pairs.expect(k, known, &mut lengths);
             let measured = pairs.measured(k, 0);
             let expected: [f64; LANES] = lanes(&lengths, 0);
             for i in 0..LANES {
-                offs[slot][i] = (measured[i] - expected[i]).abs();
+                errors[slot][i] = (measured[i] - expected[i]).abs();
             }
             learning[slot] = spreads[k];
             pairs.remember(known, 0, measured);
         }
         // Anchors and the strides 8 and more have at most four rows.
         for row in 0..layout.n.min(LANES) {
-            Spread::update(&mut learning, offs.map(|rows| rows[row]));
+            Spread::update(&mut learning, errors.map(|rows| rows[row]));
         }
         for (&k, spread) in near.channels().iter().zip(learning) {
             spreads[k] = spread;

@@ -14,7 +14,7 @@ use crate::{
 
 const CHANNELS: usize = 12;
 
-/// Moves every row by an amount that all channels share in part; moves one row, if asked to, out of range.
+/// Moves every row by an amount that channels partly share; can move one row out of range.
 struct ScriptedCodec<'a> {
     coder: RangeEncoder<'a>,
     out_of_range: Option<(usize, usize)>,
@@ -74,7 +74,7 @@ fn block(
 }
 
 #[test]
-fn a_key_resets_the_state_after_an_error_in_mid_block() {
+fn a_key_resets_the_state_after_an_error_within_a_block() {
     let group = || Dense::new(Tolerance::from_mm(0.5).unwrap());
     let mut fresh = group();
     let wanted = [block(&mut fresh, 128, None).unwrap(), block(&mut fresh, 128, None).unwrap()];

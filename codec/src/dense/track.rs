@@ -121,7 +121,7 @@ impl Track {
         self.points.fill([f64::NAN; 3]);
     }
 
-    /// Takes over the rows `rows` and what was learnt from the rows before the current span.
+    /// Copies the rows `rows` and the statistics of the rows before the current span.
     pub(super) fn follow(&mut self, other: &Self, rows: RangeInclusive<usize>) {
         self.points.resize(other.points.len(), [f64::NAN; 3]);
         self.steps.resize(other.steps.len(), Steps::default());

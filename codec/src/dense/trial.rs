@@ -1,4 +1,4 @@
-//! Coding without a code: the same rows as those of the encoder, priced, with points that are decided before.
+//! Trial coding: prices the rows that the encoder would code, with points that are decided in advance.
 
 use super::{
     SPAN,
@@ -47,10 +47,10 @@ pub(super) struct Trial<'a> {
     channels: &'a [Rows<'a>],
     samples: LevelSamples,
     pub(super) coder: CostCounter,
-    /// The cost from which on a trial is given up.
+    /// The cost at which a trial is abandoned.
     pub(super) limit: u64,
     pub(super) plan: SpanPlan,
-    /// The slot of the row of which all points are wanted; [`SPAN`] for none.
+    /// The slot of the row whose points are all collected; [`SPAN`] for none.
     pub(super) wanted: usize,
     /// The points of that row, and the greedy choice.
     pub(super) points: BallPoints,

@@ -33,7 +33,7 @@ pub(super) struct SpanPresence<'a> {
 
 /// A coder of the rows of whole spans.
 pub(super) trait SpanCodec: RowCodec {
-    /// Begins a span, of which no row is coded yet.
+    /// Begins a span before any of its rows is coded.
     fn begin_span(&mut self, _group: &Dense, _span: SpanPresence<'_>) -> Result<()> {
         Ok(())
     }
@@ -114,10 +114,10 @@ impl Dense {
         Ok(())
     }
 
-    /// Takes over the state of a group that has begun a span, and begins it.
+    /// Copies the state of a group at the beginning of a span, and begins the span.
     pub(super) fn follow(&mut self, other: &Self, span: SpanPresence<'_>) {
         let SpanPresence { before, last, present } = span;
-        // Older rows were taken over with the spans before.
+        // Older rows were copied with the spans before.
         self.channels.follow(&other.channels, present.len(), before + 1 - PAST_ROWS..=last);
         self.first_row = other.first_row;
         self.begin_span(before, present.len());
@@ -182,7 +182,7 @@ impl Dense {
         Ok(())
     }
 
-    /// Codes the first row of a run, unless it goes on from the row before the span.
+    /// Codes the first row of a run, unless it continues from the row before the span.
     pub(super) fn begin_run<S: RowCodec>(
         &mut self,
         codec: &mut S,
@@ -198,7 +198,7 @@ impl Dense {
         Ok(())
     }
 
-    /// Remembers the last row of a run, which is coded.
+    /// Records the last row of a run, which is coded.
     pub(super) fn end_run(&mut self, run: Run) {
         let track = &mut self.channels.tracks[run.channel];
         let row = self.first_row + (run.end - PAST_ROWS) as u64;

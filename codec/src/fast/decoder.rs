@@ -228,7 +228,7 @@ fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32> {
     Ok(if value & 1 == 0 { magnitude } else { -magnitude })
 }
 
-/// Reads the larger magnitudes behind a symbol of the table at `place` into the residual `steps`, and returns the sum
+/// Reads the larger magnitudes after a symbol of the table at `place` into the residual `steps`, and returns the sum
 /// of all magnitudes.
 #[inline(always)]
 fn residual(

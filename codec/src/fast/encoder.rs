@@ -173,7 +173,7 @@ impl Fast {
         let plain = modes[..channels.len()].iter().all(|mode| *mode == Mode::default());
         writer.finish(coded, !plain, out);
         if !plain {
-            let behind = out.len();
+            let channels_end = out.len();
             let sampled =
                 || channels.iter().zip(&*modes).zip(reports.iter()).filter(|(_, r)| r.samples > 0);
             out.extend(sampled().map(|((_, mode), _)| mode.0));
@@ -181,7 +181,7 @@ impl Fast {
                 raw.write(*rows, &mut Histories::default(), out);
             }
             // Modes and raw samples are written last, but read first.
-            out[start..].rotate_left(behind - start);
+            out[start..].rotate_left(channels_end - start);
         }
     }
 }

@@ -41,7 +41,7 @@ const STEP_PER_TOLERANCE: f64 = 2.0 / 1.732_050_807_568_877_2 * (1.0 - 1.0 / 512
 /// A channel with longer residuals, in steps, is stored raw. float32 represents these numbers and their sums exactly.
 const MAX_STEPS: u32 = 1 << 22;
 
-/// Most leading zeros of an Exp-Golomb code: those of the largest residual.
+/// Maximum number of leading zeros of an Exp-Golomb code: those of the largest residual.
 const MAX_ZEROS: u32 = 22;
 
 /// How a channel of a block is coded: the number of times its step is halved (0 to 3), or raw (4).

@@ -16,7 +16,7 @@ pub(super) const TABLES: usize = CLASSES + 2;
 
 /// Number of row symbols: each axis, x highest, is 0, +1, -1 or larger.
 pub(super) const SYMBOLS: usize = 64;
-/// Most zero rows that one symbol stands for.
+/// Maximum number of zero rows that one symbol represents.
 pub(super) const QUIET_ROWS: usize = 16;
 
 /// Levels with an activity of their own: strides 1, 2, 4, 8, 16, anchors (32), origins.
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn an_activity_stays_within_its_classes_and_comes_to_rest() {
+    fn activities_stay_within_their_classes_and_decay_to_zero() {
         let mut activity = Activity::NEW[ORIGIN];
         for _ in 0..100 {
             activity.push(u32::MAX);
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_decoder_finds_the_table_that_the_encoder_took() {
+    fn encoder_and_decoder_select_the_same_table() {
         let mut activity = Activity::NEW[ORIGIN];
         let mut scaled = ScaledActivity::new(activity);
         let mut random = Random::new(1);

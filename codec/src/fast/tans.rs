@@ -151,7 +151,7 @@ pub(super) struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Copies the payload behind padding.
+    /// Copies the payload after padding.
     pub(super) fn pad(payload: &[u8], padded: &mut Vec<u8>) {
         padded.clear();
         padded.extend_from_slice(&[0; PAD]);
@@ -188,7 +188,7 @@ impl<'a> Reader<'a> {
         Ok(self.word)
     }
 
-    /// Consumes bits that were peeked at.
+    /// Consumes peeked bits.
     #[inline(always)]
     pub(super) fn skip(&mut self, width: u32) {
         self.word <<= width;
@@ -257,7 +257,7 @@ impl Op {
         Self(Self::PLAIN | u64::from(width) << Self::WIDTH_AT | u64::from(value))
     }
 
-    /// Most bytes of one operation: 40 plain bits and a symbol's, or 48 plain bits.
+    /// Maximum number of bytes of one operation: 40 plain bits and a symbol's, or 48 plain bits.
     const MAX_BYTES: usize = (Self::WIDTH_AT + STATE_BITS).div_ceil(8) as usize;
 }
 
@@ -276,7 +276,7 @@ pub(super) struct Ops {
 }
 
 impl Ops {
-    /// Most operations per row: a count of zero rows, a symbol, low bits and three larger magnitudes.
+    /// Maximum number of operations per row: a count of zero rows, a symbol, low bits and three larger magnitudes.
     const PER_ROW: usize = 6;
 
     /// Allocates memory for `n_rows` rows.
@@ -284,7 +284,7 @@ impl Ops {
         self.list.resize(self.list.len().max(Self::PER_ROW * n_rows), Op::default());
     }
 
-    /// Most bytes that all operations take.
+    /// Maximum number of bytes that all operations take.
     pub(super) fn max_bytes(&self) -> usize {
         self.list.len() * Op::MAX_BYTES
     }
@@ -301,7 +301,7 @@ impl Ops {
         }
     }
 
-    /// Appends a symbol and the fields behind it.
+    /// Appends a symbol and the fields after it.
     #[inline(always)]
     pub(super) fn push_row(&mut self, symbol: Op, fields: [Field; 4]) {
         let width = fields.iter().map(|field| field.width).sum::<u32>();

@@ -106,7 +106,7 @@ fn track(n_rows: usize) -> impl Strategy<Value = Samples> {
     (offset, 0.0..1e3_f32, 0.0..0.5_f32, prop_oneof![Just(0.0_f32), 0.0..3_f32], odds)
         .prop_flat_map(move |(offset, size, speed, noise, odds)| {
             let cell = prop_oneof![
-                // Weights must not be zero: one in a thousand stands for none.
+                // Weights must not be zero: one in a thousand means none.
                 1000 => (-1.0..1.0_f32).prop_map(Ok),
                 1 + (1000.0 * odds) as u32 => odd.clone().prop_map(Err),
             ];

@@ -18,7 +18,7 @@ pub(super) const TAIL: usize = SPAN + 1;
 /// Index of row 0, the last known row, in a channel's tail.
 const ZERO: usize = TAIL - 1;
 
-/// Index of row 0 in [`RunPoints::known`], behind one row further left.
+/// Index of row 0 in [`RunPoints::known`], after one earlier row.
 pub(super) const LEAD: usize = 1;
 
 /// The extrapolations of an anchor: (rows over which the velocity is measured at a run's first anchor, its weight).
@@ -124,8 +124,8 @@ impl RunPoints {
     }
 }
 
-/// Codes one run of `n_samples` present rows, of which the first is the origin where no row before it is known.
-/// `points` has [`padded_len`] entries per axis, and afterwards holds the points of the run from row 0 on.
+/// Codes one run of `n_samples` present rows; the first is the origin if no row before it is known. `points`
+/// has [`padded_len`] entries per axis, and afterwards holds the points of the run from row 0 on.
 #[inline(always)]
 pub(super) fn run<S: RunCodec>(
     codec: &mut S,

@@ -50,7 +50,7 @@ pub(crate) trait Payload: Send + fmt::Debug {
 
 /// A resampler's encoder.
 pub(crate) trait PayloadEncoder: Payload {
-    /// Most bytes of a payload of `n_channels` channels and `n_rows` rows.
+    /// Maximum number of bytes of a payload of `n_channels` channels and `n_rows` rows.
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize;
 
     /// Appends the payload of a block with at least one sample, all of them finite. Completes `reports`, one per
@@ -77,7 +77,7 @@ pub(crate) trait PayloadDecoder: Payload {
     fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()>;
 }
 
-/// Most bytes of a block with payloads of the encoder `E`.
+/// Maximum number of bytes of a block with payloads of the encoder `E`.
 pub(crate) fn max_block_bytes<E: PayloadEncoder>(n_channels: usize, n_rows: usize) -> usize {
     // The head byte, and the number of channels, at most 64, in one byte.
     2 + presence::max_bytes(n_channels, n_rows) + E::max_payload_bytes(n_channels, n_rows)
@@ -160,7 +160,7 @@ impl<P: Payload> FrameState<P> {
 #[derive(Debug)]
 pub(crate) struct FramedEncoder<E> {
     state: FrameState<E>,
-    /// By row of the last block: whether any sample is kept.
+    /// Whether any sample is kept in each row of the last block.
     kept_rows: Vec<bool>,
     /// A decoder with which debug builds check every block.
     #[cfg(debug_assertions)]
@@ -257,7 +257,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         Ok(())
     }
 
-    /// Begins a block of `n_rows` rows of which none is kept so far.
+    /// Begins a block of `n_rows` rows, with none kept so far.
     fn keep_no_rows(&mut self, n_rows: usize) {
         self.kept_rows.clear();
         self.kept_rows.resize(n_rows, false);

@@ -104,7 +104,7 @@ impl Presence {
     }
 }
 
-/// Most bytes of a presence section.
+/// Maximum number of bytes of a presence section.
 pub(super) fn max_bytes(n_channels: usize, n_rows: usize) -> usize {
     let pieces = n_rows.div_ceil(PAGE) + n_rows.div_ceil(PART);
     // A decision costs at most 11 bits, as probabilities are at least 2^-11. Twelve allow for rounding.
@@ -255,7 +255,7 @@ impl Models {
         }
     }
 
-    /// Codes rows of which at least one differs from the row before it.
+    /// Codes rows; at least one of them differs from the row before it.
     fn rows<C: BinaryCoder>(
         &mut self,
         coder: &mut C,

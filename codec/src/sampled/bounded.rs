@@ -1,32 +1,34 @@
 //! Replaces samples by others within a bound of error that need fewer bytes: the middles of the cells of a coarser
 //! lattice. The blocks of the result are those of any channel that takes few values.
 //!
-//! Samples that a number of the lattice cannot stand for within the bound stay as they are, bit for bit: NaN, infinities,
-//! and numbers so large that float32 is coarser there. So do exact zeros. In a channel whose zeros form long runs, such
-//! as the force of a plate that nothing touches, no other sample becomes zero: the zeros say when there was contact.
+//! Samples that no number of the lattice represents within the bound stay unchanged, bit for bit: NaN, infinities, and
+//! numbers so large that float32 is coarser there. So do exact zeros. In a channel whose zeros form long runs, such as
+//! the force of an unloaded plate, no other sample becomes zero: the zeros show when there was no contact.
 
 use super::{
     SampledEncoder,
     fit::{Fit, spacing},
 };
 
-/// Mean length of runs of zeros from which on they are taken as a statement. Zero crossings of a signal of noise have runs
-/// of one or two samples; a plate that nothing touches has them for a good part of a step.
+/// Minimum mean length of runs of zeros that are preserved. Zero crossings of a signal of noise have runs of one or two
+/// samples; an unloaded plate has runs of many samples.
 const ZERO_RUN_MIN: u64 = 8;
 
-/// Fewest samples in which a lattice is sought: fewer are on one by chance.
+/// Minimum number of samples in which a lattice is sought: fewer are on one by chance.
 const LATTICE_SAMPLES_MIN: usize = 64;
 
-/// Most pieces in which a lattice is sought: a channel that shows none in so many is not on one.
+/// Maximum number of pieces in which a lattice is sought: a channel without one in this many pieces is not on a
+/// lattice.
 const PIECES_SOUGHT_MAX: usize = 8;
 
-/// Samples of a channel that are encoded to see whether a coarser lattice pays: those of a channel that was interpolated
-/// along lines need more bytes on one, because the lines are no longer exact.
+/// Samples of a channel that are encoded to test whether a coarser lattice saves bytes: those of a channel that was
+/// interpolated along lines need more bytes on one, because the lines are no longer exact.
 const TRIED_SAMPLES: usize = 1 << 14;
 
-/// What of a channel decides how its samples are replaced, collected from all of them in any number of pieces.
+/// The properties of a channel that decide how its samples are replaced, collected from all samples in any number of
+/// pieces.
 #[derive(Debug, Clone, Default)]
-pub struct ChannelSurvey {
+pub struct ChannelProfile {
     /// The smallest and the largest finite sample.
     range: Option<[f32; 2]>,
     n_zeros: u64,
@@ -36,14 +38,14 @@ pub struct ChannelSurvey {
     lattice: Option<[f64; 2]>,
     /// Number of pieces in which a lattice was sought.
     n_sought: usize,
-    /// The integers that a sample can be, if it is one.
+    /// The range of the samples, if they are integers.
     integers: Option<[f32; 2]>,
-    /// The first samples from a change on.
+    /// The first samples from the first change on, for the trial encoding.
     tried: Vec<f32>,
 }
 
-impl ChannelSurvey {
-    /// Of a channel whose samples are integers of a range, and stay in it.
+impl ChannelProfile {
+    /// The profile of a channel whose samples are integers within a range, and stay in it.
     #[must_use]
     pub fn of_integers(range: [f32; 2]) -> Self {
         Self { lattice: Some([1.0, 0.0]), integers: Some(range), ..Self::default() }
@@ -85,14 +87,14 @@ impl ChannelSurvey {
         self.lattice.map(|[quantum, _]| quantum)
     }
 
-    /// By how much two samples that are whole quanta apart may miss that, because each is a float32.
+    /// The error by which the distance of two samples may deviate from whole quanta, because each is a float32.
     #[must_use]
     pub fn rounding(&self) -> f64 {
         let largest = self.range.map_or(0.0, |[low, high]| low.abs().max(high.abs()));
         if self.integers.is_some() { 0.0 } else { spacing(largest.into()) }
     }
 
-    /// Whether zeros state something, so that no other sample becomes zero.
+    /// Whether zeros are preserved, so that no other sample becomes zero.
     fn keeps_zeros(&self) -> bool {
         self.n_zeros >= ZERO_RUN_MIN * self.n_zero_runs.max(1)
     }
@@ -102,7 +104,7 @@ impl ChannelSurvey {
 #[derive(Debug, Clone)]
 pub struct SampleBound {
     bound: f64,
-    /// Distance of the values, and one of them.
+    /// Distance between the values, and one of the values.
     step: f64,
     offset: f64,
     keeps_zeros: bool,
@@ -110,16 +112,16 @@ pub struct SampleBound {
 }
 
 impl SampleBound {
-    /// For a channel and the largest error that is allowed, in samples; `None` if its own values are the best.
+    /// For a channel and the largest allowed error, in the unit of the samples; `None` if replacing saves nothing.
     #[must_use]
-    pub fn new(survey: &ChannelSurvey, bound: f64) -> Option<Self> {
-        let rounding = survey.rounding();
-        let keeps_zeros = survey.keeps_zeros();
+    pub fn new(profile: &ChannelProfile, bound: f64) -> Option<Self> {
+        let rounding = profile.rounding();
+        let keeps_zeros = profile.keeps_zeros();
         let (mut step, mut offset) = (2.0 * (bound - rounding), 0.0);
         let mut step_min = 2.0 * rounding;
-        if let Some([quantum, of_lattice]) = survey.lattice {
-            // As many values of the channel on both sides of the middle of a cell as the bound allows; a hair more, so
-            // that a bound of one quantum is one.
+        if let Some([quantum, of_lattice]) = profile.lattice {
+            // As many values of the channel on both sides of the middle of a cell as the bound allows; slightly more,
+            // so that a bound of one quantum allows one.
             let reach = ((bound - rounding / 2.0) / quantum + 1e-6).floor();
             (step, offset) = ((2.0 * reach + 1.0) * quantum, of_lattice);
             if keeps_zeros {
@@ -134,8 +136,8 @@ impl SampleBound {
             // Zero lies between two cells.
             offset = step / 2.0;
         }
-        let found = Self { bound, step, offset, keeps_zeros, integers: survey.integers };
-        found.pays(&survey.tried).then_some(found)
+        let found = Self { bound, step, offset, keeps_zeros, integers: profile.integers };
+        found.pays(&profile.tried).then_some(found)
     }
 
     /// Whether blocks of samples on the lattice are smaller.
@@ -155,7 +157,7 @@ impl SampleBound {
         let mut largest = 0.0_f64;
         for sample in samples {
             let replaced = self.replaced(*sample);
-            // Other bits that are equal, such as those of NaN, are no error.
+            // Other bits that are equal, such as those of NaN, are not an error.
             if replaced != *sample && sample.is_finite() {
                 largest = largest.max((f64::from(replaced) - f64::from(*sample)).abs());
                 *sample = replaced;
@@ -199,18 +201,18 @@ mod tests {
         block.len()
     }
 
-    fn surveyed(samples: &[f32]) -> ChannelSurvey {
-        let mut survey = ChannelSurvey::default();
-        samples.chunks(1000).for_each(|piece| survey.add(piece));
-        survey
+    fn profiled(samples: &[f32]) -> ChannelProfile {
+        let mut profile = ChannelProfile::default();
+        samples.chunks(1000).for_each(|piece| profile.add(piece));
+        profile
     }
 
     #[test]
-    fn noise_needs_fewer_bytes_and_no_sample_is_beyond_the_bound() {
+    fn bounded_noise_needs_fewer_bytes() {
         let samples: Vec<f32> = noise(3, 8000).iter().map(|&x| (x * 0.37) as f32).collect();
-        let survey = surveyed(&samples);
+        let profile = profiled(&samples);
         for bound in [1e-9, 1e-4, 1e-3, 0.05] {
-            let Some(found) = SampleBound::new(&survey, bound) else {
+            let Some(found) = SampleBound::new(&profile, bound) else {
                 assert!(bound < 1e-8, "{bound}");
                 continue;
             };
@@ -225,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_force_plate_keeps_its_contact_and_nan_its_bits() {
+    fn zeros_of_force_plates_and_bits_of_nan_are_kept() {
         let step =
             |x: usize| (x % 1000 > 700).then(|| ((x % 1000 - 700) as f64 / 95.0).sin().abs());
         let mut samples: Vec<f32> = noise(5, 6000)
@@ -235,7 +237,7 @@ mod tests {
             .collect();
         let nan = f32::from_bits(0x7fc1_2345);
         (samples[10], samples[11], samples[12]) = (nan, f32::INFINITY, -0.0);
-        let found = SampleBound::new(&surveyed(&samples), 0.5).unwrap();
+        let found = SampleBound::new(&profiled(&samples), 0.5).unwrap();
         let mut replaced = samples.clone();
         assert!(found.apply(&mut replaced) <= 0.5);
         for (row, (a, b)) in samples.iter().zip(&replaced).enumerate() {
@@ -248,16 +250,16 @@ mod tests {
     }
 
     #[test]
-    fn integers_stay_integers_of_their_range() {
+    fn integers_stay_integers_within_their_range() {
         let full = [f32::from(i16::MIN), f32::from(i16::MAX)];
         let mut samples: Vec<f32> =
             noise(7, 5000).iter().map(|x| (x * 300.0).round() as f32).collect();
         (samples[0], samples[1]) = (full[0], full[1]);
-        let mut survey = ChannelSurvey::of_integers(full);
-        survey.add(&samples);
-        assert!(SampleBound::new(&survey, 0.9).is_none(), "less than a count");
+        let mut profile = ChannelProfile::of_integers(full);
+        profile.add(&samples);
+        assert!(SampleBound::new(&profile, 0.9).is_none(), "less than a count");
         for bound in [1.0, 2.5, 40.0] {
-            let found = SampleBound::new(&survey, bound).unwrap();
+            let found = SampleBound::new(&profile, bound).unwrap();
             let mut replaced = samples.clone();
             assert_eq!(found.apply(&mut replaced), f64::floor(bound));
             let is_one = |&x: &f32| x.fract() == 0.0 && (full[0]..=full[1]).contains(&x);
@@ -267,21 +269,21 @@ mod tests {
     }
 
     #[test]
-    fn a_count_of_scaled_integers_is_found_and_lines_are_left_alone() {
+    fn the_quantum_of_scaled_integers_is_found_and_lines_are_kept() {
         let counts: Vec<f32> =
             noise(9, 5000).iter().map(|x| (x * 200.0).round() as f32 * 0.004_882_8).collect();
-        let survey = surveyed(&counts);
-        let quantum = survey.quantum().unwrap();
+        let profile = profiled(&counts);
+        let quantum = profile.quantum().unwrap();
         assert!((quantum - 0.004_882_8).abs() < 1e-8, "{quantum}");
-        assert!(SampleBound::new(&survey, quantum + survey.rounding()).is_some());
-        // A knot every 64 samples, and exact lines between: on a coarser lattice they would be none.
+        assert!(SampleBound::new(&profile, quantum + profile.rounding()).is_some());
+        // A knot every 64 samples, and exact lines between: a coarser lattice would destroy them.
         let knots: Vec<f32> =
             noise(11, 100).iter().map(|x| (x * 500.0).round() as f32 * 64.0).collect();
         let line =
             |x: usize| knots[x / 64] + (knots[x / 64 + 1] - knots[x / 64]) / 64.0 * (x % 64) as f32;
         let lines: Vec<f32> = (0..6000).map(line).collect();
-        assert!(SampleBound::new(&surveyed(&lines), 1.0).is_none());
-        // Of a constant channel there is nothing to save.
-        assert!(SampleBound::new(&surveyed(&[0.25; 500]), 1.0).is_none());
+        assert!(SampleBound::new(&profiled(&lines), 1.0).is_none());
+        // Nothing can be saved in a constant channel.
+        assert!(SampleBound::new(&profiled(&[0.25; 500]), 1.0).is_none());
     }
 }

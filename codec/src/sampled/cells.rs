@@ -8,8 +8,8 @@ use crate::Result;
 /// The bits of the largest finite float32.
 const FLOAT_MAX: i64 = 0x7f7f_ffff;
 
-/// Numbers of lattice cells are within plus and minus this. A float32 has 24 bits, so that a lattice of more cells
-/// would not be one.
+/// Numbers of lattice cells are within plus and minus this. A float32 has 24 bits, so it cannot represent a
+/// lattice of more cells.
 pub(super) const LATTICE_MAX: i64 = 1 << 26;
 
 /// Largest number of values in a palette.
@@ -49,7 +49,7 @@ pub(super) enum CellForm {
     Stored,
 }
 
-/// Most decimals that values can be rounded to.
+/// Maximum number of decimals that values can be rounded to.
 pub(super) const DECIMALS_MAX: u32 = 9;
 
 /// Powers of ten by exponent.
@@ -59,7 +59,7 @@ const TENS: [f64; DECIMALS_MAX as usize + 1] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cells {
     pub(super) form: CellForm,
-    /// Values were rounded to this number of decimals, if to any: they were text once.
+    /// Values were rounded to this number of decimals, if to any: they were once stored as text.
     pub(super) decimals: Option<u32>,
     /// The values of [`CellForm::Palette`], ascending as [`ordered`].
     pub(super) palette: Vec<i32>,
@@ -72,7 +72,7 @@ impl Default for Cells {
 }
 
 impl Cells {
-    /// Back to all float32; the memory stays.
+    /// Resets to all float32; keeps the memory.
     pub(super) fn clear(&mut self) {
         (self.form, self.decimals) = (CellForm::Float { zeros: 0 }, None);
         self.palette.clear();
@@ -89,7 +89,7 @@ impl Cells {
         }
     }
 
-    /// The number of which the value of a cell is the rounded one.
+    /// The exact number that the value of a cell is rounded from.
     #[inline(always)]
     pub(super) fn position(&self, cell: i64) -> f64 {
         match self.form {
@@ -111,7 +111,7 @@ impl Cells {
         ((position * ten).round_ties_even() / ten) as f32
     }
 
-    /// The cell, within the bounds, of a value; any of the nearest two for a value between them.
+    /// The cell, within the bounds, of a value; either of the nearest two for a value halfway between them.
     #[inline(always)]
     pub(super) fn nearest(&self, value: f64) -> i64 {
         let (first, last) = self.bounds();
@@ -150,7 +150,7 @@ impl Cells {
         (self.position(cell) + self.position(cell + 1)) / 2.0
     }
 
-    /// Whether all cells from one to another are of one width, or their width is of no use.
+    /// Whether all cells from one to another have the same width, or their width is irrelevant.
     #[inline(always)]
     pub(super) fn is_even(&self, first: i64, last: i64) -> bool {
         match self.form {
@@ -162,7 +162,7 @@ impl Cells {
         }
     }
 
-    /// Checks numbers that were read.
+    /// Validates decoded numbers.
     pub(super) fn check(&self) -> Result<()> {
         let is_valid = match self.form {
             CellForm::Float { zeros } => zeros < 31,

@@ -2,9 +2,9 @@
 //! weights follow the samples by Bayes' rule.
 //!
 //! Student's distribution of an even number of degrees of freedom has an algebraic distribution function: a square
-//! root, a division and a polynomial (Abramowitz and Stegun, Handbook of Mathematical Functions, 26.7.4). So it is the
-//! same on every machine, without tables. Two degrees have a heavy tail, sixteen are almost a normal distribution;
-//! several widths together come close to those between.
+//! root, a division and a polynomial (Abramowitz and Stegun, Handbook of Mathematical Functions, 26.7.4). The result
+//! is therefore the same on every machine, without tables. Two degrees have a heavy tail, sixteen are almost a normal
+//! distribution; mixtures of several widths approximate those in between.
 
 /// Number of distributions in the mixture.
 pub(super) const PARTS: usize = 8;
@@ -12,8 +12,8 @@ pub(super) const PARTS: usize = 8;
 /// Rates of the three averages of the error's magnitude: memories of 8, 32 and 256 samples.
 const RATES: [f64; 3] = [1.0 / 8.0, 1.0 / 32.0, 1.0 / 256.0];
 
-/// Of each part: the average that it is scaled by, its width relative to that, and its degrees of freedom. Chosen to cover
-/// half to three times each average, and not searched for.
+/// For each part: the average that scales it, its width relative to that, and its degrees of freedom. Chosen to cover
+/// half to three times each average, not optimised.
 const SHAPES: [(usize, f64, usize); PARTS] = [
     (0, 1.2, 16),
     (0, 0.7, 4),
@@ -25,7 +25,7 @@ const SHAPES: [(usize, f64, usize); PARTS] = [
     (2, 2.5, 2),
 ];
 
-/// Coefficients of the polynomial by degrees of freedom: of each part those below half its degrees.
+/// Coefficients of the polynomial by part; a part uses those below half its degrees of freedom.
 const COEFFICIENTS: [[f64; PARTS]; 8] = {
     let mut table = [[0.0; PARTS]; 8];
     let mut power = 0;
@@ -53,7 +53,7 @@ const fn root(degrees: usize) -> f64 {
     }
 }
 
-/// The share of weight that is spread evenly with every sample, so that no part is ever lost.
+/// The fraction of the weight that is redistributed evenly at every sample, so that no component vanishes.
 const SPREAD: f64 = 0.01;
 
 /// Smallest average of the error's magnitude, in units of the channel's scale.

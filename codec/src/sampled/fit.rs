@@ -3,11 +3,11 @@
 use super::{
     cells::{CellForm, Cells, LATTICE_MAX, PALETTE_MAX, from_ordered, ordered},
     head::{Head, Past},
-    predictor::NEIGHBOURS,
+    predictor::REFERENCES,
     walk::SampledChannelState,
 };
 
-/// Gaps between values that a quantum is sought in.
+/// Number of gaps between values in which a quantum is sought.
 const GAPS: usize = 32;
 /// Largest number of quanta that a gap in which a quantum is sought may have.
 const DIVISOR_MAX: usize = 12;
@@ -18,12 +18,12 @@ const DECIMAL_QUANTA: [f64; 7] = [1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6];
 /// Samples from which the bits of a lattice are estimated.
 const ESTIMATE: usize = 2048;
 
-/// Samples of more bits than this are stored instead.
+/// Samples that need more bits than this are stored instead.
 const STORED_BITS: f64 = 32.0;
 
-/// The channels before one, from which those that predict it are chosen.
+/// The channels before a channel; its references are chosen from them.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Before<'a> {
+pub(super) struct EarlierChannels<'a> {
     /// Channel after channel, one sample per row of the block.
     pub(super) samples: &'a [f32],
     pub(super) n_rows: usize,
@@ -31,7 +31,7 @@ pub(super) struct Before<'a> {
     pub(super) rows: Option<&'a [u32]>,
 }
 
-impl Before<'_> {
+impl EarlierChannels<'_> {
     /// The rows of a sample of the channel and of the two before it; `None` if there is a gap between them.
     fn rows(&self, sample: usize) -> Option<[usize; 3]> {
         let Some(rows) = self.rows else { return Some([sample, sample - 1, sample - 2]) };
@@ -40,21 +40,21 @@ impl Before<'_> {
     }
 }
 
-/// Chooses, with memory that is used again.
+/// Chooses the representation and the events of a channel. Its memory is reused.
 #[derive(Debug, Default)]
 pub(super) struct Fit {
     cells: Cells,
     /// All finite samples, sorted, as `ordered`.
     sorted: Vec<i32>,
-    /// The different ones of them.
+    /// The distinct finite samples, sorted.
     values: Vec<i32>,
-    /// The same, by magnitude.
+    /// The distinct values, by magnitude.
     near: Vec<f64>,
     /// Gaps between neighbouring values, and their possible errors.
     gaps: Vec<(f64, f64)>,
     /// Whether the channels of a group are likely to have one quantum.
     shares_quantum: bool,
-    /// If so, the last one chosen since the key.
+    /// If so, the last quantum chosen since the key.
     quantum: Option<f64>,
 }
 
@@ -67,23 +67,23 @@ impl Fit {
         self.cells.palette.reserve(n_rows.min(PALETTE_MAX));
     }
 
-    /// For channels that are likely to have one quantum: on recorded positions 4 % fewer bytes of 16-bit integers. Analog
-    /// channels need up to 1 % more with it.
+    /// For channels that are likely to share a quantum. It saves 4 % of the bytes of 16-bit integers on recorded
+    /// positions; analog channels need up to 1 % more.
     pub(super) fn with_shared_quantum() -> Self {
         Self { shares_quantum: true, ..Self::default() }
     }
 
-    /// Forgets what was chosen.
+    /// Resets all choices.
     pub(super) fn forget(&mut self) {
         self.quantum = None;
     }
 
-    /// Chooses for the samples of a block, given what the block before had.
+    /// Chooses for the samples of a block, given the state after the block before.
     pub(super) fn choose(
         &mut self,
         track: &SampledChannelState,
         samples: &[f32],
-        before: Before<'_>,
+        earlier: EarlierChannels<'_>,
     ) -> (Head, &Cells) {
         let mode = self.sort(samples);
         let mode = mode.map(|mode| from_ordered(mode).to_bits());
@@ -109,9 +109,9 @@ impl Fit {
         let exponent = if track.is_started { track.head.exponent } else { exponent_of(change) };
         let mut head = Head { exponent, corrects, mode, ..Head::default() };
         if track.is_started {
-            (head.n_beside, head.beside) = (track.head.n_beside, track.head.beside);
+            (head.n_references, head.references) = (track.head.n_references, track.head.references);
         } else {
-            choose_beside(samples, before, &mut head);
+            choose_references(samples, earlier, &mut head);
         }
         if !is_stored {
             self.choose_events(samples, track.parity as usize, &mut head);
@@ -210,7 +210,7 @@ impl Fit {
         }
     }
 
-    /// Bits of a sample as a float32 among those within a few changes.
+    /// Bits of a sample among the float32 within a few mean changes.
     fn float_bits(&self, change: f64) -> f64 {
         let bits = |value: f64| log2(8.0 * change / spacing(value.abs())).max(0.0);
         let values = self.values.iter().step_by(self.values.len() / ESTIMATE + 1);
@@ -264,7 +264,7 @@ impl Fit {
         self.gaps.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         self.gaps.truncate(GAPS);
         let mut best: Option<(f64, CellForm)> = None;
-        // Of few samples at large distances, the gaps do not show a quantum.
+        // The gaps of few, distant samples do not reveal a quantum.
         let decimal = DECIMAL_QUANTA.map(|quantum| (quantum, true));
         for (quantum, is_exact) in decimal.into_iter().chain(self.quantum.map(|q| (q, false))) {
             let lattice = CellForm::Lattice { quantum, offset: 0.0 };
@@ -291,7 +291,7 @@ impl Fit {
         best
     }
 
-    /// The largest quantum of which most gaps are multiples, and which was not tried yet.
+    /// The largest quantum that most gaps are multiples of and that was not tried yet.
     fn likely_quantum(&self, tried: &[f64]) -> Option<f64> {
         let mut best: Option<(f64, f64)> = None;
         for (i, &(gap, _)) in self.gaps.iter().enumerate().step_by(3) {
@@ -318,11 +318,11 @@ impl Fit {
         best.filter(|&(score, _)| score > 0.3).map(|(_, quantum)| quantum)
     }
 
-    /// Lattices near a quantum: through zero and through the values, with numbers rounded as people write them.
+    /// Lattices near a quantum: through zero and through the values, rounded to short decimal numbers.
     fn refined(&self, quantum: f64) -> impl Iterator<Item = CellForm> + use<> {
         let anchor = self.near.first().copied().unwrap_or_default();
         let (mut q, mut kk, mut kd) = (quantum, 0.0, 0.0);
-        // Farther and farther from the anchor, so that the quantum is always known well enough for the next.
+        // With growing distance from the anchor, so that the quantum is always known well enough for the next value.
         for &value in &self.near {
             let d = value - anchor;
             let k = (d / q).round();
@@ -464,20 +464,20 @@ const CORRELATED: usize = 1024;
 /// Smallest correlation of a channel that predicts another.
 const CORRELATION_MIN: f64 = 0.05;
 
-/// Chooses the channels before whose changes are most like this one's.
-fn choose_beside(samples: &[f32], before: Before<'_>, head: &mut Head) {
+/// Chooses as references the earlier channels whose changes correlate best with this one's.
+fn choose_references(samples: &[f32], earlier: EarlierChannels<'_>, head: &mut Head) {
     let n_samples = samples.len();
     let stride = n_samples / CORRELATED + 1;
     let bend = |samples: &[f32], rows: [usize; 3]| {
-        let [now, then, earlier] = rows.map(|row| f64::from(samples[row]));
-        let bend = now - 2.0 * then + earlier;
+        let [now, then, before] = rows.map(|row| f64::from(samples[row]));
+        let bend = now - 2.0 * then + before;
         if bend.abs() < f64::from(f32::MAX) { bend } else { 0.0 }
     };
-    let mut best = [(CORRELATION_MIN, 0_u8); NEIGHBOURS];
-    for (channel, other) in before.samples.chunks_exact(before.n_rows).enumerate() {
+    let mut best = [(CORRELATION_MIN, 0_u8); REFERENCES];
+    for (channel, other) in earlier.samples.chunks_exact(earlier.n_rows).enumerate() {
         let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
         for sample in (2..n_samples).step_by(stride) {
-            let Some(rows) = before.rows(sample) else { continue };
+            let Some(rows) = earlier.rows(sample) else { continue };
             let (a, b) = (bend(samples, [sample, sample - 1, sample - 2]), bend(other, rows));
             aa += a * a;
             ab += a * b;
@@ -491,8 +491,8 @@ fn choose_beside(samples: &[f32], before: Before<'_>, head: &mut Head) {
         }
     }
     for (_, channel) in best.iter().filter(|entry| entry.0 > CORRELATION_MIN) {
-        head.beside[usize::from(head.n_beside)] = *channel;
-        head.n_beside += 1;
+        head.references[usize::from(head.n_references)] = *channel;
+        head.n_references += 1;
     }
 }
 
@@ -503,7 +503,7 @@ fn log2(number: f64) -> f64 {
     (bits >> 52) as f64 - 1023.0 + mantissa
 }
 
-/// The distance of float32s at a magnitude, at most.
+/// An upper bound of the distance of float32s at a magnitude.
 pub(super) fn spacing(magnitude: f64) -> f64 {
     let bits = ((magnitude as f32).to_bits() >> 23).max(1);
     // 2^(exponent - 23)
@@ -530,7 +530,7 @@ fn mean_change(samples: &[f32]) -> f64 {
     if n == 0.0 { 1.0 } else { sum / n }
 }
 
-/// The binary exponent of a change, such as fits [`Head::exponent`].
+/// The binary exponent of a change, clamped to the range of [`Head::exponent`].
 fn exponent_of(change: f64) -> i8 {
     let exponent = (change.to_bits() >> 52) as i64 - 1023;
     exponent.clamp(-126, 126) as i8

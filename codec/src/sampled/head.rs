@@ -1,8 +1,8 @@
-//! What a block states of each channel before its samples: its scale, which events occur, and its cells.
+//! The head of a channel in a block: its scale, the events that may occur, and its cells.
 
 use super::{
     cells::{CellForm, Cells, PALETTE_MAX},
-    predictor::NEIGHBOURS,
+    predictor::REFERENCES,
 };
 use crate::{
     Result,
@@ -10,34 +10,35 @@ use crate::{
     ensure,
 };
 
-/// Which samples are in the past from which samples are predicted.
+/// The earlier samples that prediction uses.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) enum Past {
     #[default]
     All,
-    /// Those that are no events: of a channel whose samples are held.
+    /// Samples that are not events, for a channel whose samples are held.
     Cells,
-    /// Those that are events: of a channel with a line through every second sample.
+    /// Samples that are events, for a channel whose every second sample is interpolated.
     Events,
 }
 
-/// What a block states of a channel, except for its cells.
+/// The parameters of a channel in a block, except its cells.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Head {
     /// The binary exponent of the channel's unit, in which it is predicted. Stated in the first block since a key.
     pub(super) exponent: i8,
-    /// How many channels before it predict this channel, and which. Stated in the first block since a key.
-    pub(super) n_beside: u8,
-    pub(super) beside: [u8; NEIGHBOURS],
-    /// In which rows, even and odd since the key, samples that repeat the one before are coded as such.
+    /// The number of references, the earlier channels that predict this one, and their indices. Stated in the first
+    /// block since a key.
+    pub(super) n_references: u8,
+    pub(super) references: [u8; REFERENCES],
+    /// Whether repeats of the previous sample are coded as events, in even and in odd rows since the key.
     pub(super) repeats: [bool; 2],
-    /// In which rows samples on the line through the two before are coded as such.
+    /// Whether samples on the line through the previous two are coded as events, in even and in odd rows.
     pub(super) lines: [bool; 2],
-    /// Which samples are in the past from which samples are predicted.
+    /// The earlier samples that prediction uses.
     pub(super) past: Past,
-    /// Whether samples may be off the values of the cells.
+    /// Whether samples may deviate from the values of the cells.
     pub(super) corrects: bool,
-    /// The bits of a value that is coded as such.
+    /// The bits of a frequent value that is coded as an event.
     pub(super) mode: Option<u32>,
 }
 
@@ -83,18 +84,19 @@ const HAS_OFFSET: usize = 14;
 const HAS_DECIMALS: usize = 15;
 
 impl HeadModel {
-    /// `index_bits` are those of the index of a channel in its group.
+    /// `index_bits` is the size of a channel's index in its group.
     pub(super) fn new(index_bits: u32) -> Self {
         Self { flags: [Bit::NEW; 16], logs: [Bit::NEW; 33], quantum: 1.0, index_bits }
     }
 
-    /// Forgets everything.
+    /// Resets all probabilities.
     pub(super) fn reset(&mut self) {
         *self = Self::new(self.index_bits);
     }
 
-    /// Codes a head and its cells: `wanted` in the encoder, or what the decoder read. `state` is that of the block before,
-    /// and becomes that of this one; `is_first` without a sample since the key.
+    /// Codes a head and its cells: those of `wanted` in the encoder, those read in the decoder. `state` has the head
+    /// and cells of the previous block, and receives those of this one. `is_first`: the channel has had no sample since
+    /// the key.
     pub(super) fn code<C: BinaryCoder>(
         &mut self,
         coder: &mut C,
@@ -111,10 +113,11 @@ impl HeadModel {
         if is_first {
             known_head.exponent = coder.plain((head.exponent as u8).into(), 8) as u8 as i8;
             ensure(known_head.exponent > -127, "a unit out of range")?;
-            known_head.n_beside = coder.plain(head.n_beside.into(), 3) as u8;
-            ensure(usize::from(known_head.n_beside) <= NEIGHBOURS, "too many neighbours")?;
-            for i in 0..usize::from(known_head.n_beside) {
-                known_head.beside[i] = coder.plain(head.beside[i].into(), self.index_bits) as u8;
+            known_head.n_references = coder.plain(head.n_references.into(), 3) as u8;
+            ensure(usize::from(known_head.n_references) <= REFERENCES, "too many references")?;
+            for i in 0..usize::from(known_head.n_references) {
+                known_head.references[i] =
+                    coder.plain(head.references[i].into(), self.index_bits) as u8;
             }
         }
         let is_partial = head.past != Past::All;

@@ -20,15 +20,15 @@ mod predictor;
 mod tests;
 mod walk;
 
-pub use self::bounded::{ChannelSurvey, SampleBound};
+pub use self::bounded::{ChannelProfile, SampleBound};
 pub(crate) use positions::Predictive;
 
 use self::{
     cells::{Cells, PALETTE_MAX},
-    fit::Before,
+    fit::EarlierChannels,
     head::{Head, HeadModel},
-    predictor::NEIGHBOURS,
-    walk::{Beside, ChannelWalk, SampleModel, SampledChannelState},
+    predictor::REFERENCES,
+    walk::{ChannelWalk, ReferenceChannel, SampleModel, SampledChannelState},
 };
 use crate::{
     CodecError, GROUP_CHANNELS, Result,
@@ -39,13 +39,13 @@ use crate::{
     ensure,
 };
 
-/// Added to the number of channels of a block whose samples are stored as they are.
+/// Flag of a block whose samples are stored uncompressed, added to the number of channels.
 const RAW: u8 = 0x80;
 
 /// Bits of the index of a channel.
 const INDEX_BITS: u32 = GROUP_CHANNELS.ilog2();
 
-/// What encoder and decoder of a group have in common.
+/// The state that encoder and decoder of a group share.
 #[derive(Debug)]
 struct Group {
     model: SampleModel,
@@ -84,14 +84,14 @@ impl Group {
         self.samples.reserve(n_samples.saturating_sub(self.samples.len()));
     }
 
-    /// Forgets all blocks.
+    /// Resets the state to that before a key block.
     fn forget(&mut self) {
         self.model = SampleModel::NEW;
         self.heads.reset();
         self.tracks.iter_mut().for_each(SampledChannelState::reset);
     }
 
-    /// Begins a block of as many channels and rows.
+    /// Begins a block of `n_channels` channels and `n_rows` rows.
     fn begin(&mut self, n_channels: usize, n_rows: usize, key: bool) -> Result<()> {
         if !key && !self.is_in_step {
             return Err(CodecError::OutOfStep);
@@ -124,12 +124,16 @@ impl Group {
         let at = |index: usize| {
             let (track, samples) =
                 (tracks_before.get(index)?, before.chunks_exact(n_rows).nth(index)?);
-            Some(Beside { samples, last: track.last_before, per_unit: track.head.per_unit() })
+            Some(ReferenceChannel {
+                samples,
+                last: track.last_before,
+                per_unit: track.head.per_unit(),
+            })
         };
-        let mut beside = [Beside::default(); NEIGHBOURS];
-        let n_beside = usize::from(track.head.n_beside);
-        for (slot, &index) in beside.iter_mut().zip(&track.head.beside).take(n_beside) {
-            let missing = CodecError::Corrupt("a neighbour that does not come before its channel");
+        let mut references = [ReferenceChannel::default(); REFERENCES];
+        let n_references = usize::from(track.head.n_references);
+        for (slot, &index) in references.iter_mut().zip(&track.head.references).take(n_references) {
+            let missing = CodecError::Corrupt("a reference that does not come before its channel");
             *slot = at(usize::from(index)).ok_or(missing)?;
         }
         let previous = channel.checked_sub(1).and_then(at);
@@ -138,9 +142,9 @@ impl Group {
             model: &mut self.model,
             track,
             previous,
-            beside,
+            references,
             samples: &mut rest[..n_rows],
-            behind_gaps: &[],
+            after_gaps: &[],
             like: None,
         })
     }
@@ -227,7 +231,7 @@ impl SampledEncoder {
         Ok(())
     }
 
-    /// Appends a block that is coded; `false` if it is of no use, because it is larger than the samples.
+    /// Appends a coded block; `false` if it is useless because it is larger than the samples.
     fn encode_coded(&mut self, channels: &[&[f32]], n_rows: usize, out: &mut Vec<u8>) -> bool {
         out.push(channels.len() as u8);
         let mut coder = RangeEncoder::new(out, 4 * channels.len() * n_rows);
@@ -235,7 +239,7 @@ impl SampledEncoder {
             let at = channel * n_rows;
             self.group.samples[at..at + n_rows].copy_from_slice(samples);
             let track = &self.group.tracks[channel];
-            let before = Before { samples: &self.group.samples[..at], n_rows, rows: None };
+            let before = EarlierChannels { samples: &self.group.samples[..at], n_rows, rows: None };
             let (head, cells) = self.fit.choose(track, samples, before);
             let encoded = self.group.channel(&mut coder, (channel, n_rows), (head, cells));
             let is_same = is_same(&self.group.samples[at..at + n_rows], samples);

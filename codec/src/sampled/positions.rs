@@ -1,16 +1,16 @@
 //! `lossless:predictive`: the positions of markers as sampled channels, three of each marker.
 //!
-//! Only samples that are present are coded, one after another; a channel that predicts another one counts with the
-//! sample that it held in each of these rows. Where a gap precedes a sample, nothing is predicted from what lies before
-//! it. A marker takes over what the marker before it learnt, so that short blocks need not learn everything anew.
+//! Only samples that are present are coded, one after another; a reference channel contributes the last sample that it
+//! had in each of these rows. Where a gap precedes a sample, nothing is predicted from what lies before it. A marker
+//! starts with the weights that the marker before it learnt, so that short blocks need not learn everything again.
 
 use super::{
     Group,
     cells::Cells,
-    fit::{Before, Fit},
+    fit::{EarlierChannels, Fit},
     head::Head,
-    predictor::NEIGHBOURS,
-    walk::{Beside, ChannelWalk},
+    predictor::REFERENCES,
+    walk::{ChannelWalk, ReferenceChannel},
 };
 use crate::{
     BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Result, Rows,
@@ -33,23 +33,23 @@ const INDEX_BITS: u32 = (AXES * GROUP_CHANNELS).next_power_of_two().ilog2();
 const COLUMNS: u8 = 0;
 const PREDICTED: u8 = 1;
 
-/// The samples of one channel in one block, and those of its neighbours in the same rows.
+/// The samples of one channel in one block, and those of its references in the same rows.
 #[derive(Debug, Default)]
 struct PresentSamples {
     /// Rows with a sample of the marker, ascending.
     rows: Vec<u32>,
-    /// Indices of those behind gaps.
-    behind_gaps: Vec<u32>,
+    /// Indices of those after gaps.
+    after_gaps: Vec<u32>,
     samples: Vec<f32>,
-    beside: [Vec<f32>; NEIGHBOURS],
+    references: [Vec<f32>; REFERENCES],
 }
 
 impl PresentSamples {
     fn prepare(&mut self, n_rows: usize) {
-        for memory in [&mut self.rows, &mut self.behind_gaps] {
+        for memory in [&mut self.rows, &mut self.after_gaps] {
             memory.reserve(n_rows.saturating_sub(memory.len()));
         }
-        for memory in self.beside.iter_mut().chain([&mut self.samples]) {
+        for memory in self.references.iter_mut().chain([&mut self.samples]) {
             memory.reserve(n_rows.saturating_sub(memory.len()));
         }
     }
@@ -57,12 +57,12 @@ impl PresentSamples {
     /// Finds the rows of a marker; `continues` if it had a sample in the row before the block.
     fn find(&mut self, present: &[bool], continues: bool) {
         self.rows.clear();
-        self.behind_gaps.clear();
+        self.after_gaps.clear();
         let mut was_present = continues;
         for (row, &is_present) in present.iter().enumerate() {
             if is_present {
                 if !was_present {
-                    self.behind_gaps.push(self.rows.len() as u32);
+                    self.after_gaps.push(self.rows.len() as u32);
                 }
                 self.rows.push(row as u32);
             }
@@ -86,16 +86,20 @@ impl PresentSamples {
         };
         let state = (&mut track.head, &mut track.cells);
         group.heads.code(coder, !track.is_started, state, wanted)?;
-        let mut beside = [Beside::default(); NEIGHBOURS];
-        let n_beside = usize::from(track.head.n_beside);
-        let slots = beside.iter_mut().zip(&mut self.beside).zip(&track.head.beside);
-        for ((slot, samples), &index) in slots.take(n_beside) {
-            let missing = CodecError::Corrupt("a neighbour that does not come before its channel");
+        let mut references = [ReferenceChannel::default(); REFERENCES];
+        let n_references = usize::from(track.head.n_references);
+        let slots = references.iter_mut().zip(&mut self.references).zip(&track.head.references);
+        for ((slot, samples), &index) in slots.take(n_references) {
+            let missing = CodecError::Corrupt("a reference that does not come before its channel");
             let other = tracks_before.get(usize::from(index)).ok_or(missing)?;
             let of_other = before.chunks_exact(n_rows).nth(index.into()).unwrap_or_default();
             samples.clear();
             samples.extend(self.rows.iter().filter_map(|&row| of_other.get(row as usize)));
-            *slot = Beside { samples, last: other.last_before, per_unit: other.head.per_unit() };
+            *slot = ReferenceChannel {
+                samples,
+                last: other.last_before,
+                per_unit: other.head.per_unit(),
+            };
         }
         // The same axis of the marker before, or the axis before.
         let likes = [channel.checked_sub(AXES), channel.checked_sub(1)];
@@ -105,9 +109,9 @@ impl PresentSamples {
             model: &mut group.model,
             track,
             previous: None,
-            beside,
+            references,
             samples: &mut self.samples,
-            behind_gaps: &self.behind_gaps,
+            after_gaps: &self.after_gaps,
             like: like.filter(|like| like.is_started),
         })?;
         ensure(self.samples.iter().all(|sample| sample.is_finite()), "a non-finite value")?;
@@ -129,7 +133,7 @@ pub(crate) struct Predictive {
     group: Group,
     fit: Fit,
     current: PresentSamples,
-    /// By marker: whether it had a sample in the row before the block.
+    /// Whether each marker had a sample in the row before the block.
     continues: [bool; GROUP_CHANNELS],
     /// The payload as columns, which is written where it is smaller.
     packed: Vec<u8>,
@@ -148,7 +152,7 @@ impl Predictive {
         }
     }
 
-    /// Begins a block of so many markers.
+    /// Begins a block of `n_markers` markers.
     fn begin(&mut self, n_markers: usize, n_rows: usize) {
         let Group { tracks, samples, .. } = &mut self.group;
         if tracks.len() < AXES * n_markers {
@@ -193,7 +197,7 @@ impl Predictive {
                 current.samples.clear();
                 let position = |&row: &u32| rows.positions()[row as usize][axis];
                 current.samples.extend(current.rows.iter().map(position));
-                let before = Before {
+                let before = EarlierChannels {
                     samples: &group.samples[..channel * n_rows],
                     n_rows,
                     rows: Some(&current.rows),

@@ -1,5 +1,5 @@
 //! The prediction of a sample: recursive least squares over differences of the channel's own past and over the changes
-//! of channels beside it.
+//! of its reference channels.
 //!
 //! Recursive least squares with a forgetting factor (Haykin, Adaptive Filter Theory, chapter 9) in f64, in the order
 //! of the loops below. Values are in units of the channel's scale.
@@ -8,23 +8,23 @@
 const DIFFERENCES: usize = 8;
 /// First differences further back. Eight need 0.1 % fewer bytes on five recorded takes, and 40 % more time.
 const LAGS: usize = 4;
-/// Channels beside it whose changes count. Four that the encoder chooses need no more bytes than the eight nearest, which
+/// Maximum number of reference channels. Four that the encoder chooses need no more bytes than the eight nearest, which
 /// take twice the time.
-pub(super) const NEIGHBOURS: usize = 4;
+pub(super) const REFERENCES: usize = 4;
 /// Number of regressors.
-const ORDER: usize = DIFFERENCES + LAGS + 2 * NEIGHBOURS;
+const ORDER: usize = DIFFERENCES + LAGS + 2 * REFERENCES;
 
 /// The weight of the past falls by this factor with every sample: a memory of about 700 samples. 0.9995 needs 0.4 % more
 /// bytes.
 const FORGETTING: f64 = 0.9985;
-/// Initial variance of a weight. 0.05 needs 0.1 % more bytes, 30 as many.
+/// Initial variance of a weight. 0.05 needs 0.1 % more bytes, 30 the same number.
 const VARIANCE: f64 = 1.0;
-/// Nothing is forgotten while an entry of the inverse exceeds this: without it, the inverse of inputs that do not change
-/// grows without end.
+/// Nothing is forgotten while an entry of the inverse exceeds this: otherwise the inverse grows without bound if inputs
+/// do not change.
 const VARIANCE_MAX: f64 = 1e9;
 
-/// Uncertainty of weights that are taken over from another channel, relative to what that channel learnt. On recorded
-/// positions 1 needs 0.5 % more bytes, and weights alone, with an initial variance of 1, 1 % more.
+/// Variance of weights inherited from another channel, relative to the variance there. On recorded positions 1 needs
+/// 0.5 % more bytes, and weights alone, with an initial variance of 1, 1 % more.
 const INHERITED_VARIANCE: f64 = 10.0;
 
 /// Inputs beyond this power are not learnt from.
@@ -66,7 +66,7 @@ impl Predictor {
         new
     }
 
-    /// Forgets everything, and starts from a value.
+    /// Resets the predictor to a first value.
     pub(super) fn start(&mut self, value: f64) {
         self.weights = [0.0; ORDER];
         self.restart(value);
@@ -74,7 +74,7 @@ impl Predictor {
         self.reset_inverse();
     }
 
-    /// Starts from a value with what another channel learnt from its own past.
+    /// Starts from a value with the weights that another channel learnt for its own past.
     pub(super) fn start_like(&mut self, value: f64, other: &Self) {
         self.start(value);
         self.n_values = 1;
@@ -90,7 +90,7 @@ impl Predictor {
         }
     }
 
-    /// Begins a new past at a value: nothing before it is near in time. What was learnt stays.
+    /// Begins a new past at a value: nothing before it is near in time. The weights stay.
     pub(super) fn restart(&mut self, value: f64) {
         self.differences = [0.0; DIFFERENCES];
         self.differences[0] = value;
@@ -112,14 +112,14 @@ impl Predictor {
         self.differences[0]
     }
 
-    /// The prediction of the next value, given the changes of the channels beside it.
+    /// The prediction of the next value, given the changes of the reference channels.
     #[inline(always)]
-    pub(super) fn predict(&mut self, beside: &[f64; 2 * NEIGHBOURS]) -> f64 {
+    pub(super) fn predict(&mut self, references: &[f64; 2 * REFERENCES]) -> f64 {
         self.inputs[0] = self.differences[0] - self.mean;
         self.inputs[1..DIFFERENCES].copy_from_slice(&self.differences[1..]);
         self.inputs[DIFFERENCES..DIFFERENCES + LAGS]
             .copy_from_slice(&self.changes[DIFFERENCES - 1..]);
-        self.inputs[DIFFERENCES + LAGS..].copy_from_slice(beside);
+        self.inputs[DIFFERENCES + LAGS..].copy_from_slice(references);
         let mut sums = [0.0; 4];
         let (inputs, _) = self.inputs.as_chunks::<4>();
         let (weights, _) = self.weights.as_chunks::<4>();

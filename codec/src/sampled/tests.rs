@@ -40,7 +40,7 @@ fn channel(kind: usize, seed: u64, n_rows: usize) -> Vec<f32> {
                 4 => normal(&mut random) as f32,
                 5 => 4.25,
                 6 => [-1.5, 0.25, 7.0, 7.1, 9.0][random.below(5)],
-                // Gaps, and not only of one pattern.
+                // Gaps, as NaN of several bit patterns.
                 7 if phase > 160 => f32::from_bits(0x7fc0_0000 + (row as u32 / 400)),
                 7 => walk as f32,
                 8 => f32::from_bits(random.next_u64() as u32),
@@ -71,7 +71,7 @@ fn group(seed: u64, n_channels: usize, n_rows: usize) -> Vec<Vec<f32>> {
         .collect()
 }
 
-/// Encodes in blocks of so many rows; every `key_every`th is a key.
+/// Encodes in blocks of `rows` rows; every `key_every`th is a key.
 fn encode(channels: &[Vec<f32>], rows: usize, key_every: usize) -> Vec<Vec<u8>> {
     let n_rows = channels[0].len();
     let mut encoder = SampledEncoder::new();
@@ -89,7 +89,7 @@ fn encode(channels: &[Vec<f32>], rows: usize, key_every: usize) -> Vec<Vec<u8>> 
         .collect()
 }
 
-/// Decodes blocks of so many rows from one of them on, and compares every bit.
+/// Decodes blocks of `rows` rows from block `from` on, and compares every bit.
 fn check(channels: &[Vec<f32>], blocks: &[Vec<u8>], rows: usize, key_every: usize, from: usize) {
     let n_rows = channels[0].len();
     let mut decoder = SampledDecoder::new();
@@ -104,7 +104,7 @@ fn check(channels: &[Vec<f32>], blocks: &[Vec<u8>], rows: usize, key_every: usiz
 }
 
 #[test]
-fn every_bit_comes_back() {
+fn every_bit_round_trips() {
     for seed in 0..24 {
         let n_rows = [1, 2, 3, 17, 400, 1500][seed as usize % 6];
         let channels = group(seed, [1, 2, 13, 20][seed as usize % 4], n_rows);
@@ -119,7 +119,7 @@ fn every_bit_comes_back() {
 }
 
 #[test]
-fn every_kind_comes_back_alone() {
+fn every_kind_round_trips_alone() {
     for kind in 0..KINDS {
         for seed in 0..3 {
             let channels = [channel(kind, seed, 700)];
@@ -135,7 +135,7 @@ fn bits_per_sample(kind: usize, seed: u64) -> f64 {
 }
 
 #[test]
-fn the_structure_of_channels_is_found() {
+fn the_structure_of_channels_is_detected() {
     // Noise of a few steps, between bursts of ninety; a lattice of 16 bits needs no more.
     assert!(bits_per_sample(0, 0) < 6.8, "{}", bits_per_sample(0, 0));
     assert!(bits_per_sample(1, 0) < 1.6, "{}", bits_per_sample(1, 0));
@@ -164,7 +164,7 @@ fn both_instruction_sets_give_the_same_bytes() {
 fn no_block_is_larger_than_its_samples() {
     let channels = [channel(8, 0, 1000)];
     assert_eq!(encode(&channels, 1000, 1)[0].len(), max_block_bytes(1, 1000));
-    // State goes on after samples that are stored as they are.
+    // State continues after samples that are stored as they are.
     let mut mixed = channel(8, 0, 100);
     mixed.extend(channel(2, 0, 300));
     let channels = [mixed];
@@ -196,7 +196,7 @@ fn truncated_blocks_are_errors_or_samples() {
 }
 
 #[test]
-fn changed_bytes_do_no_harm() {
+fn changed_bytes_are_errors_or_samples() {
     let mut random = Random::new(1);
     for seed in 0..6 {
         let channels = group(seed, 5, 32);
@@ -224,7 +224,7 @@ fn changed_bytes_do_no_harm() {
 }
 
 #[test]
-fn arguments_that_cannot_be_coded() {
+fn invalid_arguments_are_refused() {
     let mut encoder = SampledEncoder::new();
     let mut out = vec![7];
     let samples = [1.0; 4];
@@ -244,8 +244,8 @@ fn arguments_that_cannot_be_coded() {
     assert_eq!(out.len(), n, "no rows, no block");
 }
 
-/// Blocks of every kind of channel, as they were first written: of each its rows as two bytes, its length as four, and
-/// its bytes. The first is a key block. `tests/reference/sampled.py` decodes them, too.
+/// Blocks of every kind of channel, as they were first written: for each its number of rows in two bytes, its length
+/// in four, and its bytes. The first is a key block. `tests/reference/sampled.py` decodes them, too.
 const GOLDEN: &[u8] = include_bytes!("../../tests/golden/sampled.blocks");
 
 /// The digest of what they decode to.

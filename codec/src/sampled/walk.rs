@@ -4,7 +4,7 @@ use super::{
     cells::{CellForm, Cells, from_ordered, ordered},
     distribution::Distribution,
     head::{Head, Past},
-    predictor::{NEIGHBOURS, Predictor},
+    predictor::{Predictor, REFERENCES},
 };
 use crate::{
     Result,
@@ -45,16 +45,16 @@ pub(super) struct SampledChannelState {
     pub(super) cells: Cells,
     pub(super) predictor: Predictor,
     pub(super) distribution: Distribution,
-    /// The distribution of first samples behind gaps.
+    /// The distribution of first samples after gaps.
     across_gaps: Distribution,
     /// The last two samples of the block before.
     pub(super) last: [f32; 2],
-    /// The same before the current block, for the channels behind.
+    /// The last two samples before the current block, for the channels after this one.
     pub(super) last_before: [f32; 2],
     /// Whether there was a sample since the key.
     pub(super) is_started: bool,
     events: u32,
-    /// Of the next row since the key.
+    /// The parity of the next row, counted from the key.
     pub(super) parity: u32,
 }
 
@@ -86,7 +86,7 @@ impl SampledChannelState {
         (self.events, self.parity) = (0, 0);
     }
 
-    /// Starts with a sample, and with what a channel like this one learnt, if there is one.
+    /// Starts with a sample, and with the weights of a similar channel, if there is one.
     fn start(&mut self, sample: f32, like: Option<&Self>) {
         self.is_started = true;
         self.parity = 1;
@@ -111,7 +111,7 @@ impl SampledChannelState {
 #[inline(always)]
 fn unit(sample: f32, per_unit: f64) -> f64 {
     let value = f64::from(sample) * per_unit;
-    // NaN is neither.
+    // NaN fails both comparisons.
     if value > -REACH && value < REACH {
         value
     } else if value >= REACH {
@@ -123,15 +123,15 @@ fn unit(sample: f32, per_unit: f64) -> f64 {
     }
 }
 
-/// A channel that was coded before, beside the one that is.
+/// A channel that was coded before the current one.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Beside<'a> {
+pub(super) struct ReferenceChannel<'a> {
     pub(super) samples: &'a [f32],
     pub(super) last: [f32; 2],
     pub(super) per_unit: f64,
 }
 
-impl Beside<'_> {
+impl ReferenceChannel<'_> {
     /// The sample `back` rows before a row.
     #[inline(always)]
     fn at(&self, row: usize, back: usize) -> f32 {
@@ -149,14 +149,14 @@ pub(super) struct ChannelWalk<'a, C> {
     pub(super) model: &'a mut SampleModel,
     pub(super) track: &'a mut SampledChannelState,
     /// The channel before, if there is one.
-    pub(super) previous: Option<Beside<'a>>,
-    /// Channels before that predict this one; the rest are empty.
-    pub(super) beside: [Beside<'a>; NEIGHBOURS],
+    pub(super) previous: Option<ReferenceChannel<'a>>,
+    /// The reference channels, which predict this one; unused entries are empty.
+    pub(super) references: [ReferenceChannel<'a>; REFERENCES],
     /// Encoded, or replaced by what was decoded.
     pub(super) samples: &'a mut [f32],
-    /// Indices of the samples behind gaps, ascending: nothing is predicted from what lies before a gap.
-    pub(super) behind_gaps: &'a [u32],
-    /// A channel from which this one takes over what was learnt, if this is its first block.
+    /// Indices of the samples after gaps, ascending: nothing is predicted from what lies before a gap.
+    pub(super) after_gaps: &'a [u32],
+    /// A channel whose weights this one inherits, if this is its first block.
     pub(super) like: Option<&'a SampledChannelState>,
 }
 
@@ -186,8 +186,8 @@ impl<C: BinaryCoder> Kernel for ChannelWalk<'_, C> {
         let [mut before, mut before2] = self.track.last;
         for row in first..self.samples.len() {
             let wanted = self.samples.get(row).copied().unwrap_or_default();
-            let is_behind_gap = self.is_behind_gap(row);
-            let sample = self.sample((row, is_behind_gap), wanted, [before, before2])?;
+            let is_after_gap = self.is_after_gap(row);
+            let sample = self.sample((row, is_after_gap), wanted, [before, before2])?;
             if let Some(slot) = self.samples.get_mut(row) {
                 *slot = sample;
             }
@@ -207,7 +207,7 @@ fn on_line([before, before2]: [f32; 2]) -> f32 {
 }
 
 impl<C: BinaryCoder> ChannelWalk<'_, C> {
-    /// Codes all samples bit by bit. Behind them the channel is as behind its first sample.
+    /// Codes all samples bit by bit. The channel is then in the state after a first sample.
     fn stored(&mut self) {
         for sample in self.samples.iter_mut() {
             *sample = f32::from_bits(self.coder.plain(sample.to_bits().into(), 32) as u32);
@@ -217,14 +217,14 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
         }
     }
 
-    /// Whether a gap precedes a sample. Samples must be asked for in order.
+    /// Whether a gap precedes a sample. Calls must be in the order of samples.
     #[inline(always)]
-    fn is_behind_gap(&mut self, row: usize) -> bool {
-        while let Some((&next, rest)) = self.behind_gaps.split_first() {
+    fn is_after_gap(&mut self, row: usize) -> bool {
+        while let Some((&next, rest)) = self.after_gaps.split_first() {
             if next as usize >= row {
                 return next as usize == row;
             }
-            self.behind_gaps = rest;
+            self.after_gaps = rest;
         }
         false
     }
@@ -232,7 +232,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
     #[inline(always)]
     fn sample(
         &mut self,
-        (row, is_behind_gap): (usize, bool),
+        (row, is_after_gap): (usize, bool),
         wanted: f32,
         past: [f32; 2],
     ) -> Result<f32> {
@@ -240,12 +240,12 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
         self.track.parity ^= 1;
         let head = self.track.head;
         let history = (self.track.events & 0x3f) as usize;
-        let mut beside_repeats = 0;
+        let mut repeat_context = 0;
         if (head.repeats[parity as usize] || head.mode.is_some())
-            && let Some(beside) = &self.previous
+            && let Some(previous) = &self.previous
         {
-            let [now, then] = [beside.at(row, 0), beside.at(row, 1)];
-            beside_repeats = 1 + usize::from(now.to_bits() == then.to_bits());
+            let [now, then] = [previous.at(row, 0), previous.at(row, 1)];
+            repeat_context = 1 + usize::from(now.to_bits() == then.to_bits());
         }
         let mut excluded = [None; 3];
         if head.lines[parity as usize] {
@@ -259,7 +259,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
             excluded[0] = Some(line);
         }
         if head.repeats[parity as usize] {
-            let context = (history * 2 + parity as usize) * 3 + beside_repeats;
+            let context = (history * 2 + parity as usize) * 3 + repeat_context;
             let is_repeat = wanted.to_bits() == past[0].to_bits();
             if self.coder.bit(&mut self.model.repeats[context], is_repeat) {
                 self.move_on(past[0], REPEAT);
@@ -268,7 +268,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
             excluded[1] = Some(past[0]);
         }
         if let Some(mode) = head.mode {
-            let context = (history * 2 + parity as usize) * 3 + beside_repeats;
+            let context = (history * 2 + parity as usize) * 3 + repeat_context;
             let is_mode = wanted.to_bits() == mode;
             if self.coder.bit(&mut self.model.modes[context], is_mode) {
                 let mode = f32::from_bits(mode);
@@ -277,16 +277,16 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
             }
             excluded[2] = Some(f32::from_bits(mode));
         }
-        self.cell_sample((row, is_behind_gap), wanted, excluded)
+        self.cell_sample((row, is_after_gap), wanted, excluded)
     }
 
-    /// The changes of the channels beside, at the row and the row before.
+    /// The changes of the reference channels at the row and the row before.
     #[inline(always)]
-    fn changes_beside(&self, row: usize) -> [f64; 2 * NEIGHBOURS] {
-        let mut changes = [0.0; 2 * NEIGHBOURS];
-        for (i, beside) in self.beside.iter().enumerate() {
+    fn reference_changes(&self, row: usize) -> [f64; 2 * REFERENCES] {
+        let mut changes = [0.0; 2 * REFERENCES];
+        for (i, reference) in self.references.iter().enumerate() {
             let [now, then, before] =
-                [0, 1, 2].map(|back| unit(beside.at(row, back), beside.per_unit));
+                [0, 1, 2].map(|back| unit(reference.at(row, back), reference.per_unit));
             changes[2 * i] = now - then;
             changes[2 * i + 1] = then - before;
         }
@@ -306,15 +306,15 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
     #[inline(always)]
     fn cell_sample(
         &mut self,
-        (row, is_behind_gap): (usize, bool),
+        (row, is_after_gap): (usize, bool),
         wanted: f32,
         excluded: [Option<f32>; 3],
     ) -> Result<f32> {
-        let changes = self.changes_beside(row);
+        let changes = self.reference_changes(row);
         let track = &mut *self.track;
         let per_unit = track.head.per_unit();
         let predicted = track.predictor.predict(&changes);
-        let predicted = if predicted > -REACH && predicted < REACH && !is_behind_gap {
+        let predicted = if predicted > -REACH && predicted < REACH && !is_after_gap {
             predicted
         } else {
             track.predictor.last()
@@ -322,7 +322,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
         let scale = track.head.scale();
         let mut halving = Halving {
             cells: &track.cells,
-            distribution: if is_behind_gap { &track.across_gaps } else { &track.distribution },
+            distribution: if is_after_gap { &track.across_gaps } else { &track.distribution },
             centre: predicted * scale,
             per_unit,
             excluded: [(0, 0.0); 3],
@@ -350,7 +350,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
         let value = if sample.is_finite() { unit(sample, per_unit) } else { predicted };
         let error = value - predicted;
         let (low, high) = (low * per_unit - predicted, high * per_unit - predicted);
-        if is_behind_gap {
+        if is_after_gap {
             track.across_gaps.learn(low, high, error);
             track.predictor.restart(value);
         } else {
@@ -405,7 +405,7 @@ struct Interval {
     through: f64,
 }
 
-/// Probabilities that are no larger are not told apart.
+/// Probabilities up to this are treated as equal.
 const NEGLIGIBLE: f64 = 1e-13;
 
 impl Halving<'_> {
@@ -480,7 +480,7 @@ impl Halving<'_> {
         // Above or below the prediction.
         let is_upper =
             near > first && self.decide(coder, &mut interval, near, wanted) || near == first;
-        // Outwards in growing steps, until the interval is closed.
+        // Outwards in growing steps, until the interval is bounded.
         let mut step = width * 0.5;
         while interval.first < interval.last {
             let far = self.cells.nearest(self.centre + if is_upper { step } else { -step });

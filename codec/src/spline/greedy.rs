@@ -73,7 +73,7 @@ impl<'a> Greedy<'a> {
         )
     }
 
-    /// Index of the interval that contains `row`, which is no knot.
+    /// Index of the interval that contains `row`, which is not a knot.
     fn interval_of(&self, row: usize) -> usize {
         self.knots.partition_point(|&(knot, _)| knot < row) - 1
     }
@@ -92,7 +92,7 @@ impl<'a> Greedy<'a> {
         }
     }
 
-    /// By how much inserting `row` would reduce the sum of squared errors; negative where it would grow.
+    /// The decrease of the sum of squared errors if `row` is inserted; negative if it would grow.
     fn gain(&mut self, row: usize) -> f64 {
         let interval = self.interval_of(row);
         let low = (interval + 1).saturating_sub(REACH);
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lowest_of_equals_is_inserted_first() {
+    fn ties_are_broken_by_the_lowest_row() {
         // Off a straight line by the same amount at rows 2 and 6: the first insertion decides.
         let mut samples = vec![[0.0_f32; 3]; 9];
         samples[2][0] = 4.0;

@@ -32,7 +32,7 @@ const RAW: u8 = 1;
 /// Bytes of a stored position: three little-endian float32.
 const POSITION_BYTES: usize = 12;
 
-/// Most bytes of a channel's knots: a position and two bytes of time per sample.
+/// Maximum number of bytes of a channel's knots: a position and two bytes of time per sample.
 const fn max_bytes(samples: usize) -> usize {
     (POSITION_BYTES + 2) * samples
 }

@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn it_interpolates_to_the_bit_and_keeps_lines() {
+    fn knots_are_exact_and_lines_are_kept() {
         let line: Vec<Knot> = [0, 3, 4, 9, 20].iter().map(|&x| (x, [x as f64; 3])).collect();
         let mut run = vec![[0.0; 3]; 21];
         let mut moments = Moments::default();

@@ -5,21 +5,21 @@ use std::{
     cell::Cell,
 };
 
-/// Bytes held by a thread now and at most; counted per thread because tests run in parallel.
+/// Bytes held by a thread now and at peak; counted per thread because tests run in parallel.
 #[derive(Debug, Clone, Copy)]
 struct Count {
     held: isize,
-    most: isize,
+    peak: isize,
 }
 
 thread_local! {
-    static COUNT: Cell<Count> = const { Cell::new(Count { held: 0, most: 0 }) };
+    static COUNT: Cell<Count> = const { Cell::new(Count { held: 0, peak: 0 }) };
 }
 
 fn count(by: isize) {
     COUNT.with(|count| {
         let held = count.get().held + by;
-        count.set(Count { held, most: count.get().most.max(held) });
+        count.set(Count { held, peak: count.get().peak.max(held) });
     });
 }
 
@@ -51,10 +51,10 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Most bytes held at once while `work` runs, beyond those held before.
-pub(crate) fn most_bytes(work: impl FnOnce()) -> usize {
+/// Peak of the bytes held while `work` runs, beyond those held before.
+pub(crate) fn peak_bytes(work: impl FnOnce()) -> usize {
     let before = COUNT.get().held;
-    COUNT.set(Count { held: before, most: before });
+    COUNT.set(Count { held: before, peak: before });
     work();
-    (COUNT.get().most - before) as usize
+    (COUNT.get().peak - before) as usize
 }

@@ -14,7 +14,7 @@ use mocapd_codec::{
 
 use mocapd_testkit::random::Random;
 
-use self::counting::most_bytes;
+use self::counting::peak_bytes;
 
 const KINDS: [&str; 6] = ["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"];
 
@@ -42,17 +42,17 @@ fn encoded(kind: &str, n_channels: usize, n_rows: usize) -> (Vec<u8>, Vec<u8>) {
     (block, shared)
 }
 
-/// The most bytes that a decoder may hold. Each factor is about three times the largest need of any resampler for valid
-/// blocks: 46 bytes per sample in `dense`, positions and flags included.
+/// The maximum of bytes that a decoder may hold. Each factor is about three times the largest need of any resampler for
+/// valid blocks: 46 bytes per sample in `dense`, positions and flags included.
 fn memory_limit(kind: &str, n_channels: usize, n_rows: usize, n_bytes: usize) -> usize {
     // `dense` has its tables of contexts before the first byte.
     let tables = if kind == "dense" { 2 << 20 } else { 64 << 10 };
     tables + 8192 * n_channels + 150 * n_rows * n_channels + 4 * n_bytes
 }
 
-/// Decodes a first block, and returns the most bytes that this held.
+/// Decodes a first block, and returns the peak of the bytes held.
 fn decode(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) -> usize {
-    most_bytes(|| {
+    peak_bytes(|| {
         let mut out = Vec::new();
         let outcome = settings(kind).decoder().decode(block, shared, n_rows, true, &mut out);
         assert!(outcome.is_ok() || out.is_empty());
@@ -160,7 +160,7 @@ fn damaged_blocks() {
 fn streams_of_any_bytes() {
     for kind in KINDS {
         let (n_channels, n_rows, len) = (16, 100, 400);
-        let held = most_bytes(|| {
+        let held = peak_bytes(|| {
             let mut decoder = settings(kind).decoder();
             let mut out: Vec<DecodedRows> = Vec::new();
             for i in 0..400 {
@@ -208,8 +208,8 @@ fn prepared_coders_of_sampled_channels_do_not_allocate() {
         let slices: Vec<&[f32]> = channels.iter().map(Vec::as_slice).collect();
         block.clear();
         let is_key = seed % 3 == 0;
-        assert_eq!(most_bytes(|| encoder.encode(&slices, is_key, &mut block).unwrap()), 0);
-        assert_eq!(most_bytes(|| assert!(decoder.decode(&block, N_ROWS, is_key).is_ok())), 0);
+        assert_eq!(peak_bytes(|| encoder.encode(&slices, is_key, &mut block).unwrap()), 0);
+        assert_eq!(peak_bytes(|| assert!(decoder.decode(&block, N_ROWS, is_key).is_ok())), 0);
     }
 }
 
@@ -219,7 +219,7 @@ fn a_decoder_of_sampled_channels_allocates_for_its_rows() {
         let mut random = Random::new(seed);
         let mut block = random.bytes(200);
         block[0] = 1 + random.below(GROUP_CHANNELS) as u8;
-        let held = most_bytes(|| drop(SampledDecoder::new().decode(&block, 50, true)));
+        let held = peak_bytes(|| drop(SampledDecoder::new().decode(&block, 50, true)));
         // Per channel the inverse of its predictor (3.2 KiB), its state, and a palette of up to 4096 values.
         let limit =
             (64 << 10) + usize::from(block[0]) * (24 << 10) + 4 * 50 * usize::from(block[0]);

@@ -31,7 +31,7 @@ pub(crate) fn well_formed(n_rows: usize, decoded: &[DecodedRows]) {
 }
 
 /// A decoder that has decoded the first `n` blocks without damage.
-fn behind(
+fn after(
     settings: Settings,
     stretches: &[Stretch],
     blocks: &[Block],
@@ -55,7 +55,7 @@ fn survive_in(
     at: usize,
     change: impl Fn(&mut Vec<u8>, &mut usize),
 ) {
-    let (mut decoder, mut decoded) = behind(settings, stretches, blocks, at);
+    let (mut decoder, mut decoded) = after(settings, stretches, blocks, at);
     let (mut bytes, mut n_rows) = (blocks[at].bytes.clone(), ROWS);
     change(&mut bytes, &mut n_rows);
     let mut lost = decoder

@@ -1,4 +1,4 @@
-//! The efforts of `dense`: each decodes within the bound, and none pays for it in bytes.
+//! The efforts of `dense`: each decodes within the bound, and more effort never needs more bytes.
 
 use mocapd_codec::{BlockReport, Effort};
 
@@ -99,7 +99,7 @@ fn more_effort_makes_smaller_blocks() {
 }
 
 #[test]
-fn an_encoder_writes_the_same_again() {
+fn an_encoder_is_deterministic() {
     let stretches = cut(&body("gaps", 400), &[100; 4], 0b1111);
     let effort = Effort::new(5).unwrap();
     let settings = settings("dense", 1.0);

@@ -30,7 +30,7 @@ fn encode_exact(settings: Settings, channels: &[Channel], stated_mm: f64) -> Vec
 }
 
 #[test]
-fn decoded_samples_come_back_bit_by_bit_and_state_the_error_of_their_blocks() {
+fn decoded_samples_round_trip_bit_for_bit_and_keep_their_stated_error() {
     for kind in KINDS {
         for (motion, gaps) in [("smooth", "all"), ("smooth", "gaps"), ("walk", "gaps")] {
             let settings = settings(kind, 0.5);
@@ -60,7 +60,7 @@ fn decoded_samples_come_back_bit_by_bit_and_state_the_error_of_their_blocks() {
                     assert_eq!(bits(&found.positions), bits(&expected.positions), "{kind} {from}");
                     assert_eq!(found.max_error_mm, stated_mm, "{kind} {gaps} from {from}");
                 }
-                // A key block behind it does not depend on it.
+                // A key block after it does not depend on it.
                 let next = &blocks[1];
                 decoder.decode(&next.bytes, &next.shared, 30, true, &mut again).unwrap();
             }
@@ -69,7 +69,7 @@ fn decoded_samples_come_back_bit_by_bit_and_state_the_error_of_their_blocks() {
 }
 
 #[test]
-fn every_stated_error_is_stated_again() {
+fn every_stated_error_is_kept() {
     let channel = Channel::new("smooth", "all", 3, 20);
     for tolerance_mm in [1e-4, 0.1, 0.3, 0.5, 7.7] {
         let settings = settings("dense", tolerance_mm);
@@ -86,7 +86,7 @@ fn every_stated_error_is_stated_again() {
 }
 
 #[test]
-fn without_samples_there_is_no_block_and_an_error_above_the_tolerance_is_refused() {
+fn no_block_is_written_without_samples_or_above_the_tolerance() {
     let absent = Channel { positions: vec![[0.0; 3]; 9], present: vec![false; 9] };
     for kind in KINDS {
         let settings = settings(kind, 0.5);

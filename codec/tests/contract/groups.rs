@@ -56,7 +56,7 @@ fn invalid_arguments_are_refused_and_change_nothing() {
 }
 
 #[test]
-fn a_block_has_the_channels_up_to_the_last_that_was_seen_since_the_key() {
+fn a_block_ends_with_the_last_channel_seen_since_the_key() {
     for kind in ["dense", "fast", "lossless", "lossless:predictive"] {
         let (seen, absent) =
             (Channel::new("smooth", "all", 3, 30), Channel::new("smooth", "none", 3, 30));

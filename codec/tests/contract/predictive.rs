@@ -1,4 +1,4 @@
-//! `lossless:predictive`: what files hold is found and coded, and no block is larger than that of `lossless`.
+//! `lossless:predictive`: the number format of a file is detected, and no block is larger than that of `lossless`.
 
 use mocapd_codec::{CodecError, Position, Rows};
 
@@ -32,7 +32,7 @@ fn body(n_rows: usize, gaps: &str, stored: impl Fn(f64) -> f32) -> Vec<Channel> 
     offsets.iter().enumerate().map(channel).collect()
 }
 
-/// Bytes of all blocks of `lossless`, and of `lossless:predictive`, of which every bit is compared.
+/// Bytes of all blocks of `lossless` and of `lossless:predictive`; every bit of the latter is compared.
 fn bytes(channels: &[Channel], lengths: &[usize], keys: u32) -> (usize, usize) {
     let stretches = cut(channels, lengths, keys);
     let [columns, predicted] = ["lossless", PREDICTIVE].map(|kind| {
@@ -51,13 +51,13 @@ fn assert_smaller(name: &str, channels: &[Channel], least: f64) {
     assert!(ratio >= least, "{name}: {columns} bytes, {predicted} predicted, {ratio:.3} < {least}");
 }
 
-/// Text of so many decimals, in a unit of so many millimetres.
+/// Text with this number of decimals, in a unit of `unit_mm` millimetres.
 fn text(decimals: i32, unit_mm: f64) -> impl Fn(f64) -> f32 {
     let ten = 10_f64.powi(decimals);
     move |mm| ((mm / unit_mm * ten).round() / ten * unit_mm) as f32
 }
 
-/// 16-bit integers times the scale of a C3D file, a float32, in a unit of so many millimetres.
+/// 16-bit integers times the scale of a C3D file, a float32, in a unit of `unit_mm` millimetres.
 fn integers(scale: f32, unit_mm: f64) -> impl Fn(f64) -> f32 {
     move |mm| {
         let word = (mm / unit_mm / f64::from(scale)).round().clamp(-32768.0, 32767.0);
@@ -66,7 +66,7 @@ fn integers(scale: f32, unit_mm: f64) -> impl Fn(f64) -> f32 {
 }
 
 #[test]
-fn what_files_hold_is_found() {
+fn number_formats_of_files_are_detected() {
     // The ratios reached are 3 % to 20 % higher.
     assert_smaller("int16, 0.1 mm", &body(1000, "all", integers(0.1, 1.0)), 4.5);
     assert_smaller("int16, 0.05 cm", &body(1000, "all", integers(0.005, 10.0)), 4.0);
@@ -110,7 +110,7 @@ fn no_block_is_larger_than_columns() {
         positions: positions.to_vec(),
         present: vec![true; positions.len()],
     };
-    // Single frames, noise, and zeros of both signs; what follows noise goes on.
+    // Single frames, noise, and zeros of both signs; what follows noise continues.
     let mut mixed = noise.clone();
     mixed.extend((0..90).map(|row| [row as f32, -0.0, 0.0]));
     for (channels, lengths) in [
@@ -121,7 +121,7 @@ fn no_block_is_larger_than_columns() {
         for (columns, predicted) in
             [bytes(&channels, &lengths, u32::MAX), bytes(&channels, &lengths, 1)]
         {
-            // One byte says which it is.
+            // One byte states the form.
             assert!(predicted <= columns + lengths.len(), "{predicted} bytes of {columns}");
         }
     }

@@ -58,7 +58,7 @@ pub(super) struct Deframer {
     /// Bytes since the last 0x00.
     pending: Vec<u8>,
     pending_bytes_max: usize,
-    /// The bytes since the last 0x00 exceed the longest message, and are already counted as skipped.
+    /// Whether the bytes since the last 0x00 exceed the longest message, and are already counted as skipped.
     overlong: bool,
     pub(super) counters: LinkCounters,
 }

@@ -113,7 +113,7 @@ pub(super) fn put_marker_info(marker: &MarkerInfo, out: &mut Vec<u8>) -> Result<
 }
 
 /// Decodes a Markers message over the first entries of `markers`, reusing their memory, and returns them.
-/// The entries behind are stale; they only keep the memory of their labels.
+/// Later entries are stale; they only keep the memory of their labels.
 pub(super) fn get_markers<'a>(
     payload: &[u8],
     markers: &'a mut Vec<MarkerInfo>,

@@ -18,7 +18,7 @@ pub(crate) const FAMILY: Family = Family {
         if candidate.name_matches(|name| name.contains("dvmc") || name.contains("mocapd")) {
             Claim::Certain
         } else if candidate.is_serial() {
-            // A plain adapter does not reveal what is behind it.
+            // A plain adapter does not reveal the device that is connected to it.
             Claim::Possible
         } else {
             Claim::No
@@ -35,7 +35,7 @@ pub const LINK_VERSION: u8 = 1;
 /// Bytes around every payload: version, type and CRC-32.
 pub const ENVELOPE_BYTES: usize = 1 + 1 + 4;
 
-/// Most markers in a frame, and in a device's table.
+/// Maximum number of markers in a frame, and in a device's table.
 ///
 /// Ten times the largest rigs known: a dense face or an unlabelled cloud stays below 1000.
 pub const MARKERS_MAX: usize = 10_000;
@@ -43,7 +43,7 @@ pub const MARKERS_MAX: usize = 10_000;
 /// Longest frame header: sequence number, ticks, flags, marker count, timecode.
 pub const FRAME_HEADER_BYTES_MAX: usize = 4 + 8 + 1 + 2 + 4;
 
-/// Most bytes of a marker in a frame: id, flags, residual, three 32-bit coordinates.
+/// Maximum number of bytes of a marker in a frame: id, flags, residual, three 32-bit coordinates.
 pub const MARKER_BYTES_MAX: usize = 2 + 1 + 1 + 3 * 4;
 
 /// The largest message before COBS: a frame of [`MARKERS_MAX`] markers, 160 025 bytes.
@@ -53,10 +53,10 @@ pub const MESSAGE_BYTES_MAX: usize =
 /// The largest message on the wire with its closing 0x00: COBS adds one byte for every 254.
 pub const WIRE_BYTES_MAX: usize = wire_bytes(MESSAGE_BYTES_MAX);
 
-/// Most bytes of a model, serial number or firmware version (UTF-8).
+/// Maximum number of bytes of a model, serial number or firmware version (UTF-8).
 pub const TEXT_BYTES_MAX: usize = 64;
 
-/// Most bytes of a marker's label (UTF-8): its length is one byte.
+/// Maximum number of bytes of a marker's label (UTF-8): its length is one byte.
 pub const LABEL_BYTES_MAX: usize = 255;
 
 /// The longest Markers message before COBS. Longer tables are split.
@@ -77,7 +77,7 @@ pub const DELTA_UM_MAX: i32 = (1 << 23) - 1;
 /// commands, which an older device then counts as unknown and not as damage.
 pub const COMMAND_WIRE_BYTES_MAX: usize = 64;
 
-/// Most bytes on the wire of a message of `message_bytes`, its closing 0x00 included.
+/// Maximum number of bytes on the wire of a message of `message_bytes`, its closing 0x00 included.
 pub(crate) const fn wire_bytes(message_bytes: usize) -> usize {
     cobs::max_encoding_length(message_bytes) + 1
 }
@@ -114,7 +114,7 @@ pub enum EncodeError {
         field: &'static str,
         /// The text.
         text: String,
-        /// Most bytes that fit.
+        /// Maximum number of bytes that fit.
         bytes_max: usize,
     },
     /// The values of the Hello are invalid.

@@ -1,11 +1,10 @@
-//! The assignment problem: the pairs of rows and columns with the least sum of costs.
+//! The assignment problem: the pairs of rows and columns with the minimum sum of costs.
 //!
 //! With squared distances as costs, a motion that all points share does not change the optimal pairing: it
 //! adds the same amount to every pairing. The method is that of Kuhn and Munkres, with one shortest
-//! augmenting path per row; rows whose column is free, as most are, cost one pass over the columns.
-//! 63 markers of a person over a slow line take 0.1 ms a frame; 255 thrown at random into a cube
-//! of 60 cm anew each frame, the worst case found, 16 to 32 ms, while their reply takes 34 ms on the
-//! fastest line.
+//! augmenting path per row; rows whose column is free, as most are, cost one pass over the columns. 63
+//! markers of a person over a slow line take 0.1 ms a frame; 255 placed at random in a cube of 60 cm in
+//! every frame, the worst case found, take 16 to 32 ms, while their reply takes 34 ms on the fastest line.
 
 /// A column and its state in the current search.
 #[derive(Debug, Clone, Copy, Default)]
@@ -13,7 +12,7 @@ struct Column {
     /// The row assigned to it, counted from 1; 0 when free.
     row: usize,
     potential: f64,
-    /// The least reduced cost of reaching it, and the column before it on that path.
+    /// The minimum reduced cost of reaching it, and the column before it on that path.
     min_cost: f64,
     from: usize,
     visited: bool,
@@ -46,7 +45,7 @@ impl Assignment {
     ) {
         self.potentials.clear();
         self.potentials.resize(n_rows + 1, 0.0);
-        // Column 0 is the root of a search; behind the given columns each row has a private one.
+        // Column 0 is the root of a search; after the given columns each row has a private one.
         self.columns.clear();
         self.columns.resize(1 + n_columns + n_rows, Column::default());
         for row in 1..=n_rows {
@@ -121,7 +120,7 @@ mod tests {
 
     use super::*;
 
-    /// The least sum of costs, by exhaustive search.
+    /// The minimum sum of costs, by exhaustive search.
     fn least_cost(row: usize, costs: &[Vec<f64>], alone: f64, taken: &mut Vec<bool>) -> f64 {
         let Some(of_row) = costs.get(row) else { return 0.0 };
         let mut best = alone + least_cost(row + 1, costs, alone, taken);

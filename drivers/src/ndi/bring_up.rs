@@ -43,13 +43,13 @@ const PROBE_PAUSE_NS: u64 = 20 * MS;
 /// Time-out of the first reply at a new baud rate.
 const VERIFY_TIMEOUT_MS: u64 = 500;
 
-/// Most characters of a reply that an error quotes.
+/// Maximum number of characters of a reply that an error quotes.
 const QUOTED_CHARS: usize = 40;
 
 /// Settling time of device and adapter after a change of baud rate.
 const SETTLING_NS: u64 = 100 * MS;
 
-/// Most rounds of initialization: initializing one tool can reveal another on the same plug.
+/// Maximum number of rounds of initialization: initializing one tool can reveal another on the same plug.
 const ROUNDS_MAX: u32 = 4;
 
 /// Frame rate of all but the fastest systems, by the vendor's guide.

@@ -18,8 +18,8 @@ const DRAIN_TIMEOUT_NS: u64 = 2_000 * MS;
 /// Time-out of a drain during the search for the device, whose replies are short then.
 const SEARCH_DRAIN_TIMEOUT_NS: u64 = 300 * MS;
 
-/// Most bytes of a reply during the search. The longest has 12 bytes, `ERRORxx` with its checksum; the rest
-/// allows for bytes that were on the line before.
+/// Maximum number of bytes of a reply during the search. The longest has 12 bytes, `ERRORxx` with its checksum; the
+/// rest allows for bytes that were on the line before.
 const PROBE_REPLY_BYTES_MAX: usize = 64;
 
 /// Attempts at a request before its time-out or refusal counts.

@@ -5,10 +5,10 @@ use crate::{bytes::Cursor, device::MarkerSample};
 /// Coordinates below this are the vendor's code for a missing number (-3.697314e28).
 const BAD_FLOAT: f32 = -3.0e28;
 
-/// Most stray markers of a frame that get numbers of their own: what `BX` can count.
+/// Maximum number of stray markers of a frame that get numbers of their own: what `BX` can count.
 pub(super) const STRAYS_MAX: usize = 255;
 
-/// Most tools: port handles have 8 bits.
+/// Maximum number of tools: port handles have 8 bits.
 pub(super) const TOOLS_MAX: usize = 256;
 
 /// A parsed frame. Its memory is reused for the next.

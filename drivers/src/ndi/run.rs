@@ -2,8 +2,8 @@
 
 use crate::device::Status;
 
-/// How much earlier each poll is sent, as a fraction of the period: 0.26 ms at 60 Hz. This finds the moment
-/// at which frames become ready anew every few frames, and so follows clocks that drift apart.
+/// How much earlier each poll is sent, as a fraction of the period: 0.26 ms at 60 Hz. The moment at which
+/// frames become ready is thus measured again every few frames, which follows clocks that drift apart.
 const EARLIER_DIVISOR: u64 = 64;
 
 /// Wait after a poll that was too early, as a fraction of the period: 1 ms at 60 Hz.

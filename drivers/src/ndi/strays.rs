@@ -28,15 +28,15 @@ const GATE_MIN_MM: f32 = 10.0;
 /// farther away could as well be the other hand.
 const GATE_MAX_MM: f32 = 450.0;
 
-/// Damping of the extrapolation over skipped frames: of 0.6 to 1 the value with the fewest new numbers for
-/// recorded motions over slow lines.
+/// Damping of the extrapolation over skipped frames: the value between 0.6 and 1 that assigns the fewest
+/// new numbers in recorded motions over slow lines.
 const VELOCITY_KEPT: f32 = 0.8;
 
 /// Time for which the number of a missing stray is held, in seconds.
 const HOLD_S: f64 = 0.5;
 
-/// Numbers to use up before held ones are reassigned: the number of unannounced markers for which the
-/// recorder has room.
+/// Numbers to use up before held ones are reassigned: the number of unannounced markers that the
+/// recorder can store.
 const NUMBERS_PREFERRED: usize = 64;
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -115,8 +115,8 @@ impl StrayTracker {
         }
     }
 
-    /// Chooses the lowest free number, or, rather than one for which a recorder has no room, the number that
-    /// has been held longest.
+    /// Chooses the lowest free number, or, rather than one that a recorder cannot store, the number that has
+    /// been held longest.
     fn free_slot(&self, taken: &[bool; STRAYS_MAX]) -> Option<usize> {
         let free = (0..STRAYS_MAX).find(|slot| !taken[*slot] && self.slots[*slot].held == 0);
         if free.is_some_and(|slot| slot < NUMBERS_PREFERRED) {

@@ -74,7 +74,7 @@ impl NdiHost {
                 self.pacer.no_new_frame(self.line.now_ns());
                 self.next_poll();
             }
-            // Time-out or reset: set it up again, which tells the host that it started anew.
+            // Time-out or reset: set it up again, which tells the host that it restarted.
             _ => self.restart_search(),
         }
     }
@@ -130,7 +130,7 @@ impl NdiHost {
             markers: &self.samples,
         }));
         if step.dropped > 0 {
-            // Report losses at once, so that a recording that is killed still has them in its ledger.
+            // Report losses immediately, so that a recording that is killed still has them in its ledger.
             on_event(DeviceEvent::Status(self.run.status()));
         }
         if let Some(message) = self.too_slow_note() {

@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn finds_the_group_by_its_number() {
+    fn the_group_is_found_by_its_number() {
         let groups = "root:x:0:\ndialout:x:20:anna\nbroken\n:x:\nplugdev:x:46:\n";
         assert_eq!(group_name(groups, 20), Some("dialout"));
         assert_eq!(group_name(groups, 46), Some("plugdev"));
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn finds_the_owner_of_a_lock() {
+    fn the_owner_of_a_lock_is_found() {
         let locks = "1: POSIX  ADVISORY  WRITE 11 00:05:678 0 EOF\n\
                      2: FLOCK  ADVISORY  WRITE 1234 00:05:678 0 EOF\n\
                      3: -> FLOCK  ADVISORY  WRITE 9 00:05:679 0 EOF\ngarbage\n";
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn names_the_group_to_join_where_membership_gives_permission() {
+    fn the_remedy_names_the_group_to_join() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let remedy = permission_remedy(file.path());
         assert!(remedy.contains("udev"), "{remedy}");

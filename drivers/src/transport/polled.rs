@@ -1,11 +1,11 @@
 //! Polled lines: transports to devices that only reply to requests.
 //!
-//! A reader calls [`Transport::read`] and passes the bytes to a [`Protocol`](crate::device::Protocol);
-//! it writes only the commands of the user. A polled device needs more: a request after every reply, at the
-//! right time, and on a serial line a break or another baud rate now and then. Its protocol sends these as
-//! [`LineCommand`]s through a [`LineCommandSender`], and the [`PolledTransport`] around the line
-//! executes them at the start of the next read, which follows immediately. The transport also publishes the
-//! time, so that the protocol needs no clock.
+//! A reader calls [`Transport::read`] and passes the bytes to a [`Protocol`](crate::device::Protocol); it
+//! writes only the commands of the user. A polled device needs more: a request after every reply, at the
+//! right time, and on a serial line occasionally a break or another baud rate. Its protocol sends these as
+//! [`LineCommand`]s through a [`LineCommandSender`], and the [`PolledTransport`] around the line executes
+//! them at the start of the next read, which follows immediately. The transport also publishes the time, so
+//! that the protocol needs no clock.
 //!
 //! Sender and receiver live on the reader's thread, and neither ever waits for the other.
 
@@ -25,7 +25,7 @@ use super::{READ_TIMEOUT, Transport, TransportError};
 /// baud rate and a request.
 pub const LINE_COMMANDS_MAX: usize = 8;
 
-/// Most bytes of a request. The longest of the current families takes 60.
+/// Maximum number of bytes of a request. The longest of the current families takes 60.
 pub const REQUEST_BYTES_MAX: usize = 96;
 
 /// Time-out of the reply to a goodbye request.

@@ -55,7 +55,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn every_frame_comes_back(
+    fn every_frame_round_trips(
         form in any_form(),
         seq in any::<u32>(),
         device_ticks in any::<u64>(),
@@ -89,7 +89,7 @@ proptest! {
     }
 
     #[test]
-    fn every_hello_and_table_comes_back(
+    fn every_hello_and_table_round_trips(
         (model, serial, firmware) in ("\\PC{0,16}", "\\PC{0,16}", "\\PC{0,16}"),
         mut rates in [1u32.., 1u32.., 1u32..],
         tick_hz in 1u64..,
@@ -123,7 +123,7 @@ proptest! {
     }
 
     #[test]
-    fn every_small_message_comes_back(a in any::<u64>(), b in any::<u64>(), c in any::<u32>(), d in any::<i16>(), e in any::<[u8; 2]>()) {
+    fn every_small_message_round_trips(a in any::<u64>(), b in any::<u64>(), c in any::<u32>(), d in any::<i16>(), e in any::<[u8; 2]>()) {
         let status = Status { frames_produced: a, frames_dropped: b, temperature_c_100: d };
         let budget = LinkBudget { needed_bytes_per_s: a, available_bytes_per_s: b, rate_fits_millihertz: c };
         let trigger = Trigger { device_ticks: a, input: e[0], kind: e[1] };
@@ -156,7 +156,7 @@ proptest! {
     }
 
     #[test]
-    fn garbage_between_messages_costs_only_itself(
+    fn garbage_between_messages_affects_no_message(
         pieces in vec((vec(any::<u8>(), 0..300), vec(any::<Index>(), 0..4)), 1..8),
     ) {
         let mut wire = Vec::new();
@@ -198,7 +198,7 @@ proptest! {
     }
 
     #[test]
-    fn frames_in_a_volume_keep_to_its_bound(
+    fn frames_in_a_volume_stay_within_its_bound(
         n in 0usize..700,
         first in 0u16..1000,
         positions in vec([-4194.0f32..4194.0, -4194.0f32..4194.0, -4194.0f32..4194.0], 700),

@@ -155,7 +155,7 @@ fn a_frame_of_bx2() {
 }
 
 #[test]
-fn an_empty_reply_is_no_frame_and_the_newer_of_two_parts_counts() {
+fn an_empty_reply_is_not_a_frame_and_the_newer_of_two_parts_counts() {
     let parts = [frame_item(78, 12, 7), frame_item(79, 12, 9)];
     let mut script = bx2_script(vec![
         binary(&[1, 0, 0, 0]),

@@ -85,7 +85,7 @@ fn handles_are_freed_initialized_and_enabled_in_turn() {
 }
 
 #[test]
-fn an_old_system_has_no_bx2_and_its_clock_is_the_frame_number() {
+fn without_bx2_the_clock_is_the_frame_number() {
     for revision in [text("D.001.007"), text("G.002.009"), text("ERROR01")] {
         let mut script = Script::new(move |request| match request {
             b"APIREV:443E\r" => Some(revision.clone()),

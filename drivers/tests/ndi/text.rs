@@ -5,7 +5,7 @@ use mocapd_drivers::ndi::crc16;
 use super::script::{crc, text};
 
 #[test]
-fn the_guides_known_answers() {
+fn checksums_match_the_guide() {
     for (text, known) in [
         ("INIT:", 0xE3A5),
         ("OKAY", 0xA896),
@@ -21,7 +21,7 @@ fn the_guides_known_answers() {
 }
 
 #[test]
-fn the_known_answers_of_the_page() {
+fn checksums_match_the_documentation() {
     let page = include_str!("../../../docs/ndi.md");
     let section =
         page.split("### Known answers").nth(1).and_then(|rest| rest.split("\n## ").next());

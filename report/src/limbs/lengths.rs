@@ -9,17 +9,18 @@ use crate::column::{Vector, distance, median, runs, sample};
 
 /// Half-width of a limb's band as a fraction of its length; it is at least [`BAND_MIN_MM`] and at least
 /// [`BAND_SPREADS`] times the limb's spread.
-pub const BAND_PART: f64 = 0.10;
+pub const BAND_FRACTION: f64 = 0.10;
 /// Smallest half-width of a band, mm: markers slide this far on the skin.
 pub const BAND_MIN_MM: f64 = 20.0;
 /// Smallest half-width of a band in standard deviations: of normally distributed lengths 6 in 100 000 lie outside.
 pub const BAND_SPREADS: f64 = 4.0;
 
-/// Largest distance of a length from the scan's, as a fraction of it, for its frame to set the middle of the band. With
-/// markers at the joints all lengths are within it, and labels exchanged for most of a take do not define the band.
-const LIKE_SCAN_PART: f64 = 0.25;
-/// The smallest fraction of such frames for the middle to be set by them; with fewer all frames set it.
-const LIKE_SCAN_FRAMES: f64 = 0.1;
+/// Largest distance of a length from the scan's, as a fraction of it, for its frame to determine the middle of the
+/// band. With markers at the joints all lengths are within it, and labels exchanged for most of a take do not define
+/// the band.
+const NEAR_SCAN_FRACTION: f64 = 0.25;
+/// The smallest fraction of such frames that determines the middle; with fewer, all frames determine it.
+const NEAR_SCAN_FRAMES_FRACTION: f64 = 0.1;
 
 /// Ratio of the standard deviation to the median absolute deviation (MAD) of a normal distribution.
 const MAD_TO_SIGMA: f64 = 1.4826;
@@ -67,12 +68,12 @@ pub(super) fn of(body: &SubjectMotion<'_>, limb: usize) -> LimbStats {
         (0..body.n_rows()).filter_map(|row| body.length_mm(row, limb)).collect();
     let Some(median_mm) = median(&mut all) else { return LimbStats::default() };
     let scan_mm = body.limbs.get(limb).map_or(median_mm, |limb| limb.bone.length_mm);
-    let is_like_scan = |length: &&f64| (**length - scan_mm).abs() <= LIKE_SCAN_PART * scan_mm;
+    let is_like_scan = |length: &&f64| (**length - scan_mm).abs() <= NEAR_SCAN_FRACTION * scan_mm;
     let mut like_scan: Vec<f64> = all.iter().filter(is_like_scan).copied().collect();
-    let is_enough = like_scan.len() as f64 >= LIKE_SCAN_FRAMES * all.len() as f64;
+    let is_enough = like_scan.len() as f64 >= NEAR_SCAN_FRAMES_FRACTION * all.len() as f64;
     let of_band = if is_enough { &mut like_scan } else { &mut all };
     let band_middle_mm = median(of_band).unwrap_or(median_mm);
-    let band_half_mm = (BAND_PART * band_middle_mm)
+    let band_half_mm = (BAND_FRACTION * band_middle_mm)
         .max(BAND_MIN_MM)
         .max(BAND_SPREADS * spread(of_band, band_middle_mm));
     let is_outside = |length: &&f64| (**length - band_middle_mm).abs() > band_half_mm;

@@ -20,7 +20,7 @@ use crate::labels::{SubjectMarkers, subjects};
 
 /// Smallest deviation from the scan's length that is reported, as a fraction of it: markers are on the skin, not at the
 /// joint centres.
-pub const OFF_PART: f64 = 0.1;
+pub const OFF_FRACTION: f64 = 0.1;
 
 /// A bone with a marker at each of its joints.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,10 +38,11 @@ impl Limb {
         (length_mm - self.bone.length_mm).abs() > self.off_mm()
     }
 
-    /// The tolerated deviation from the scan's length, mm: its uncertainty, but at least [`OFF_PART`] of the length.
+    /// The tolerated deviation from the scan's length, mm: its uncertainty, but at least [`OFF_FRACTION`] of the
+    /// length.
     #[must_use]
     pub fn off_mm(&self) -> f64 {
-        self.bone.uncertainty_mm.unwrap_or_default().max(OFF_PART * self.bone.length_mm)
+        self.bone.uncertainty_mm.unwrap_or_default().max(OFF_FRACTION * self.bone.length_mm)
     }
 }
 

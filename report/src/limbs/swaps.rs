@@ -19,13 +19,13 @@ const BRIDGED_S: f64 = 0.1;
 
 /// Shortest swap whose crossing lies in a gap, s; shorter ones may be noise.
 const GAP_SWAP_S: f64 = 0.1;
-/// The same limit in rows, for low frame rates.
+/// Shortest swap whose crossing lies in a gap, rows, for low frame rates.
 const GAP_SWAP_ROWS: usize = 5;
 
-/// Largest part of the limbs' strain that may remain with the labels exchanged.
-const RESTORED_PART: f64 = 0.25;
+/// Largest fraction of the limbs' strain that may remain with the labels exchanged.
+const RESIDUAL_STRAIN_MAX: f64 = 0.25;
 
-/// Most search passes; each finds swaps that overlap those of the passes before.
+/// Maximum number of search passes; each finds swaps that overlap those of the passes before.
 const PASSES_MAX: usize = 4;
 
 /// Two swapped labels.
@@ -110,7 +110,8 @@ fn restores(body: &SubjectMotion<'_>, row: usize, touched: &[usize], pair: Pair)
         && body.at(row, b).is_some()
         && body.excess_of(row, touched, None).is_some_and(|mm| mm > 0.0)
         && body.excess_of(row, touched, Some(pair)) == Some(0.0)
-        && body.strain(row, touched, Some(pair)) <= RESTORED_PART * body.strain(row, touched, None)
+        && body.strain(row, touched, Some(pair))
+            <= RESIDUAL_STRAIN_MAX * body.strain(row, touched, None)
 }
 
 /// How much shorter the two paths from the previous frame to `row` are if the markers are exchanged, mm; `None` if one

@@ -81,7 +81,7 @@ fn check_all(motion: &Motion) -> LimbCheck {
 }
 
 #[test]
-fn fast_moves_are_no_swaps() {
+fn fast_moves_are_not_swaps() {
     let clean = motion(3000, 12.0);
     let found = check_all(&clean);
     assert_eq!((found.swaps, found.outside), (vec![], vec![]));
@@ -119,7 +119,7 @@ fn concurrent_and_overlapping_swaps_are_distinguished() {
 }
 
 #[test]
-fn a_marker_that_fell_off_is_no_swap() {
+fn a_marker_that_fell_off_is_not_a_swap() {
     let mut fallen = motion(1000, 5.0);
     for row in 600..800 {
         let drop_mm = 400.0 * ((row - 600) as f32 / 100.0).min(1.0);
@@ -151,7 +151,7 @@ fn a_swap_that_begins_in_a_gap_counts_if_it_lasts() {
 }
 
 #[test]
-fn no_limbs_and_no_samples_are_valid_input() {
+fn motions_without_limbs_or_samples_are_valid() {
     let (none, columns) = limbs(&bones(), &["u001", "u002"], "");
     assert!(none.is_empty() && columns.is_empty());
     assert_eq!(check(&motion(10, 0.0), &none, &columns), LimbCheck::default());
@@ -163,7 +163,7 @@ fn no_limbs_and_no_samples_are_valid_input() {
 }
 
 #[test]
-fn the_named_one_of_several_subjects_is_measured() {
+fn the_named_subject_is_measured() {
     let labels = ["Ann:LKNE", "Ann:LANK", "Bob:LHIP", "Bob:LKNE", "Bob:LANK"];
     let bones = &bones()[4..6];
     assert_eq!(limbs(bones, &labels, "").0.len(), 2, "Bob has more of them");

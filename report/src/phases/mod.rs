@@ -93,7 +93,7 @@ const FLIGHT_S: std::ops::RangeInclusive<f64> = 0.1..=1.2;
 /// Standard gravity, mm/s^2; in flight the pelvis, near the centre of mass, has about this acceleration.
 const GRAVITY_MM_S2: f64 = 9806.65;
 
-/// Least height of both feet above the ground at some time of the flight, mm.
+/// Minimum height of both feet above the ground at some time of the flight, mm.
 const FEET_ABOVE_GROUND_MM: f64 = 40.0;
 
 /// Speed of the fastest marker above which the subject no longer stands still, before the jump, mm/s.
@@ -101,7 +101,7 @@ const MOVES_MM_S: f64 = 250.0;
 /// Horizontal speed of pelvis or feet above which the subject walks, after the jump, mm/s.
 const WALKS_MM_S: f64 = 200.0;
 
-/// How long such a speed must be sustained, s.
+/// How long these speeds must be sustained, s.
 const SUSTAINED_S: f64 = 0.15;
 
 /// Why no phases were found.
@@ -279,7 +279,7 @@ impl Signals {
         phases
     }
 
-    /// The first step after landing, once the body has come to rest over its feet; the number of rows if there is none.
+    /// The first step after landing, once the body is at rest over its feet; the number of rows if there is none.
     fn first_step(&self, lands: usize) -> usize {
         let n = self.height.len();
         let rows = lands..n;

@@ -37,7 +37,7 @@ pub use self::{
 
 const FONT: &str = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif";
 
-/// Font sizes as plotters counts them, 1.24 to a pixel.
+/// Font sizes in the unit of plotters, 1.24 per pixel.
 const BODY: u32 = 15;
 const TITLE: u32 = 20;
 const SMALL: u32 = 13;
@@ -196,7 +196,7 @@ fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
 /// Pixels of a PNG per unit of the SVG: sharp in print and on high-density screens.
 const SCALE: f32 = 2.0;
 
-/// Most pixels of a PNG: 400 MB.
+/// Maximum number of pixels of a PNG: 400 MB.
 const PIXELS_MAX: f32 = 1e8;
 
 /// Renders an SVG to PNG.

@@ -15,10 +15,10 @@ use crate::{
     up::Up,
 };
 
-/// Most stick figures side by side.
+/// Maximum number of stick figures side by side.
 pub const MOMENTS_MAX: usize = 12;
 
-/// Most markers drawn per stick figure: more are an unreadable cloud, and make a large file.
+/// Maximum number of markers drawn per stick figure: more are an unreadable cloud, and make a large file.
 const MARKERS_MAX: usize = 500;
 
 const WIDTH: u32 = 1280;
@@ -157,7 +157,7 @@ fn column_x(i: usize, n: usize) -> f64 {
     60.0 + f64::from(WIDTH - 120) * (i as f64 + 0.5) / n as f64
 }
 
-/// Draws below each stick figure its time, and the largest error of a marker.
+/// Draws the time and the largest marker error below each stick figure.
 fn times(area: &Area<'_>, top: i32, plot: &PosePlot<'_>) -> DrawResult {
     let motion = &plot.take.motion;
     for (i, &row) in plot.rows.iter().enumerate() {
@@ -196,7 +196,7 @@ fn caption(plot: &PosePlot<'_>) -> String {
     caption
 }
 
-/// Columns and most lines of the table of limbs.
+/// Columns of the table of limbs, and its maximum number of lines.
 const ACROSS: usize = 4;
 const LINES_MAX: usize = 8;
 const LINE: i32 = 22;
@@ -261,9 +261,9 @@ struct Direction {
 }
 
 impl Direction {
-    /// The axis nearest to a direction, other than `but`.
-    fn nearest(direction: Vector, but: Option<usize>) -> Option<Self> {
-        let axes = (0..3).filter(|&axis| Some(axis) != but);
+    /// The axis nearest to a direction, other than `except`.
+    fn nearest(direction: Vector, except: Option<usize>) -> Option<Self> {
+        let axes = (0..3).filter(|&axis| Some(axis) != except);
         let axis = axes.max_by(|&a, &b| direction[a].abs().total_cmp(&direction[b].abs()))?;
         Some(Self { axis, sign: direction[axis].signum() })
     }
@@ -312,7 +312,7 @@ impl View {
     }
 }
 
-/// The middle between the smallest and the largest coordinate along a direction.
+/// The midpoint of the smallest and the largest coordinate along a direction.
 fn middle(points: &[Vector], along: Direction) -> Option<f64> {
     let values = || points.iter().map(|&at| along.of(at));
     Some(0.5 * (values().reduce(f64::min)? + values().reduce(f64::max)?))

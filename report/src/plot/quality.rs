@@ -15,7 +15,7 @@ use crate::{
     noise::noise_mm,
 };
 
-/// Most markers on a sheet; of more, the worst are drawn.
+/// Maximum number of markers on a sheet; if there are more, the worst are drawn.
 const MARKERS_MAX: usize = 60;
 
 /// The left and right edges of a column, in units of the sheet.

@@ -1,4 +1,4 @@
-//! The sampled channels of an imported C3D file against time: analog channels, and the loads of force plates beside the
+//! The sampled channels of an imported C3D file against time: analog channels, and the loads of force plates with the
 //! trajectory of a marker.
 
 use std::ops::Range;
@@ -22,9 +22,9 @@ use crate::{
     up::Up,
 };
 
-/// Most panels of analog channels on a sheet.
+/// Maximum number of panels of analog channels on a sheet.
 pub const CHANNELS_MAX: usize = 12;
-/// Most force plates on a sheet, each with two panels.
+/// Maximum number of force plates on a sheet, each with two panels.
 pub const PLATES_MAX: usize = 4;
 
 const WIDTH: u32 = 1280;
@@ -125,7 +125,7 @@ struct PlateTraces {
     path: Vec<[f64; 3]>,
 }
 
-/// Most points of a centre of pressure in the view from above.
+/// Maximum number of points of a centre of pressure in the view from above.
 const PATH_POINTS: u64 = 4000;
 
 /// Draws the loads of force plates as SVG: force and centre of pressure against time, above the height of a marker; and
@@ -350,7 +350,7 @@ impl<'a> Panels<'a> {
             margins: [20, 24, 2, 4],
         };
         let mut chart = panel(area, &axes)?;
-        // Above the panel: beside it there is no room for long numbers and names.
+        // Above the panel: long numbers and names do not fit at its side.
         text(area, title, (74, 10), left_aligned(BODY, INK))?;
         for (trace, colour, dash) in traces {
             for run in trace.runs() {

@@ -53,7 +53,7 @@ pub fn sizes(panels: &[SizePanel]) -> Result<String, ReportError> {
     let high = points().map(|point| point.1 as f64).fold(1.0, f64::max) * 1.4;
     let from = points().map(|point| point.0).fold(f64::MAX, f64::min);
     let to = points().map(|point| point.0).fold(0.0, f64::max).max(from * 1.01);
-    // About as many across as down, at most as wide as four screens' halves: 2560 pixels.
+    // About as many columns as rows, at most four: 2560 pixels.
     let n_across = ((panels.len() as f64).sqrt().ceil() as usize).clamp(1, 4);
     let n_down = panels.len().div_ceil(n_across);
     let size = (PANEL.0 * n_across as u32, PANEL.1 * n_down as u32);
@@ -122,7 +122,7 @@ fn draw(
 /// The end point of a line on the sheet, its name and its colour.
 pub(super) type End<'a> = ((i32, i32), &'a str, RGBColor);
 
-/// Draws the names of lines beside their ends.
+/// Draws the names of lines next to their ends.
 pub(super) fn names_at_ends(area: &Area<'_>, ends: &[End<'_>]) -> DrawResult {
     let origin = area.get_base_pixel();
     let heights = spread(&ends.iter().map(|(end, ..)| end.1).collect::<Vec<_>>());

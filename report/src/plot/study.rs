@@ -1,4 +1,4 @@
-//! SR2 against the tolerance, one line per phase: the study beside the paper.
+//! SR2 against the tolerance, one line per phase: the study and the paper.
 
 use plotters::prelude::*;
 

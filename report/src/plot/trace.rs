@@ -5,8 +5,8 @@ use std::ops::Range;
 /// Points on a curve for a signal of more samples: two for every pixel of the widest panel.
 const STEPS: u64 = 1200;
 
-/// A signal that is read sample by sample. Of more than [`STEPS`] samples the smallest and the largest of each step are
-/// kept, so that no peak is lost.
+/// A signal that is read sample by sample. If it has more than [`STEPS`] samples, the smallest and the largest of each
+/// step are kept, so that no peak is lost.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Trace {
     start_s: f64,
@@ -21,7 +21,7 @@ pub(super) struct Trace {
 }
 
 impl Trace {
-    /// A signal of `n_samples`, of which the first is at `start_s`.
+    /// A signal of `n_samples` samples; the first is at `start_s`.
     pub(super) fn new(start_s: f64, rate_hz: f64, n_samples: u64) -> Self {
         let samples_per_step = n_samples.div_ceil(STEPS).max(1);
         let rate_hz = rate_hz.max(f64::MIN_POSITIVE);

@@ -17,10 +17,10 @@ use crate::{
     up::Up,
 };
 
-/// Most rows with a circle for each sample; of more, only the curve is drawn.
+/// Maximum number of rows with a circle for each sample; with more, only the curve is drawn.
 const MARKED_ROWS_MAX: usize = 1500;
 
-/// Most rows: more are unreadable on a page, and make a file of megabytes.
+/// Maximum number of rows: more are unreadable on a page, and make a file of megabytes.
 const ROWS_MAX: usize = 20_000;
 
 const SIZE: (u32, u32) = (1280, 860);

@@ -57,7 +57,7 @@ pub enum ValueType {
     List {
         /// What each entry must be.
         of: &'static str,
-        /// The most entries allowed.
+        /// Maximum number of entries.
         max: usize,
     },
 }
@@ -186,7 +186,7 @@ impl ValueType {
     }
 }
 
-/// How the value of a key gets into a configuration and out of it.
+/// Conversions of a key's value into and out of a configuration.
 #[derive(Debug)]
 pub(super) struct Field {
     /// Reads the value from the document into the configuration.

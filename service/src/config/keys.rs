@@ -39,10 +39,10 @@ pub const SECTIONS: &[(&str, &str)] = &[
 
 const TEN_MINUTES: Duration = Duration::from_secs(600);
 
-/// Most host names and networks: each is compared with every client, and more would be a mistake.
+/// Maximum number of host names and networks: each is compared with every client, and more would be a mistake.
 const ITEMS_MAX: usize = 32;
 
-/// Most receivers of triggers; each is sent one datagram per start and stop.
+/// Maximum number of receivers of triggers; each is sent one datagram per start and stop.
 const SEND_TO_MAX: usize = 16;
 
 /// One entry per key: purpose, reason, type, default, reload policy and field.
@@ -297,7 +297,7 @@ fn level(text: &str) -> Read<Level> {
     text.parse().map_err(|_| suggestion(text, Level::NAMES.into_iter()))
 }
 
-/// Checks a host name as browsers send it in `Host`, and gives it in lower case, without a port.
+/// Checks a host name as browsers send it in `Host`, and returns it in lower case, without a port.
 fn host(text: &str) -> Result<String, String> {
     if let Ok(address) = text.parse::<IpAddr>() {
         return Ok(address.to_string());

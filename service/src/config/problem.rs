@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// Most problems that are reported: more would not help.
+/// Maximum number of problems that are reported: more would not help.
 pub const PROBLEMS_MAX: usize = 20;
 
 /// The location of a value.

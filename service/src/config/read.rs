@@ -84,8 +84,8 @@ impl Config {
         Self::read_file(file, overrides, |_| Vec::new())
     }
 
-    /// Reads a configuration file as [`load`](Self::load) does, and the subject's files that it names, whose problems are
-    /// reported beside all others.
+    /// Reads a configuration file as [`load`](Self::load) does, and the subject's files that it names, whose problems
+    /// are reported together with all others.
     ///
     /// # Errors
     /// The file cannot be read, or it has problems: all of them.
@@ -132,7 +132,7 @@ impl Config {
     ) -> Result<Self, ConfigError> {
         let text = text(bytes).map_err(|problem| refused(name, vec![problem]))?;
         let (document, errors) = DeTable::parse_recoverable(text);
-        // Syntax errors are reported alone: whatever follows from them would be a guess.
+        // Syntax errors are reported alone: anything that follows from them would be a guess.
         if !errors.is_empty() {
             let problems = errors.iter().map(|error| syntax_problem(text, error)).collect();
             return Err(refused(name, problems));

@@ -21,10 +21,10 @@ const STRETCH_BYTES: usize = 64 << 10;
 const SYNCS: usize = 40;
 
 /// Time limit for each measurement: a disk that needs longer is slow enough to be reported.
-const LONG: Duration = Duration::from_secs(10);
+const TIME_LIMIT: Duration = Duration::from_secs(10);
 
 /// Slowest acceptable speed: 200 markers x 1000 Hz uncompressed are 2.4 MB/s; this is twice as much.
-const LEAST_BYTES_PER_S: f64 = 5e6;
+const BYTES_PER_S_MIN: f64 = 5e6;
 
 /// One hour of 64 markers x 240 Hz at half a millimetre, at 60 kB/s.
 const HOUR_BYTES: u64 = 216_000_000;
@@ -125,7 +125,7 @@ fn measure(folder: &Path, bytes_max: u64) -> io::Result<[Finding; 2]> {
         (0..BLOCK_BYTES).map(|i| (i as u32).wrapping_mul(2_654_435_761) as u8).collect();
     let begun = Instant::now();
     let mut written = 0;
-    while written < WRITTEN_BYTES.min(bytes_max / 2) && begun.elapsed() < LONG {
+    while written < WRITTEN_BYTES.min(bytes_max / 2) && begun.elapsed() < TIME_LIMIT {
         file.write_all(&block)?;
         written += BLOCK_BYTES;
     }
@@ -138,14 +138,14 @@ fn measure(folder: &Path, bytes_max: u64) -> io::Result<[Finding; 2]> {
         let before = Instant::now();
         file.sync_data()?;
         syncs.add(before.elapsed().as_nanos() as u64);
-        if begun.elapsed() > LONG {
+        if begun.elapsed() > TIME_LIMIT {
             break;
         }
     }
     Ok([speed(bytes_per_s), sync(&syncs)])
 }
 
-/// Opens a file without a name, or removes its name at once: nothing is left behind if this process is killed.
+/// Opens a file without a name, or removes its name immediately: nothing is left behind if this process is killed.
 fn tempfile_in(folder: &Path) -> io::Result<File> {
     use rustix::fs::{CWD, Mode, OFlags, openat};
 
@@ -162,7 +162,7 @@ fn tempfile_in(folder: &Path) -> io::Result<File> {
 fn speed(bytes_per_s: f64) -> Finding {
     let seen = format!("writes {:.0} MB/s", bytes_per_s / 1e6);
     let remedy = "record to a faster disk, or with a tolerance";
-    Finding::warning_if(bytes_per_s < LEAST_BYTES_PER_S, "disk speed", seen, remedy)
+    Finding::warning_if(bytes_per_s < BYTES_PER_S_MIN, "disk speed", seen, remedy)
 }
 
 fn sync(syncs: &LatencyHistogram) -> Finding {

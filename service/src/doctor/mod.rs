@@ -16,7 +16,7 @@ use mocapd_drivers::{registry, transport::Access};
 /// The severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// As it should be.
+    /// As expected.
     Good,
     /// Worth knowing, but nothing is wrong.
     Note,
@@ -64,7 +64,7 @@ impl Finding {
 }
 
 /// Runs all checks and reports each finding as soon as it is known; takes some seconds. `folder` is the one for takes,
-/// of whose disk `keep_free_bytes` are to stay free.
+/// whose disk must keep `keep_free_bytes` free.
 pub fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMut(Finding)) {
     examine_devices(report);
     disk::examine(folder, keep_free_bytes, report);
@@ -79,8 +79,8 @@ const SOURCE: &str = "/sys/devices/system/clocksource/clocksource0/current_clock
 const SLEEPS: usize = 300;
 const SLEEP: Duration = Duration::from_millis(1);
 
-/// Latest acceptable wake-up in nanoseconds: the reader then gets 16 frames of 1000 Hz at once, with more latency but
-/// no loss.
+/// Latest acceptable wake-up in nanoseconds: the reader then gets 16 frames of 1000 Hz in one read, with more latency
+/// but no loss.
 const LATE_NS_MAX: u64 = 16_000_000;
 
 fn clocks(report: &mut dyn FnMut(Finding)) {
@@ -148,7 +148,7 @@ fn synchronised(answer: Option<&str>) -> Finding {
 
 /// Memory for the rings, coded stretches and a stall of 30 s at 200 markers x 1000 Hz, and as much again for everything
 /// else.
-const MEMORY_MIB_LEAST: u64 = 600;
+const MEMORY_MIB_MIN: u64 = 600;
 
 fn processors_and_memory(report: &mut dyn FnMut(Finding)) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -173,17 +173,17 @@ fn memory(text: &str) -> Option<Finding> {
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     let mib = line.split_whitespace().next()?.parse::<u64>().ok()? / 1024;
     let seen = format!("{mib} MiB available");
-    Some(Finding::warning_if(mib < MEMORY_MIB_LEAST, "memory", seen, "close other programs"))
+    Some(Finding::warning_if(mib < MEMORY_MIB_MIN, "memory", seen, "close other programs"))
 }
 
-/// USB serial adapters, some of which hold bytes back.
+/// USB serial adapters, some of which delay bytes.
 const ADAPTERS: &str = "/sys/bus/usb-serial/devices";
 
 /// Limit on the memory of all USB transfers.
 const USBFS_MIB: &str = "/sys/module/usbcore/parameters/usbfs_memory_mb";
 
 /// The kernel's default is enough for one rig and little else.
-const USBFS_MIB_LEAST: u64 = 16;
+const USBFS_MIB_MIN: u64 = 16;
 
 fn examine_devices(report: &mut dyn FnMut(Finding)) {
     match registry::devices() {
@@ -237,7 +237,7 @@ fn usbfs(text: &str) -> Option<Finding> {
     let seen = format!("{mib} MiB for all programs");
     Some(match mib {
         0 => Finding::good(what, "no limit"),
-        USBFS_MIB_LEAST.. => Finding::good(what, seen),
+        USBFS_MIB_MIN.. => Finding::good(what, seen),
         _ => Finding::warning(what, seen, format!("`echo 64 | sudo tee {USBFS_MIB}`")),
     })
 }

@@ -17,7 +17,7 @@ const CONFIGURATIONS: &str = "/etc/mocapd";
 /// The example of the package, which is not a rig.
 const EXAMPLE: &str = "example";
 
-/// Most rigs that are reported: a machine has one or a few.
+/// Maximum number of rigs that are reported: a machine has one or a few.
 const RIGS_MAX: usize = 64;
 
 pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
@@ -180,7 +180,7 @@ mod tests {
     use crate::doctor::Verdict;
 
     #[test]
-    fn whether_it_is_installed_and_has_rigs() {
+    fn installation_and_rigs_are_reported() {
         let folder = tempfile::tempdir().unwrap();
         let folders = [folder.path().to_str().unwrap()];
         let not = installed(&folders, &[]);
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn how_a_rig_is_and_what_to_type() {
+    fn the_state_of_a_rig_is_reported_with_a_command() {
         let of = |text: &str| rig("hall", &parse(text));
         let all_well = of("ActiveState=active\nUnitFileState=enabled\nStatusText=armed = yes\n");
         assert_eq!(all_well.verdict, Verdict::Good);
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn group_members_and_those_who_have_to_log_in_again() {
+    fn group_membership_is_reported() {
         let groups = "root:x:0:\ndialout:x:20:ann\nmocapd:x:990:ann,bob\n";
         let me = |name: &str, groups: &[u32]| CurrentUser {
             name: Some(name.to_owned()),

@@ -18,13 +18,13 @@ use crate::{
     status::{ServiceEvent, ServiceEventKind, State},
 };
 
-/// Most events waiting for a subscriber; beyond that, the oldest is dropped.
+/// Maximum number of events waiting for a subscriber; beyond that, the oldest is dropped.
 const WAITING_MAX: usize = 256;
 
-/// Most subscribers. The HTTP server limits its connections to fewer.
+/// Maximum number of subscribers. The HTTP server limits its connections to fewer.
 const SUBSCRIBERS_MAX: usize = 256;
 
-/// Most deferred messages: the reader's thread must never wait.
+/// Maximum number of deferred messages: the reader's thread must never wait.
 const DEFERRED_MAX: usize = 64;
 
 /// The subscribers, and the messages of threads that must not wait.
@@ -116,7 +116,7 @@ impl Subscriber {
 }
 
 impl Inner {
-    /// Publishes and logs an event. Neither call it from the reader's thread nor with the state locked.
+    /// Publishes and logs an event. Do not call it from the reader's thread, or with the state locked.
     pub(super) fn publish(&self, kind: ServiceEventKind, message: &str, take: Option<&str>) {
         self.publish_with_notes(kind, message, take, None);
     }

@@ -97,7 +97,7 @@ impl Inner {
         Ok(stopped)
     }
 
-    /// Removes a take of which only the header was written.
+    /// Removes a take that has only a header.
     fn discard_empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
         take.discard();
         if ending == EndingKind::Saved {
@@ -208,7 +208,7 @@ impl Inner {
         Refusal::new(RefusalKind::Disk, message)
     }
 
-    /// What remains of a take that could not be completed, and where.
+    /// States what remains of a take that could not be completed, and where.
     fn remains(&self, output: Option<Box<dyn TakeOutput>>) -> String {
         let recover = "`mocapd recover` writes a complete take from it";
         let Some(mut file) = output else { return recover.to_owned() };
@@ -240,7 +240,7 @@ impl Drop for Closing<'_> {
 fn stopped(written: &TakeAccount, take: &NamedTake, file: &SettledFile, rate_hz: f64) -> Stopped {
     let ledger = &written.ledger;
     let rows = ledger.recorded + ledger.frames_lost();
-    // The reply has the current name, by which the take can be requested. Events have the name it started with.
+    // The reply has the current name, under which the take can be requested. Events have the name it started with.
     let stem = file.path.as_deref().and_then(Path::file_stem);
     Stopped {
         take_id: take.id.clone(),
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn a_take_that_closes_is_not_taken_for_the_one_before_it() {
+    fn a_closing_take_is_not_reported_as_the_previous_one() {
         let dir = tempfile::tempdir().unwrap();
         let engine = engine(dir.path());
         let seen = Arc::new(Mutex::new(Some(TakeSummary::default())));

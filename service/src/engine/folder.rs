@@ -23,10 +23,10 @@ use crate::{
     status::TakeSummary,
 };
 
-/// Most files of the folder that are read: larger folders are not folders of takes.
+/// Maximum number of files of the folder that are read: larger folders are not folders of takes.
 const FILES_MAX: usize = 100_000;
 
-/// Most cached summaries, some 300 bytes each: four times the longest list.
+/// Maximum number of cached summaries, some 300 bytes each: four times the longest list.
 const CACHED_MAX: usize = 4000;
 
 /// Summaries of files by path, valid while the stamp stays the same.
@@ -192,7 +192,7 @@ pub(super) fn normalised(name: &str) -> Result<&str, Refusal> {
         name = shorter;
     }
     let name = check(name)?;
-    // A file that ends so exists already, perhaps: only a new one is refused.
+    // An existing file may end like this: only a new one is refused.
     if name.ends_with('.') {
         return Err(Refusal::new(RefusalKind::Invalid, wrong_ends(name)));
     }
@@ -231,7 +231,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_names_and_never_paths() {
+    fn take_names_are_never_paths() {
         for good in ["jump", "Max Müller 3", "2026-11-22_walk", "a.b", "x.take"] {
             assert!(normalised(good).is_ok(), "{good}");
         }

@@ -29,10 +29,10 @@ use crate::{
 /// Time between polls of the tap, which holds a quarter of a second.
 const POLL_INTERVAL: Duration = Duration::from_millis(8);
 
-/// Most messages waiting for a viewer, a tenth of a second. Newer ones replace the oldest.
+/// Maximum number of messages waiting for a viewer, a tenth of a second. Newer ones replace the oldest.
 const WAITING_MAX: usize = 4;
 
-/// Most viewers. The HTTP server limits its connections to fewer.
+/// Maximum number of viewers. The HTTP server limits its connections to fewer.
 const VIEWERS_MAX: usize = 64;
 
 /// A pipeline that has been armed.

@@ -7,7 +7,8 @@ use mocapd_acquire::pipeline::lock;
 use super::Inner;
 use crate::control::{Refusal, RefusalKind};
 
-/// Most replies that are remembered: clients repeat a request within seconds, and none sends hundreds per second.
+/// Maximum number of replies that are remembered: clients repeat a request within seconds, and none sends hundreds per
+/// second.
 const REPLIES_MAX: usize = 256;
 
 /// Longest request id in bytes.

@@ -14,12 +14,12 @@ const NOISE_EVERY_NS: u64 = 1_000_000_000;
 /// bursts a second they cover the last 11 seconds, and take 12 KB per marker.
 const NOISE_DIFFERENCES: usize = 1536;
 
-/// Largest distance in millimetres from another marker's previous position to suspect a swap: what a marker moves in a
-/// thirtieth of a second at a walk.
-const SWAPPED_MM: f64 = 40.0;
+/// Largest distance in millimetres from another marker's previous position to suspect a swap: the distance a marker
+/// moves in a thirtieth of a second of walking.
+const SWAP_DISTANCE_MAX_MM: f64 = 40.0;
 
 /// Smallest distance in millimetres between the two previous positions: closer markers cannot be distinguished.
-const APART_MM: f64 = 120.0;
+const SEPARATION_MIN_MM: f64 = 120.0;
 
 /// Statistics by slot.
 #[derive(Debug, Default)]
@@ -81,13 +81,14 @@ impl MarkerStatistics {
         for (slot, &now) in positions.iter().enumerate() {
             let was = self.before[slot];
             // Ends here for most markers, which moved little.
-            if is_gap(now) || is_gap(was) || distance_mm(now, was) < APART_MM {
+            if is_gap(now) || is_gap(was) || distance_mm(now, was) < SEPARATION_MIN_MM {
                 continue;
             }
             let other = (0..positions.len()).find(|&other| {
                 other != slot
-                    && distance_mm(now, self.before[other]) < SWAPPED_MM
-                    && (is_gap(positions[other]) || distance_mm(positions[other], was) < SWAPPED_MM)
+                    && distance_mm(now, self.before[other]) < SWAP_DISTANCE_MAX_MM
+                    && (is_gap(positions[other])
+                        || distance_mm(positions[other], was) < SWAP_DISTANCE_MAX_MM)
             });
             self.markers[slot].swaps += u64::from(other.is_some());
         }
@@ -163,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_known_of_still_and_of_moving_markers() {
+    fn noise_is_estimated_for_still_and_moving_markers() {
         let noisy = |seed: u64, row: u64, noise_mm: f32, centre: [f32; 3]| {
             let axis = |axis: usize| centre[axis] + noise_mm * normal(3 * seed + axis as u64, row);
             [axis(0), axis(1), axis(2)]
@@ -187,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn two_that_change_places_are_suspected_and_fast_ones_are_not() {
+    fn swapped_markers_are_suspected_and_fast_ones_are_not() {
         let markers = judged(|row| {
             let step = row as f32 / 8.0;
             let (a, b) = ([0.0, step, 0.0], [400.0, 0.0, step]);

@@ -23,11 +23,11 @@ const TAKES_MAX: usize = 64;
 /// Extension of recovered takes, before `.take`.
 const RECOVERED: &str = "recovered";
 
-/// Most recovered takes of one name.
+/// Maximum number of recovered takes of one name.
 const RECOVERED_MAX: u32 = 100;
 
-/// Takes that are cut off and have not been recovered yet. To be called before a take is started, because a take in
-/// progress has no end either.
+/// Takes that are cut off and have not been recovered yet. Must be called before a take is started, because a take
+/// in progress has no end either.
 pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
     let Ok(takes) = inner.list_takes(TAKES_MAX) else { return Vec::new() };
     let is_cut_off = |take: &TakeSummary| take.health == TakeHealth::CutOff && take.bytes > 0;

@@ -23,7 +23,8 @@ use mocapd_take::record::{EndingKind, Header};
 use super::EngineOptions;
 use crate::status::TakeSummary;
 
-/// Most removed files that are kept open: several takes may be removed in a row, but each occupies the disk.
+/// Maximum number of removed files that are kept open: several takes may be removed in a row, but each occupies the
+/// disk.
 pub(super) const KEPT_OPEN_MAX: usize = 4;
 
 /// The engine's state, from which [`State`](crate::status::State) is derived.
@@ -48,7 +49,7 @@ pub(super) struct Core {
     pub(super) kept_open: Vec<Box<dyn TakeOutput>>,
 }
 
-/// What is known of the device, whether it is connected or not.
+/// What is known about the device, whether it is connected or not.
 #[derive(Debug, Default)]
 pub(super) struct KnownDevice {
     pub(super) uri: String,
@@ -57,7 +58,7 @@ pub(super) struct KnownDevice {
     pub(super) hello: Hello,
     pub(super) driver: String,
     pub(super) markers: usize,
-    /// Identity by which it is found again.
+    /// The identity used to find it again.
     pub(super) identity: Option<Candidate>,
 }
 

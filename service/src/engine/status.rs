@@ -167,7 +167,7 @@ pub(super) fn free_bytes(directory: &Path) -> Option<u64> {
     Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
-/// Before a take has a rate of its own, it is estimated from the pre-roll.
+/// Seconds until the disk is full, estimated from the pre-roll until the take has a data rate.
 fn estimated_left_s(status: &Status) -> Option<u64> {
     let pre_roll = &status.pre_roll;
     if pre_roll.held_s < 2.0 || pre_roll.held_bytes == 0 {

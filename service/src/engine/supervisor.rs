@@ -40,7 +40,7 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 const PRESENCE_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Shortest session: limits restarts of a device that keeps ending its stream at once.
-const SESSION_AT_LEAST: Duration = Duration::from_secs(1);
+const SESSION_MIN: Duration = Duration::from_secs(1);
 
 /// Runs until the service ends.
 pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
@@ -59,7 +59,7 @@ pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
                 } else {
                     discard(log);
                 }
-                let rest = SESSION_AT_LEAST.saturating_sub(begun.elapsed());
+                let rest = SESSION_MIN.saturating_sub(begun.elapsed());
                 if inner.core().arm_requested && !inner.is_stopping() {
                     std::thread::sleep(rest);
                 }
@@ -77,10 +77,10 @@ impl Inner {
         self.stopping.load(Ordering::Relaxed)
     }
 
-    /// Waits while `is_so` holds (changes are notified), at most `at_most`, and not while the service is stopping.
-    pub(super) fn wait_while(&self, at_most: Duration, is_so: impl Fn(&Core) -> bool) {
+    /// Waits while `condition` holds (changes are notified), at most `at_most`, and not while the service is stopping.
+    pub(super) fn wait_while(&self, at_most: Duration, condition: impl Fn(&Core) -> bool) {
         let core = self.core();
-        let goes_on = |core: &mut Core| is_so(core) && !self.is_stopping();
+        let goes_on = |core: &mut Core| condition(core) && !self.is_stopping();
         drop(self.changed.wait_timeout_while(core, at_most, goes_on));
     }
 

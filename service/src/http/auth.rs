@@ -21,7 +21,7 @@ use rustix::{
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
-/// Most browsers logged in at once; beyond that, the oldest session ends.
+/// Maximum number of browsers logged in at once; beyond that, the oldest session ends.
 const SESSIONS_MAX: usize = 64;
 
 /// Length of a browser session: a day in the studio.
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn the_token_and_nothing_like_it() {
+    fn only_the_exact_token_is_accepted() {
         let auth = Auth::new(Some("0123456789abcdef"));
         let accepts = |value: &str| auth.is_authorized(&with(header::AUTHORIZATION, value));
         assert!(accepts("Bearer 0123456789abcdef") && accepts("bearer  0123456789abcdef"));

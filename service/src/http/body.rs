@@ -16,12 +16,12 @@ use crate::control::{self, Mark, SaveLast, Start};
 /// Largest body in bytes: many times the longest note that anybody types.
 const BODY_BYTES_MAX: usize = 64 << 10;
 
-/// Longest request id, as a header can carry it.
+/// Longest request id, in bytes.
 const ID_BYTES_MAX: usize = 64;
 
 const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 
-/// A request with an id, by which the service recognises repetitions.
+/// A request with an id, which identifies repetitions.
 pub(super) trait Identified: DeserializeOwned {
     fn request_id(&mut self) -> &mut Option<String>;
 }

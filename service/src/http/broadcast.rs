@@ -1,5 +1,5 @@
 //! Distributes events and live frames to all HTTP clients, each from one feed of the service. Recent events are kept
-//! for clients that reconnect; frames are encoded once, and slow viewers get the newest.
+//! for clients that reconnect; frames are encoded once, and slow viewers get the newest frames.
 
 use std::{
     collections::VecDeque,
@@ -25,7 +25,7 @@ use crate::{
 /// Events kept for clients that reconnect: an hour of a busy session, some hundred kilobytes.
 const HISTORY_MAX: usize = 512;
 
-/// Most events that a subscriber may lag behind before it loses the oldest.
+/// Maximum number of events that a subscriber may lag behind before it loses the oldest.
 const EVENTS_BEHIND_MAX: usize = 128;
 
 /// Distributes events. Their numbers are consecutive, so a gap shows what a subscriber missed, wherever it was lost.
@@ -115,8 +115,8 @@ impl EventSubscription {
     }
 }
 
-/// Most messages that a viewer may lag behind: a quarter of a second. A frame of 200 markers has 2.4 KB and is shared
-/// by all viewers.
+/// Maximum number of messages that a viewer may lag behind: a quarter of a second. A frame of 200 markers has 2.4 KB
+/// and is shared by all viewers.
 const FRAMES_BEHIND_MAX: usize = 8;
 
 /// Time between checks for viewers and for the end of the server while no frames arrive.

@@ -33,7 +33,7 @@ use super::{
 /// Largest request head in bytes: browsers send one or two kilobytes, including cookies of other ports.
 const HEAD_BYTES_MAX: usize = 16 << 10;
 
-/// Most header lines: browsers send some twenty.
+/// Maximum number of header lines: browsers send some twenty.
 const HEADERS_MAX: usize = 64;
 
 /// Time for a rejected client to read the reply and close.
@@ -98,8 +98,8 @@ impl Acceptor {
         }
     }
 
-    /// Callers yield afterwards, so that an evicted connection closes before the next is accepted: even in a rush, at
-    /// most one descriptor more than there are slots is open.
+    /// Callers yield afterwards, so that an evicted connection closes before the next is accepted: even under load,
+    /// at most one more descriptor is open than there are slots.
     fn admit<S: Stream>(&self, stream: S, via: Via, peer: Peer) {
         let Some(guard) = self.slots.take(peer) else {
             Counts::add(&self.counts.connections_refused, 1);
@@ -289,7 +289,7 @@ mod tests {
     const PIPE_BYTES: usize = 256;
 
     #[test]
-    fn an_answer_that_is_still_in_hypers_buffer_keeps_its_place() {
+    fn a_reply_in_hypers_buffer_keeps_its_slot() {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
         runtime.block_on(async {
             let peer = |last| Peer::of_address(IpAddr::from([192, 0, 2, last]));

@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_this_service() {
+    fn only_names_of_this_service_are_accepted() {
         for host in
             ["localhost", "LOCALHOST:1", "127.0.0.1:7060", "[::1]", "[::1]:80", "rig.lab:7060"]
         {
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn one_host_and_the_same_in_the_uri() {
+    fn host_and_uri_must_name_the_same_host() {
         let host_of = |uri: &str, hosts: &[&'static str]| {
             let headers =
                 hosts.iter().map(|host| (header::HOST, HeaderValue::from_static(host))).collect();

@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn every_number_of_the_status_is_a_figure() {
+    fn every_number_of_the_status_is_a_metric() {
         let outage = OutageStatus { ends_in_s: Some(0.0), ..OutageStatus::default() };
         let full = Status {
             device: DeviceStatus { outage: Some(outage), ..DeviceStatus::default() },
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn the_old_form_has_help_for_its_counters() {
+    fn the_classic_format_has_help_for_counters() {
         let new = text(Status::default());
         assert!(new.contains("# TYPE mocapd_input_frames counter\n") && new.ends_with("# EOF\n"));
         let old = classic(&new);

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Each listener has its own thread, `mocapd-socket` and `mocapd-tcp`, and a limited number of threads for blocking
-//! work, so that clients of one never wait for those of the other. The data plane knows nothing of it. docs/api.md
-//! describes the routes and their guarantees.
+//! work, so that clients of one never wait for those of the other. The data plane does not depend on it.
+//! docs/api.md describes the routes and their guarantees.
 
 mod auth;
 mod body;

@@ -6,19 +6,19 @@ use anyhow::{bail, ensure};
 
 use super::{auth::TOKEN_BYTES_MIN, work_queues};
 
-/// Most connections, for the Unix socket and for TCP separately: enough for a studio's browsers and scripts with a few
-/// each, and for those that never finish a request. Each costs at most 50 KB. Connections must leave file descriptors
-/// for takes.
+/// Maximum number of connections, for the Unix socket and for TCP separately: enough for a studio's browsers and
+/// scripts with a few each, and for those that never finish a request. Each costs at most 50 KB. Connections must leave
+/// file descriptors for takes.
 pub const CONNECTIONS_MAX: usize = 256;
 
-/// Most rejected or evicted connections that are read until their client closes. If a socket is closed with unread
-/// bytes, the kernel sends a reset, which may overtake the reply; beyond this limit that risk is accepted.
+/// Maximum number of rejected or evicted connections that are read until their client closes. If a socket is closed
+/// with unread bytes, the kernel sends a reset, which may overtake the reply; beyond this limit that risk is accepted.
 pub(super) const LINGER_MAX: usize = 32;
 
 /// Connections of the Unix socket beyond `connections_max`: the number of requests that can be running or waiting at
 /// once. Half of `connections_max` can be streams, so that even at worst enough connections can be evicted: a user
 /// with access to the socket always gets a connection.
-pub(super) const UNIX_MORE: usize = work_queues::REQUESTS_MAX;
+pub(super) const UNIX_EXTRA: usize = work_queues::REQUESTS_MAX;
 
 /// File descriptors that a process has by default: the soft limit of Linux and systemd.
 const DESCRIPTORS: usize = 1024;
@@ -30,7 +30,7 @@ const DESCRIPTORS_ELSEWHERE: usize = 128;
 /// For each of two listeners: its connections, a file for each download (half of them), rejected connections, and one
 /// that has just been evicted; for the Unix socket, also its further connections.
 const DESCRIPTORS_OF_CONNECTIONS: usize =
-    2 * (CONNECTIONS_MAX + CONNECTIONS_MAX.div_ceil(2) + LINGER_MAX + 1) + UNIX_MORE;
+    2 * (CONNECTIONS_MAX + CONNECTIONS_MAX.div_ceil(2) + LINGER_MAX + 1) + UNIX_EXTRA;
 
 // 2 * (256 + 128 + 32 + 1) + 55 + 128 = 1017.
 const _: () = assert!(DESCRIPTORS_OF_CONNECTIONS + DESCRIPTORS_ELSEWHERE <= DESCRIPTORS);
@@ -46,7 +46,7 @@ pub struct HttpOptions {
     pub token: Option<String>,
     /// Host names of the service besides `localhost` and its addresses, without ports.
     pub allowed_hosts: Vec<String>,
-    /// Most connections, for the Unix socket and for TCP separately. Further ones are rejected.
+    /// Maximum number of connections, for the Unix socket and for TCP separately. Further ones are rejected.
     pub connections_max: usize,
     /// Time limits.
     pub limits: TimeLimits,

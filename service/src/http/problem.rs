@@ -50,7 +50,7 @@ impl Problem {
         Self::of(ProblemKind::Internal, message)
     }
 
-    /// For a response of axum or hyper, which has a status but hardly a message.
+    /// The problem for an error response of axum or hyper, which has only a status.
     pub(super) fn of_status(status: StatusCode) -> Self {
         let (kind, message) = match status {
             StatusCode::NOT_FOUND => {

@@ -212,7 +212,7 @@ mod tests {
     };
 
     #[test]
-    fn every_file_of_the_folder_is_served_as_what_it_is() {
+    fn every_file_is_served_with_its_media_type() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../web");
         let mut files: Vec<_> = std::fs::read_dir(folder)
             .unwrap()

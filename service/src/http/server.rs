@@ -26,7 +26,7 @@ use super::{
     auth::Auth,
     broadcast::{EventBroadcast, LiveBroadcast},
     connection::Acceptor,
-    options::{HttpOptions, UNIX_MORE},
+    options::{HttpOptions, UNIX_EXTRA},
     routes,
     slots::ConnectionSlots,
     work_queues::{self, WorkQueues},
@@ -114,7 +114,7 @@ impl HttpServer {
             Serving { acceptor, connections, how_long: how_long.clone() }
         };
         if let Some(Listening { runtime, listener }) = unix {
-            let serving = serving(connections_max + UNIX_MORE);
+            let serving = serving(connections_max + UNIX_EXTRA);
             let run = move || {
                 let BoundSocket { listener, file } = listener;
                 serving.run(runtime, |acceptor| acceptor.serve_unix(listener), file);
@@ -299,7 +299,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stale_socket_makes_way_and_nothing_else_does() {
+    fn only_a_stale_socket_is_replaced() {
         let runtime = Builder::new_current_thread().enable_io().build().unwrap();
         let _inside = runtime.enter();
         let folder = tempfile::tempdir().unwrap();

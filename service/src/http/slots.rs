@@ -57,13 +57,13 @@ pub(super) struct ConnectionSlot {
 
 #[derive(Debug, Clone, Copy)]
 struct SlotState {
-    /// It has made a request that needs authorization, and was allowed.
+    /// Whether it has made a request that needs authorization, and was allowed.
     is_authorized: bool,
-    /// A request has been received completely, and its reply has not been sent.
+    /// Whether a request has been received completely, and its reply has not been sent.
     is_busy: bool,
-    /// The reply is in hyper's buffer, which drops the body before its last bytes are sent.
+    /// Whether the reply is in hyper's buffer, which drops the body before its last bytes are sent.
     is_flushing: bool,
-    /// It has been sent a reply, or part of one.
+    /// Whether it has been sent a reply, or part of one.
     has_answered: bool,
     /// Since when it is neither busy nor evicted.
     since: Instant,
@@ -193,7 +193,7 @@ enum Direction {
     Response,
 }
 
-/// A body that tells its slot when it has been received or written.
+/// A body that notifies its slot when it has been received or written.
 #[derive(Debug)]
 struct Tracked {
     body: Body,
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn unauthorized_connections_are_evicted_first_and_most_of_all_those_of_one_peer() {
+    fn unauthorized_connections_are_evicted_first() {
         let slots = ConnectionSlots::new(4);
         let known = slots.take(address(1)).unwrap();
         known.slot.authorize();

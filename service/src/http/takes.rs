@@ -290,7 +290,7 @@ fn number(text: &str) -> Option<u64> {
     digits.then(|| text.parse().unwrap_or(u64::MAX))
 }
 
-/// Most problems and contradictions listed each: a badly damaged take has one per stretch.
+/// Maximum number of problems and contradictions listed each: a badly damaged take has one per stretch.
 const LISTED_MAX: usize = 100;
 
 /// The result of verifying a take.

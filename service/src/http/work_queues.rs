@@ -97,7 +97,7 @@ impl WorkQueue {
     }
 
     /// Runs the work when it is its turn, and waits for a free slot without a time limit: for the chunks of a started
-    /// download, of which each connection has at most one at a time.
+    /// download; each connection has at most one at a time.
     ///
     /// # Errors
     /// The work panicked.
@@ -149,7 +149,7 @@ mod tests {
         let slow = runtime.block_on(queue.run(move || released.recv().is_ok())).unwrap_err();
         assert_eq!((slow.status, slow.kind), (503, ProblemKind::Unavailable));
         assert!(slow.message.contains("/v1/status"), "it goes on: {}", slow.message);
-        // One is still running, and one may wait; it waits in vain and leaves.
+        // One is still running, and one may wait; it times out and leaves.
         assert_eq!(runtime.block_on(queue.run(|| ())), Err(slow.clone()));
         let permit = Arc::clone(&queue.slots).try_acquire_owned().unwrap();
         let full = runtime.block_on(queue.run(|| ())).unwrap_err();
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_is_an_answer() {
+    fn a_panic_gets_a_reply() {
         let queue = WorkQueue::new("x", Size { running: 1, waiting: 0 }, None);
         let problem = runtime().block_on(queue.run(|| panic!("planted"))).unwrap_err();
         assert_eq!(problem.status, 500);

@@ -25,12 +25,13 @@ use tracing_subscriber::layer::Context;
 
 use super::Level;
 
-/// At most this many of the same message in this time: the repetition shows, and a device that fails a hundred times a
-/// second does not fill the disk.
+/// At most this many of the same message in this time: enough to show the repetition, while a device that fails a
+/// hundred times a second does not fill the disk.
 const BURST: u32 = 10;
 const WINDOW: Duration = Duration::from_secs(60);
 
-/// Most messages that are distinguished: fewer places in the source log something. Any others are counted together.
+/// Maximum number of messages that are distinguished: the source has fewer log statements. Any others are counted
+/// together.
 const MESSAGES_MAX: usize = 256;
 
 /// Longest sample of a message in a summary.

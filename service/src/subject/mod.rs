@@ -211,7 +211,7 @@ pub fn unused_part_notes(subject: Option<&Subject>, labels: &[String]) -> Vec<St
 #[cfg(test)]
 mod tests;
 
-/// Checks that the wireframe has every vertex where a marker sits: a missing one would silently hold nothing.
+/// Checks that the wireframe has every vertex where a marker sits: a marker at a missing one would silently be ignored.
 ///
 /// # Errors
 /// The missing places, and the available ones.
@@ -252,7 +252,7 @@ fn slots(labels: &[String]) -> HashMap<String, usize> {
     slots
 }
 
-/// A face, and the markers that hold it.
+/// A face, and the markers that define its pose.
 #[derive(Debug)]
 pub struct FaceOverlay {
     face: FittedFace,
@@ -311,7 +311,7 @@ mod tests_of_face_overlay {
     }
 
     #[test]
-    fn it_is_laid_under_its_markers() {
+    fn the_face_is_placed_under_its_markers() {
         let labels = ["x", "S1:d", "S1:c", "b", "a"].map(str::to_owned);
         let face = FaceOverlay::new(Some(&subject()), &labels).unwrap();
         assert_eq!(face.wireframe().vertices_mm.len(), 5);

@@ -10,16 +10,17 @@ use crate::config::{NAME_BYTES_MAX, is_refused_in_name};
 /// Largest trigger in bytes: no UDP datagram is larger.
 pub const DATAGRAM_BYTES_MAX: usize = 64 << 10;
 
-/// Most elements, texts and comments: programs send six to ten elements, with white space between them.
+/// Maximum number of elements, texts and comments: programs send six to ten elements, with white space between them.
 const NODES_MAX: u32 = 128;
 
-/// Most equals signs, one per attribute: XML parsers compare each attribute of an element with the previous ones.
+/// Maximum number of equals signs, one per attribute: XML parsers compare each attribute of an element with the
+/// previous ones.
 const ATTRIBUTES_MAX: usize = 256;
 
 /// Longest text that is kept, in bytes, such as notes: an event of a take is one line.
 pub const TEXT_BYTES_MAX: usize = 1024;
 
-/// Most other elements that are kept.
+/// Maximum number of other elements that are kept.
 const FIELDS_MAX: usize = 16;
 
 /// Longest delay, which also limits `trigger.delay_max`: a larger number cannot be a lead time.

@@ -140,7 +140,7 @@ impl fmt::Display for Network {
     }
 }
 
-/// How long packet numbers are remembered: repeats come within seconds, and a restarted sender may count anew.
+/// How long packet numbers are remembered: repeats come within seconds, and a restarted sender may restart its count.
 pub const REMEMBERED: Duration = Duration::from_secs(60);
 
 /// Numbers remembered per sender: no laboratory needs more than one a second.
@@ -230,7 +230,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn knows_its_own_and_no_others() {
+    fn a_network_contains_only_its_own_addresses() {
         for (network, inside, outside) in [
             ("192.168.10.0/24", "192.168.10.255", "192.168.11.0"),
             ("192.168.10.7", "192.168.10.7", "192.168.10.6"),

@@ -1,8 +1,8 @@
 //! Accepted triggers that wait for execution, in limited numbers.
 //!
 //! A trigger without a delay is due immediately, and executed after the previous one. A delayed trigger is due later
-//! and holds up nothing else. [`PendingTriggers`] is sans-io: the time goes in, and due triggers come out. [`TriggerQueue`]
-//! applies it in real time, between the thread that receives triggers and the one that executes them.
+//! and delays nothing else. [`PendingTriggers`] is sans-io: the time goes in, and due triggers come out.
+//! [`TriggerQueue`] applies it in real time, between the thread that receives triggers and the one that executes them.
 
 use std::{
     net::{IpAddr, SocketAddr},
@@ -15,18 +15,18 @@ use mocapd_acquire::pipeline::lock;
 
 use super::{Trigger, TriggerError};
 
-/// Most undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few seconds: if so
-/// many wait, the service is stuck, and a start executed minutes later would be of no use.
+/// Maximum number of undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few
+/// seconds: if this many wait, the service is stuck, and a start executed minutes later would be useless.
 pub const DUE_MAX: usize = 16;
 
-/// Most undelayed triggers of one sender that is not in `trigger.allow_from`: the stop of one take and the start of the
-/// next, twice.
+/// Maximum number of undelayed triggers of one sender that is not in `trigger.allow_from`: the stop of one take and the
+/// start of the next, twice.
 pub const DUE_EACH_MAX: usize = 4;
 
-/// Most delayed triggers of all senders in `trigger.allow_from`: a start and a stop of eight machines.
+/// Maximum number of delayed triggers of all senders in `trigger.allow_from`: a start and a stop of eight machines.
 pub const DELAYED_MAX: usize = 16;
 
-/// Most delayed triggers of all other senders, one each: eight unlisted machines.
+/// Maximum number of delayed triggers of all other senders, one each: eight unlisted machines.
 pub const DELAYED_OTHERS_MAX: usize = 8;
 
 /// An accepted trigger.
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_that_is_due_comes_first() {
+    fn triggers_come_in_order_of_due_times() {
         let mut waiting = PendingTriggers::default();
         let at = Duration::from_millis;
         for (sender, delay_ms) in [(1, 300), (2, 100), (3, 0), (4, 0)] {

@@ -83,7 +83,7 @@ impl NewFolder {
         written.with_context(|| format!("cannot write {}", self.path.join(name).display()))
     }
 
-    /// Gives the folder its name. What appeared there meanwhile is not overwritten.
+    /// Gives the folder its name. A folder that appeared there meanwhile is not overwritten.
     pub(super) fn keep(mut self) -> anyhow::Result<()> {
         let Some(hidden) = &self.hidden else { return Ok(()) };
         let named = match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {

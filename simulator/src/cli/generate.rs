@@ -71,7 +71,7 @@ pub(super) fn run(args: &GenerateArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Writes the files as another thread generates them, so that Ctrl-C is answered however long a jump takes.
+/// Writes the files as another thread generates them, so that Ctrl-C takes effect quickly even if a jump takes long.
 fn write(
     set: &JumpSet,
     args: &GenerateArgs,

@@ -32,7 +32,7 @@ pub(super) fn print_json_line(value: &impl Serialize) -> anyhow::Result<()> {
     print_exact(&format!("{}\n", visible_json(&serde_json::to_string(value)?)))
 }
 
-/// Prints data for programs on stdout, unescaped. A closed pipe (`| head`) is no error.
+/// Prints data for programs on stdout, unescaped. A closed pipe (`| head`) is not an error.
 pub(super) fn print_exact(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
@@ -41,10 +41,11 @@ pub(super) fn print_exact(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Work of less than this shows no display.
+/// Work shorter than this shows no display.
 const APPEARS_AFTER: Duration = Duration::from_secs(1);
 
-/// A bar on stderr with the percentage and the time left, like those of `mocapd`. Nothing where stderr is no terminal.
+/// A bar on stderr with the percentage and the time left, like those of `mocapd`. Nothing where stderr is not a
+/// terminal.
 #[derive(Debug)]
 pub(super) struct ProgressDisplay {
     message: &'static str,
@@ -60,7 +61,7 @@ impl ProgressDisplay {
         Self { message, total, begun: Instant::now(), is_shown, bar: None }
     }
 
-    /// Shows how much is done. To be called several times a second, so that the time left is current.
+    /// Shows how much is done. Call it several times a second, so that the time left is current.
     pub(super) fn update(&mut self, done: u64) {
         if !self.is_shown || self.begun.elapsed() < APPEARS_AFTER {
             return;

@@ -62,9 +62,9 @@ pub struct SentFrame {
     pub device_ticks: u64,
     /// Number of markers with a position.
     pub present: u32,
-    /// It never left the device: see [`SentCounters::frames_dropped`].
+    /// Whether it never left the device: see [`SentCounters::frames_dropped`].
     pub dropped: bool,
-    /// It was produced after the last request: see [`SentCounters::frames_unasked`].
+    /// Whether it was produced after the last request: see [`SentCounters::frames_unasked`].
     pub unasked: bool,
     /// The caller's clock when the frame was due, nanoseconds; on a line, the host's monotonic clock.
     pub host_ns: u64,
@@ -159,7 +159,7 @@ pub struct FaultTotals {
     /// Damaged and lost frames that each kind touched, indexed by [`Kind`]. A frame that two kinds touched counts for
     /// both.
     pub by_kind: [u64; KINDS.len()],
-    /// Effects of each kind, whatever became of the frames.
+    /// Effects of each kind, regardless of the frames' fates.
     pub counts: FaultCounts,
 }
 

@@ -47,7 +47,8 @@ pub struct Device {
     /// An end of stream that waits for room in the queue.
     pending_end: Option<Status>,
     end_sent: bool,
-    /// The motion was played to its end, and no host has stopped or started it since: its `EndOfStream` may be lost.
+    /// Whether the motion was played to its end, and no host has stopped or started it since: its `EndOfStream` may be
+    /// lost.
     finished: bool,
     log: SentLog,
     warnings: Vec<String>,

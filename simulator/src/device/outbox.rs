@@ -10,7 +10,7 @@ const CAPACITY_MIN: usize = 64 << 10;
 /// Largest capacity, bytes: 1.3 s of 200 markers at 1000 Hz (3.1 MB/s).
 const CAPACITY_MAX: usize = 4 << 20;
 
-/// Frames that always fit, whatever their size.
+/// Frames that always fit, regardless of their size.
 const FRAMES_MIN: usize = 4;
 
 /// A queue of bytes that counts a frame as sent once the line has taken all of it.

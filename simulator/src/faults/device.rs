@@ -22,7 +22,7 @@ pub struct FaultyDevice {
     last_update_ns: Option<u64>,
     discarded: u64,
     starts: u64,
-    /// The cable is back in and no host has sent anything yet: no bytes leave the device.
+    /// Whether the cable is back in and no host has sent anything yet: no bytes leave the device.
     awaits_host: bool,
 }
 
@@ -197,11 +197,11 @@ impl LineDevice for FaultyDevice {
 /// The state of the connection at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ConnectionState {
-    /// The cable is plugged in.
+    /// Whether the cable is plugged in.
     pub(super) plugged: bool,
-    /// The device is switched on.
+    /// Whether the device is switched on.
     pub(super) powered: bool,
-    /// Bytes are delivered.
+    /// Whether the line delivers bytes.
     pub(super) flows: bool,
 }
 

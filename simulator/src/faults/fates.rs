@@ -1,6 +1,7 @@
 //! The fate of every frame on a line with faults: the ground truth for tests of recordings.
 //!
-//! A frame is whole when the bytes between two 0x00 on the line are exactly its own, whatever happened around it.
+//! A frame is whole when the bytes between two 0x00 on the line are exactly its own, regardless of damage before and
+//! after it.
 
 use std::collections::VecDeque;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -10,8 +11,9 @@ use mocapd_drivers::link::WIRE_BYTES_MAX;
 use super::kinds::{Kind, Kinds};
 use crate::device::{Fate, FaultTotals, FrameFate, SentFrame};
 
-/// Most entries for frames whose fate is open: 18 minutes at 240 Hz, 25 MB. Only a device that stalls for longer has
-/// more. By then its queue drops every new frame, and consecutive drops share one entry and one line of the log.
+/// Maximum number of entries for frames whose fate is open: 18 minutes at 240 Hz, 25 MB. Only a device that stalls for
+/// longer has more. By then its queue drops every new frame, and consecutive drops share one entry and one line of the
+/// log.
 const ENTRIES_MAX: usize = 1 << 18;
 
 #[derive(Debug)]
@@ -101,7 +103,7 @@ impl FateTracker {
         }
     }
 
-    /// The device discarded its next `n` queued frames.
+    /// Records that the device discarded its next `n` queued frames.
     pub(super) fn discarded(&mut self, n: u64) {
         for _ in 0..n {
             if let Some(entry) = self.handed_over(&[]).and_then(|(number, _)| self.entry(number)) {
@@ -118,7 +120,7 @@ impl FateTracker {
         }
     }
 
-    /// A fault of this kind swallowed the frame.
+    /// Records that a fault of this kind lost the frame.
     pub(super) fn lost(&mut self, number: u64, kind: Kind) {
         if let Some(entry) = self.entry(number) {
             (entry.fate, entry.open_until) = (Some(Fate::Lost), 0);
@@ -135,7 +137,7 @@ impl FateTracker {
         }
     }
 
-    /// The line took these bytes.
+    /// Accounts for bytes that the line took.
     pub(super) fn taken(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             self.taken_bytes += 1;
@@ -179,7 +181,7 @@ impl FateTracker {
         self.last_whole = self.last_whole.max(Some(number));
     }
 
-    /// Everything queued for the line is lost: the cable is pulled, or the device has lost its power.
+    /// Records that everything queued for the line is lost: the cable is pulled, or the device has lost its power.
     pub(super) fn cut(&mut self, kind: Kind) {
         let next = self.next;
         for entry in self.entries.iter_mut().take_while(|entry| entry.number < next) {
@@ -194,7 +196,7 @@ impl FateTracker {
         self.close_decided();
     }
 
-    /// Whether frames that arrive from now on come before a host has asked for them.
+    /// Sets whether frames that arrive from now on are unasked: sent without a request by a host.
     pub(super) fn set_unasked(&mut self, unasked: bool) {
         self.unasked = unasked;
     }

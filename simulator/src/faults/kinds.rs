@@ -36,7 +36,7 @@ pub const TIME_MAX_S: f64 = 86_400.0;
 /// Highest fault rate per byte. Beyond a tenth no message arrives whole, which `unplug` simulates better.
 const BYTE_RATE_MAX: f64 = 0.1;
 
-/// Most frames by which a frame can be late: beyond 64 a recorder assumes that the counter restarted.
+/// Maximum number of frames by which a frame can be late: beyond 64 a recorder assumes that the counter restarted.
 const LATE_FRAMES_MAX: f64 = 60.0;
 
 const fn key(name: &'static str, unit: &'static str, min: f64, max: f64) -> KeySpec {
@@ -111,7 +111,7 @@ kinds! {
     }
     /// Frames arrive twice.
     DoubledFrames = "doubled-frames", windowed: true, { rate: f64 = PER_FRAME }
-    /// Frames arrive behind later ones.
+    /// Frames arrive after later ones.
     LateFrames = "late-frames", windowed: true, {
         rate: f64 = PER_FRAME,
         by: u32 = key("by", "frames", 1.0, LATE_FRAMES_MAX)

@@ -6,10 +6,10 @@ use toml::de::{DeTable, DeValue};
 
 use super::kinds::{Fault, KINDS, KeySpec, Kind, KindSpec, WINDOW};
 
-/// Most bytes in a script; the longest that ships has 2 kB.
+/// Maximum number of bytes in a script; the longest that ships has 2 kB.
 pub const SCRIPT_BYTES_MAX: usize = 256 << 10;
 
-/// Most faults in a script.
+/// Maximum number of faults in a script.
 pub const FAULTS_MAX: usize = 64;
 
 /// A fault script. The same script and motion give the same damage.
@@ -148,7 +148,7 @@ pub struct ExpectedRecording {
     /// A part of each event in the take; there must be no others.
     #[serde(default)]
     pub events: Vec<String>,
-    /// Least number of missing or duplicate frames, which shows that the script has an effect.
+    /// Minimum number of missing or duplicate frames, which shows that the script has an effect.
     #[serde(default)]
     pub at_least: u64,
 }

@@ -1,7 +1,7 @@
 //! Faults inside the device: in the motion, the frame counter and the clock, before a frame is encoded.
 //!
 //! Each is a function of the script and of the time since the first Start. A frame's time is its place on the device's
-//! own grid, so the same frames change in the same way however busy the host is.
+//! own grid, so the same frames change in the same way on a busy host.
 
 use std::sync::Arc;
 

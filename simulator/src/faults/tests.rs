@@ -242,7 +242,7 @@ fn fates_agree_with_a_receiver() {
 
 /// Totals also count faults that harm no frame.
 #[test]
-fn totals_count_what_each_kind_did() {
+fn totals_count_the_effects_of_each_kind() {
     for (name, kinds) in [
         ("lying-counter", &[(Kind::CounterJump, Some(3)), (Kind::CounterRepeat, None)][..]),
         ("clock-back", &[(Kind::ClockJump, Some(1))]),

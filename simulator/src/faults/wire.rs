@@ -41,14 +41,14 @@ struct LateFrame {
 pub(super) struct WireFaults {
     script: Arc<Script>,
     pub(super) fates: FateTracker,
-    /// A decoder of the undamaged messages, to tell the kinds of messages apart.
+    /// A decoder of the undamaged messages, to distinguish the kinds of messages.
     reader: HostLink,
     late: Vec<LateFrame>,
     /// Bytes for the line.
     pub(super) out: Vec<u8>,
     n_others: u64,
     n_hellos: u64,
-    /// Time of the last frame since the first Start, which also stands for messages without a time of their own.
+    /// Time of the last frame since the first Start, which is also used for messages without a time of their own.
     since_ns: Option<u64>,
     /// Kinds that destroyed the 0x00 of the last message, which now runs into the next one.
     unterminated: Kinds,

@@ -44,7 +44,7 @@ pub struct Bulk {
     custom: Custom,
     to_host: EndpointSender,
     from_host: EndpointReceiver,
-    /// The host has selected the configuration and the cable is in.
+    /// Whether the host has selected the configuration and the cable is in.
     enabled: bool,
     /// Bytes from the host that are not read yet.
     received: BytesMut,

@@ -190,8 +190,8 @@ impl GadgetError {
     }
 }
 
-/// No call tells how much the host has not read yet. The kernel buffers 8 KiB, which full speed carries in 10 ms: after
-/// this time the host either has it or does not read.
+/// No system call reports how much the host has not read yet. The kernel buffers 8 KiB, which full speed carries in 10
+/// ms: after this time the host either has it or does not read.
 const UNREAD_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// The device's end of a CDC-ACM port.
@@ -283,7 +283,7 @@ impl Line for Serial {
         }
     }
 
-    /// Just sleeps: waiting for input would return at once.
+    /// Sleeps, because waiting for input would return immediately.
     fn wait_for_room(&mut self, at_most: Duration) -> io::Result<bool> {
         std::thread::sleep(at_most);
         Ok(true)
@@ -307,7 +307,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_missing_part_has_its_command() {
+    fn each_missing_kernel_part_has_its_command() {
         let from_io = |kind, text| GadgetError::from_io(io::Error::new(kind, text));
         let command = |error: GadgetError| match &error {
             GadgetError::NoSupport { remedy, .. } if error.to_string().contains(remedy) => *remedy,

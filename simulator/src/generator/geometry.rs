@@ -45,7 +45,7 @@ pub(super) fn offset(at: V3, axes: [V3; 3], weights: V3) -> V3 {
 /// everywhere.
 pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     const HALF_PI_HIGH: f64 = std::f64::consts::FRAC_PI_2;
-    /// The remainder of pi / 2 beyond f64.
+    /// pi / 2 minus its nearest f64.
     const HALF_PI_LOW: f64 = 6.123_233_995_736_766e-17;
     let quadrant = (angle / HALF_PI_HIGH).round();
     let x = (angle - quadrant * HALF_PI_HIGH) - quadrant * HALF_PI_LOW;

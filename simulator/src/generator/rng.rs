@@ -70,7 +70,7 @@ impl Rng {
             let bits = self.next_u64();
             sum += (bits & 0xffff) + (bits >> 16 & 0xffff) + (bits >> 32 & 0xffff) + (bits >> 48);
         }
-        // Each of the 12 parts stands for the middle of its bin of 1/65536, which adds 12 / 2 = 6.
+        // Each of the 12 parts represents the middle of its bin of 1/65536, which adds 12 / 2 = 6.
         (sum as f64 + 6.0) / 65536.0 - 6.0
     }
 }
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn normal_has_the_moments_it_claims() {
+    fn normal_numbers_have_mean_0_and_variance_1() {
         let mut rng = Rng::new(7);
         let n = 200_000;
         let (mut sum, mut squares) = (0.0, 0.0);

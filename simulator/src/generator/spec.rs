@@ -11,13 +11,13 @@ use super::{Jump, body};
 /// Frame rates that can be generated, Hz.
 pub const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
 
-/// Most samples in a generated motion: 100 million, 1.2 GB in memory.
+/// Maximum number of samples in a generated motion: 100 million, 1.2 GB in memory.
 pub const SAMPLES_MAX: u64 = 100_000_000;
 
-/// Most markers: the capacity of the link's marker table.
+/// Maximum number of markers: the capacity of the link's marker table.
 pub const MARKERS_MAX: usize = mocapd_drivers::link::MARKERS_MAX;
 
-/// Most trials of one subject. Drawing one requires drawing all before it.
+/// Maximum number of trials of one subject. Drawing one requires drawing all before it.
 pub const TRIALS_MAX: u32 = 100_000;
 
 /// Occlusion: gaps in every marker's samples.
@@ -38,7 +38,7 @@ pub struct JumpSpec {
     pub first_trial: u32,
     /// Frames per second, in [`RATE_HZ`].
     pub rate_hz: f64,
-    /// Duration, seconds; `None` for one whole trial (11 to 16 s). A longer motion goes on with varied trials.
+    /// Duration, seconds; `None` for one whole trial (11 to 16 s). A longer motion continues with varied trials.
     pub seconds: Option<f64>,
     /// Number of markers, 1 to [`MARKERS_MAX`]: first the 15 sites, then rigid clusters on the segments.
     pub n_markers: usize,
@@ -295,7 +295,7 @@ fn occlude(positions: &mut [Position], marker: usize, spec: &JumpSpec, occlusion
     }
 }
 
-/// Most subjects in a set.
+/// Maximum number of subjects in a set.
 pub const SUBJECTS_MAX: u32 = 1000;
 
 /// A data set of jumps, divided among subjects as evenly as possible: of 326 jumps by 10 subjects, the first six do 33

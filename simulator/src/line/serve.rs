@@ -20,7 +20,7 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 /// Size of one read: many times the longest command.
 const READ_BYTES: usize = 4096;
 
-/// Most consecutive reads before frames are served again.
+/// Maximum number of consecutive reads before frames are served again.
 const READS_MAX: usize = 16;
 
 /// How to serve a line.
@@ -28,7 +28,7 @@ const READS_MAX: usize = 16;
 pub struct ServeOptions {
     /// Limit the throughput to a line of this speed; `None` for as fast as the host reads.
     pub baud: Option<u32>,
-    /// Hand waiting bytes over once per this period, as a latency timer does; `None` for at once.
+    /// Hand waiting bytes over once per this period, as a latency timer does; `None` to hand them over immediately.
     pub batch: Option<Duration>,
     /// Return when a run has ended and the host has read all of it.
     pub once: bool,
@@ -100,7 +100,7 @@ struct Server<'a> {
     baud: Option<u32>,
     log: Option<Box<dyn Write + Send>>,
     open_again_ns: u64,
-    /// The cable is plugged in.
+    /// Whether the cable is plugged in.
     plugged: bool,
 }
 

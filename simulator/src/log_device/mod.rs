@@ -17,7 +17,7 @@ use crate::device::{LineDevice, SentFrame, SentLog};
 use pongs::PongRewriter;
 use steps::{Action, Barrier, Steps};
 
-/// Most commands that a host may send ahead of the log. A host repeats a command five times at most.
+/// Maximum number of commands that a host may send ahead of the log. A host repeats a command five times at most.
 const RECEIVED_MAX: usize = 16;
 
 /// Why a log cannot be replayed.
@@ -81,15 +81,14 @@ pub struct LogDevice {
     out: Vec<u8>,
     /// Before Start, when a host waits for the Pong to its Ping.
     handshaking: bool,
-    /// The host has sent Stop and no Start since. Identify after such a Stop is the greeting of a host that opens the
-    /// line.
+    /// Whether the host has sent Stop and no Start since. An Identify then comes from a host that opens the line.
     stopped: bool,
-    /// A Start was received since the line was opened.
+    /// Whether a Start was received since the line was opened.
     started: bool,
     plugged: bool,
-    /// The log is over without an end of stream: the device has disappeared.
+    /// Whether the log is over without an end of stream: the device has disappeared.
     gone: bool,
-    /// The line is open and no host has sent anything yet.
+    /// Whether the line is open and no host has sent anything yet.
     awaits_host: bool,
     log: SentLog,
     problems: Vec<LogProblem>,

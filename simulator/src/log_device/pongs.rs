@@ -9,7 +9,7 @@ use mocapd_drivers::link::{DeviceLink, HostLink};
 /// Length of a Pong on the wire. A longer message without its 0x00 is something else and need not be held back.
 const PONG_BYTES_MAX: usize = 24;
 
-/// Most pings that wait for a Pong. A host sends eight in a row.
+/// Maximum number of pings that wait for a Pong. A host sends eight in a row.
 const PINGS_MAX: usize = 16;
 
 /// A ping older than this is not answered: such a round trip says nothing about the clocks.
@@ -28,7 +28,7 @@ pub(super) struct PongRewriter {
     pings: VecDeque<Ping>,
     /// Bytes since the last 0x00 that are held back.
     open: Vec<u8>,
-    /// The message since the last 0x00 is longer than a Pong.
+    /// Whether the message since the last 0x00 is longer than a Pong.
     is_long: bool,
     reader: HostLink,
     link: DeviceLink,

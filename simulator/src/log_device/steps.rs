@@ -6,7 +6,7 @@ use mocapd_drivers::device::{Command, DeviceEvent, Protocol};
 use mocapd_drivers::link::{DeviceLink, HostLink};
 use mocapd_drivers::raw_log::{Entry, RawLogError, Record, records};
 
-/// A command that the host must send before the replay continues. Ping and Stop may come at any time: nothing waits for
+/// A command that the host must send before the replay continues. Ping and Stop may come at any time: no step waits for
 /// them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Barrier {

@@ -242,7 +242,7 @@ fn only_a_host_that_opens_the_line_restarts_the_log() {
         device.sent(n);
         device
     };
-    // A host that misses frames sends Identify: the log has no answer, and goes on.
+    // A host that misses frames sends Identify: the log has no answer, and continues.
     let mut device = begun();
     device.on_bytes(&command(Command::Identify), 500 * MS);
     let mut now_ms = 500;

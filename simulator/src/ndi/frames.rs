@@ -17,8 +17,7 @@ const RESET_COUNTER: &str = "80";
 const LAST_FRAME_NS: u64 = SECOND_NS;
 
 /// Maximum number of unfetched frames that wait for a later request. Beyond it (a minute at 60 Hz) they count as
-/// dropped, whatever
-/// the host does next.
+/// dropped, regardless of later requests.
 const MISSED_MAX: usize = 4096;
 
 /// The frame that requests can fetch.
@@ -26,7 +25,7 @@ const MISSED_MAX: usize = 4096;
 struct Current {
     /// Its entry in the log.
     sent: SentFrame,
-    /// Any request has fetched it.
+    /// Whether any request has fetched it.
     fetched: bool,
     /// `BX2` has fetched it.
     fetched_by_bx2: bool,
@@ -45,7 +44,7 @@ pub(super) struct Tracking {
     /// Frames produced before the counter was last reset.
     counted_from: u64,
     sequence: u8,
-    /// A run has ended, by itself or by a command.
+    /// Whether a run has ended, by itself or by a command.
     ended: bool,
     end_reported: bool,
 }

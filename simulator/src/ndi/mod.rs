@@ -22,7 +22,7 @@ mod setup;
 #[cfg(test)]
 mod tests;
 
-/// Most labels that an error lists.
+/// Maximum number of labels that an error lists.
 const LABELS_NAMED: usize = 8;
 
 /// Length of a part number.
@@ -226,10 +226,10 @@ impl LineDevice for NdiDevice {
     }
 }
 
-/// Most tools that can be plugged in; the other handles are for tools that a host loads.
+/// Maximum number of tools that can be plugged in; the other handles are for tools that a host loads.
 pub const TOOLS_MAX: usize = 32;
 
-/// Most stray markers in one answer: `BX` counts them in one byte.
+/// Maximum number of stray markers in one answer: `BX` counts them in one byte.
 pub const STRAYS_MAX: usize = 255;
 
 /// How an NDI system plays its motion.

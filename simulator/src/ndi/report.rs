@@ -11,7 +11,7 @@ const ACTIVE_STRAY: u16 = 0x0004;
 const TOOL_MARKERS: u16 = 0x0008;
 const STRAYS: u16 = 0x1000;
 
-/// Most strays in an answer to `TX`.
+/// Maximum number of strays in an answer to `TX`.
 const TX_STRAYS_MAX: usize = 50;
 
 /// Fit error of every simulated tool, millimetres.

@@ -200,13 +200,13 @@ fn handle(args: &str) -> Result<u8, u8> {
 /// Size of a tool definition: sixteen pages of 64 bytes.
 const ROM_BYTES: usize = 1024;
 
-/// Size of a page, which `PVWR` writes at once.
+/// Size of a page, which one `PVWR` writes.
 pub(super) const PAGE_BYTES: usize = 64;
 
 /// The part number's bytes in a tool definition.
 const PART_NUMBER: std::ops::Range<usize> = 592..612;
 
-/// Most handles that a host may request in addition to the tools that are plugged in.
+/// Maximum number of handles that a host may request in addition to the tools that are plugged in.
 const LOADED_MAX: usize = 32;
 
 /// A port handle and its tool.

@@ -61,7 +61,7 @@ fn long(out: &Path) -> Command {
 }
 
 #[test]
-fn ctrl_c_is_answered_at_once_and_leaves_nothing() {
+fn ctrl_c_takes_effect_quickly_and_leaves_no_files() {
     let place = tempfile::tempdir().unwrap();
     let mut child = long(&place.path().join("jumps")).spawn().unwrap();
     while std::fs::read_dir(place.path()).unwrap().count() == 0 {

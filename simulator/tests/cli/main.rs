@@ -401,7 +401,7 @@ fn a_doubled_signal_counts_once_and_a_later_one_ends_the_program_at_once() {
 }
 
 #[test]
-fn signals_end_it_cleanly() {
+fn signals_end_the_program_cleanly() {
     for signal in [Signal::INT, Signal::TERM] {
         let args = ["--generate", "jump", "--pty", "--speed", "4", "--seconds", "200ms"];
         let (child, path) = started(&args);

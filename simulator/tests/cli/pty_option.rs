@@ -47,7 +47,7 @@ fn served(files: &Files, words: &str) -> String {
 }
 
 #[test]
-fn a_path_after_it_is_the_link_wherever_it_stands() {
+fn a_path_after_the_option_is_the_link_at_any_position() {
     let files = Files::new();
     for words in [
         "JUMP --pty LINK",
@@ -67,7 +67,7 @@ fn a_path_after_it_is_the_link_wherever_it_stands() {
 }
 
 #[test]
-fn alone_it_serves_without_a_link() {
+fn pty_without_a_path_creates_no_link() {
     let files = Files::new();
     for words in [
         "JUMP --pty",
@@ -105,14 +105,14 @@ fn a_file_to_play_is_never_the_link() {
         assert_eq!(message.lines().count(), 1, "{words}: {message}");
     }
     assert!(std::fs::metadata(files.path("jump.csv")).unwrap().len() > 100, "untouched");
-    // Options of generated motions need one, whatever follows --pty.
+    // Options of generated motions need one, regardless of what follows --pty.
     let jump = files.path("jump.csv");
     let message = fails(&["--pty", &jump, "--markers", "3"], 2);
     assert!(message.contains("--generate"), "{message}");
 }
 
 #[test]
-fn json_has_the_path_and_what_was_sent() {
+fn json_has_the_path_and_the_sent_totals() {
     let files = Files::new();
     let jump = files.path("jump.csv");
     let mut child = sim(&["--json", "--pty", &jump]).spawn().unwrap();

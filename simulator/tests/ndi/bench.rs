@@ -40,7 +40,7 @@ pub(super) struct Bench {
     pub(super) breaks: u32,
     /// Above this speed the line garbles every byte.
     pub(super) line_baud_max: u32,
-    /// Another device on the line sends without end.
+    /// Whether another device on the line sends without end.
     pub(super) babbles: bool,
     /// Damages answers on the line.
     pub(super) damage: Damage,
@@ -165,7 +165,7 @@ impl Bench {
                     }
                     self.requests.push(request.as_bytes().to_vec());
                     let mut bytes = request.as_bytes().to_vec();
-                    self.cross(&mut bytes);
+                    self.garble(&mut bytes);
                     self.device.poll(self.now_ns);
                     self.device.on_bytes(&bytes, self.now_ns);
                 }
@@ -185,7 +185,7 @@ impl Bench {
     }
 
     /// Garbles bytes that are too fast for the line, or sent at another speed than the receiver's.
-    fn cross(&self, bytes: &mut [u8]) {
+    fn garble(&self, bytes: &mut [u8]) {
         let baud = self.device.baud().unwrap();
         if baud != self.host_baud || baud > self.line_baud_max {
             bytes.iter_mut().for_each(|byte| *byte = (*byte ^ 0xA6).wrapping_mul(3));
@@ -197,7 +197,7 @@ impl Bench {
         self.device.poll(self.now_ns);
         let mut answer = self.device.pending().to_vec();
         if !answer.is_empty() {
-            self.cross(&mut answer);
+            self.garble(&mut answer);
             let baud = u64::from(self.device.baud().unwrap());
             self.device.sent(answer.len());
             (self.damage)(&mut answer);

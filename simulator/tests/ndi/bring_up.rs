@@ -68,7 +68,7 @@ fn a_device_that_was_just_switched_on() {
 }
 
 #[test]
-fn a_break_brings_it_back_from_any_speed() {
+fn a_break_resets_the_device_at_any_speed() {
     for (baud, _) in BAUDS.into_iter().skip(1) {
         let mut bench = bench(&[], 921_600);
         left_at(&mut bench, baud);

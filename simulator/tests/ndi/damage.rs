@@ -52,7 +52,7 @@ fn noisy(bx2: bool, seed: u64) -> (Bench, Rc<Cell<u64>>) {
 }
 
 #[test]
-fn of_ten_thousand_corrupted_answers_each_is_counted_and_none_recorded() {
+fn ten_thousand_corrupted_answers_are_counted_and_not_recorded() {
     const N: u64 = 10_000;
     for (bx2, seed) in [(true, 0x1D1), (false, 0x1D2)] {
         let motion = jump(52, 60.0, 3.0);

@@ -123,7 +123,7 @@ fn a_reset_device_is_set_up_again_and_reported_as_restarted() {
 
 #[test]
 fn damaged_requests_are_repeated() {
-    // A device that answers every fifth request with ERROR04, whatever the request.
+    // A device that answers every fifth request of any kind with ERROR04.
     let settings = NdiSettings { looping: true, ..settings(&["head", "throat"], true) };
     let mut bench = Bench::new(jump(10, 60.0, 1.0), settings, 921_600);
     let mut n_answers = 0;

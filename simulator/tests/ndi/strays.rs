@@ -56,7 +56,7 @@ fn numbered(motion: &Motion, baud: u32) -> Numbered {
 
 #[test]
 fn on_a_slow_line_strays_keep_their_numbers() {
-    // A whole jump, of which a third to half of the frames arrive; nothing is hidden.
+    // A whole jump; a third to half of its frames arrive, and nothing is hidden.
     let spec = JumpSpec { seconds: Some(10.0), n_markers: 20, ..JumpSpec::new(11, 60.0) };
     let motion = spec.generate().unwrap().motion;
     for (baud, skipped_min) in [(115_200, 0), (57_600, 200)] {

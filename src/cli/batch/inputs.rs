@@ -30,7 +30,7 @@ pub(crate) enum FileKinds {
 impl FileKinds {
     fn includes(self, path: &Path) -> bool {
         let is_read = || Format::from_extension(path).is_some_and(Format::is_read);
-        // Files of analog channels and force plates beside an export have no markers.
+        // The files of analog channels and force plates of an export have no markers.
         let is_motion_file = || is_read() && !paths::is_sampled(path);
         match self {
             Self::Takes => paths::is_take(path),
@@ -69,7 +69,7 @@ pub(crate) struct Input {
     pub(crate) name: PathBuf,
     /// Its path below the folder that was given, which an output folder repeats; the file's name for a file.
     pub(crate) relative: PathBuf,
-    /// Its format, if the extension does not tell it.
+    /// Its format, if the extension does not show it.
     format: Option<InputFormat>,
     /// The temporary file behind `path`, for standard input.
     spool: Option<File>,
@@ -99,7 +99,7 @@ impl Input {
 pub(crate) struct Inputs {
     /// In the order of the arguments; the files of a folder are in the order of their names.
     pub(crate) files: Vec<Input>,
-    /// Exactly one file was given, not a folder: the report is that of one file.
+    /// Whether exactly one file was given, not a folder: the report is that of one file.
     pub(crate) is_single: bool,
     /// Folders that cannot be read, one message each.
     pub(crate) unreadable: Vec<String>,
@@ -157,7 +157,7 @@ pub(crate) fn find(
                 )));
             }
         } else if is_single && argument.symlink_metadata().is_err() {
-            // Before the output is looked at: what is missing is the input.
+            // Before the output is checked: the input is missing.
             return Err(FileError::NotFound(argument.clone()).into());
         } else {
             let name = argument.file_name().unwrap_or(argument.as_os_str());

@@ -1,5 +1,5 @@
-//! Commands over many files: they keep every core busy, go on after a file that fails, and report each file in a line
-//! and all of them in a table.
+//! Commands over many files: they keep every core busy, continue after a file that fails, and report each file in a
+//! line and all of them in a table.
 //!
 //! A command finds its [`Inputs`], decides the [`Destination`] of its outputs, and passes both to [`run`] with the
 //! function that processes one file. For a single file the report is the command's own, in full; for several it is a
@@ -32,7 +32,7 @@ pub(crate) use self::{
 };
 use super::output::{Progress, eprint, json_line, notify, pretty_json, print, print_json_text};
 
-/// What a command reports of one file.
+/// The report of a command on one file.
 #[derive(Debug, Default)]
 pub(crate) struct FileReport {
     /// Why the file failed, although there is a report of it.
@@ -45,7 +45,7 @@ pub(crate) struct FileReport {
     pub(crate) line: String,
     /// The report as JSON.
     pub(crate) json: String,
-    /// What the table adds up.
+    /// The figures that the table adds up.
     pub(crate) figures: Figures,
 }
 
@@ -79,9 +79,9 @@ pub(crate) struct Batch<'a> {
     pub(crate) lines_to_stderr: bool,
     /// Threads for all files together.
     pub(crate) threads: usize,
-    /// What is done, for the progress display: `importing`.
+    /// The participle for the progress display: `importing`.
     pub(crate) doing: &'static str,
-    /// What was done, for the table: `imported`.
+    /// The participle for the table: `imported`.
     pub(crate) done: &'static str,
     /// Whether the table has the ratio of bytes read to bytes written.
     pub(crate) is_compression: bool,
@@ -117,7 +117,7 @@ pub(crate) struct Job<'a> {
     pub(crate) output: Option<&'a Path>,
     /// Threads to use.
     pub(crate) threads: usize,
-    /// Whether it is the only file, of which the whole report is printed.
+    /// Whether it is the only file; its whole report is then printed.
     pub(crate) is_single: bool,
     /// Whether the report is JSON.
     pub(crate) is_json: bool,
@@ -126,7 +126,7 @@ pub(crate) struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Prints a message about the file on standard error: at once for a single file, else before its line.
+    /// Prints a message about the file on standard error: immediately for a single file, else before its line.
     pub(crate) fn notify(&self, message: &str) {
         self.notify_of(&self.input.name, message);
     }
@@ -177,7 +177,7 @@ impl FileProgress {
         *self.phase.lock().unwrap_or_else(PoisonError::into_inner) = (Arc::clone(counter), total);
     }
 
-    /// The share of the current phase that is done, 0 to 1.
+    /// The fraction of the current phase that is done, 0 to 1.
     fn share(&self) -> f64 {
         let phase = self.phase.lock().unwrap_or_else(PoisonError::into_inner);
         let done = phase.0.load(Ordering::Relaxed) as f64;
@@ -286,7 +286,7 @@ fn names(message: &str, file: &str) -> bool {
     })
 }
 
-/// Prints what became of one of many files, and adds it to the table.
+/// Prints the result of one of many files, and adds it to the table.
 fn print_result(
     batch: &Batch<'_>,
     name: &Path,
@@ -351,7 +351,7 @@ impl BatchProgress {
         self.finished.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// How many files are done, with the shares of those that are being processed.
+    /// The number of files done, including fractions of those that are being processed.
     fn n_done(&self) -> f64 {
         let shares: f64 = self.running().values().map(|file| file.share()).sum();
         self.finished.load(Ordering::Relaxed) as f64 + shares

@@ -121,7 +121,7 @@ impl SeekWrite for NewFile {
     }
 }
 
-/// What is copied to standard output, and has no name.
+/// A temporary file without a name, to be copied to standard output.
 impl SeekWrite for File {
     fn sync(&mut self) -> io::Result<()> {
         Ok(())

@@ -14,7 +14,7 @@ struct Row {
     sums: Figures,
 }
 
-/// What became of the files.
+/// The results of the files.
 #[derive(Debug, Default)]
 pub(super) struct Table {
     done: Row,

@@ -256,7 +256,7 @@ struct Measured {
     tolerance_mm: f64,
     /// Size of the whole take.
     bytes: u64,
-    /// Size of its blocks and time line alone.
+    /// Size of its blocks and time line only.
     block_bytes: u64,
     kept: u64,
     ratio: f64,

@@ -1,6 +1,6 @@
 //! `bench pipeline`: simulator -> pty -> record -> disk, each in its own process, and the pipeline alone.
 //!
-//! Each figure is the median of the runs, beside a reference measured in the same runs.
+//! Each figure is the median of the runs, with a reference measured in the same runs.
 
 use std::{
     io::{self, BufRead, BufReader},

@@ -23,7 +23,7 @@ use crate::cli::{
 pub(super) struct MeasuredSamples {
     kind: String,
     channels: u64,
-    /// Of each channel.
+    /// Samples of each channel.
     samples: u64,
     raw_bytes: u64,
     /// Size of all its chunks in a take.

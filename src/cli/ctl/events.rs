@@ -61,7 +61,7 @@ pub(super) fn follow(client: &Client, json: bool) -> anyhow::Result<Outcome> {
 
 fn show(event: &Event, json: bool) -> anyhow::Result<()> {
     if json {
-        // One line per event: line ends can only stand between JSON values.
+        // One line per event: line ends occur only between JSON values.
         return print_json_text(&event.data.replace('\n', " "));
     }
     if let Ok(event) = serde_json::from_str::<ServiceEvent>(&event.data) {

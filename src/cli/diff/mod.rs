@@ -155,7 +155,7 @@ fn times(
     Ok(Some(compare_times((inputs.0, a.map()), (inputs.1, b.map()))?))
 }
 
-/// Most labels, and most events, that the text lists; the JSON has all of them.
+/// Maximum number of labels, and of events, that the text lists; the JSON has all of them.
 const LISTED_MAX: usize = 10;
 
 #[derive(Debug, Serialize)]

@@ -17,8 +17,8 @@ use mocapd_take::{
     motion::{FrameSource, MotionInfo, Position, frame_at},
 };
 
-/// Most lost frames that are exported without `--to` if the take has fewer recorded ones: four hours at 1000 Hz. A loss
-/// takes a few bytes in a take, but may state so many frames that their gaps would fill the disk.
+/// Maximum number of lost frames that are exported without `--to` if the take has fewer recorded ones: four hours at
+/// 1000 Hz. A loss takes a few bytes in a take, but may state more frames than the disk can hold as gaps.
 const LOST_FRAMES_MAX: u64 = 1 << 24;
 
 /// The next frames of a source, up to the end of a range; counts them as they are read.

@@ -1,4 +1,4 @@
-//! The format of an export and its options, and labels that a spreadsheet would take for formulas.
+//! The format of an export and its options, and labels that a spreadsheet would read as formulas.
 
 use std::{io, path::Path};
 

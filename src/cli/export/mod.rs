@@ -72,7 +72,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// What is the same for every take.
+/// The settings shared by all takes.
 struct ExportPlan<'a> {
     args: &'a Args,
     format: Format,
@@ -176,7 +176,7 @@ struct ExportReport {
     problems: Vec<String>,
 }
 
-/// What one attempt to write an output came to.
+/// The result of one attempt to write an output.
 struct Attempt {
     frames: u64,
     written: Written,
@@ -184,7 +184,7 @@ struct Attempt {
     not_rotated: Vec<String>,
 }
 
-/// What became of an output.
+/// An output that was written.
 struct Written {
     kept: Kept,
     /// Its size; 0 for a folder.
@@ -311,7 +311,7 @@ impl ExportPlan<'_> {
             return Ok(Written { kept: Kept::New, bytes: 0, sampled_files, remarks });
         }
         let writing = || format!("cannot write {}", output.display());
-        // The files beside the output get their names before it: where it is, they are.
+        // The additional files get their names before the output: if the output exists, so do they.
         let mut sampled = SampledFiles::default();
         let ((bytes, mut remarks), mut kept) =
             outputs::write_whole(output, self.is_folder, |out| {
@@ -354,7 +354,7 @@ impl ExportPlan<'_> {
     }
 }
 
-/// The files of analog channels and force plates beside an output. Those that are new are removed on drop.
+/// The files of analog channels and force plates that accompany an output. New ones are removed on drop.
 #[derive(Default)]
 struct SampledFiles {
     kept: Vec<(PathBuf, Kept)>,
@@ -408,7 +408,7 @@ impl Drop for SampledFiles {
     }
 }
 
-/// A remark on the axes of an export whose format demands an axis that the user did not give.
+/// A remark on the axes of an export whose format requires an up axis that the user did not give.
 fn remark_on_axes(format: Format, of_take: UpAxis, given: Option<UpAxis>) -> Option<String> {
     match of_take.name() {
         _ if format != Format::Mot || given.is_some() || of_take == UpAxis::Y => None,
@@ -516,7 +516,7 @@ fn axis(text: &str) -> Result<UpAxis, String> {
         .ok_or_else(|| format!("'{text}' is not an axis to point up: use x, y or z"))
 }
 
-/// Writes a file atomically: under its name there is the whole file or none.
+/// Writes a file atomically: completely or not at all.
 pub(super) fn write(
     frames: &mut dyn FrameSource,
     format: Format,

@@ -20,7 +20,7 @@ pub(super) struct SampledGroupReport {
     rate_hz: f64,
     samples_per_frame: u32,
     first_frame: u64,
-    /// Of each channel, lost ones included.
+    /// Samples of each channel, lost ones included.
     samples: u64,
     samples_lost: u64,
     stored_bytes: u64,
@@ -33,7 +33,7 @@ struct SampledChannelReport {
     unit: String,
     scale: f64,
     offset: f64,
-    /// In the unit; 0 for exact samples.
+    /// In the channel's unit; 0 for exact samples.
     max_error: f64,
 }
 
@@ -70,8 +70,8 @@ impl SampledGroupReport {
     }
 }
 
-/// Behind the size of a part: how many channels at which rate it has, and its size in the take; nothing for a part that
-/// has none.
+/// The text after the size of a part: its number of channels and their rate, and its size in the take; empty for a part
+/// without channels.
 pub(super) fn shape(groups: &[&SampledGroupReport]) -> String {
     let Some(first) = groups.first() else { return String::new() };
     let n_channels = groups.iter().map(|group| group.channels.len() as u64).sum();

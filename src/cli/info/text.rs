@@ -138,7 +138,7 @@ fn motion(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     line("samples", &format!("{} of {all} present, {gaps}", thousands(report.samples)));
 }
 
-/// How many markers were seen, and which one least.
+/// How many markers were seen, and which one was seen least.
 fn markers(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     let seen = || report.channels.iter().filter(|channel| channel.samples > 0);
     let all = count(report.markers as u64, "marker");

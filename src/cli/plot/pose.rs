@@ -102,7 +102,7 @@ fn evenly_spread(n_frames: usize) -> impl Iterator<Item = usize> {
     (0..n).map(move |i| i * n_frames.saturating_sub(1) / n.saturating_sub(1).max(1))
 }
 
-/// The up direction of a take, the same in each of its plots, whatever part is drawn.
+/// The up direction of a take, the same in each of its plots, for any part that is drawn.
 pub(super) fn up(motion: &Motion) -> Up {
     let rows: Vec<usize> = evenly_spread(motion.n_frames()).collect();
     let front = Faces::of(motion, &motion.info.labels(), &rows).front;

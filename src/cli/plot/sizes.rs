@@ -128,7 +128,7 @@ fn file_bytes(
     let before = counter.load(Ordering::Relaxed);
     let workers = threads::default_workers();
     let (written, _) = offline::write_take(motion, &header, workers, counter, std::io::sink())?;
-    // The writer counts samples as it goes, or all at once for a resampler that works on the whole motion.
+    // The writer counts samples continuously, or all at the end for a resampler that works on the whole motion.
     let after = before + motion.positions_mm.len() as u64;
     counter.store(after, Ordering::Relaxed);
     Ok(written.file_bytes)

@@ -79,7 +79,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Parses the device, of which there is no default as in the service: a user names the one to record.
+/// Parses the device. Unlike the service, `record` has no default: the user names the device.
 fn device(text: &str) -> anyhow::Result<DeviceUri> {
     if text == "auto" {
         let message = "--device auto: only the service selects a device (device.uri = \"auto\"): \

@@ -70,11 +70,11 @@ impl RawLogReport {
     }
 }
 
-/// Records with a raw log at `path`, if given; returns the log's report beside the recording, and prints what the log
-/// lacks. After an error the log is removed if there is no take: `has_take` looks.
+/// Records with a raw log at `path`, if given; returns the log's report with the recording, and prints what the log
+/// lacks. After an error the log is removed unless `has_take` finds a take.
 ///
 /// # Errors
-/// Those of the recording, or if the log cannot be created. A log that ends early is no error.
+/// Those of the recording, or if the log cannot be created. A log that ends early is not an error.
 pub(super) fn with_log<T>(
     path: Option<&Path>,
     has_take: impl FnOnce() -> bool,

@@ -28,7 +28,7 @@ use super::{
     values,
 };
 
-/// Most samples of all takes together, which are in memory at once: 1.2 GB.
+/// Maximum number of samples of all takes together, which are held in memory: 1.2 GB.
 const SAMPLES_MAX: usize = 100_000_000;
 
 #[derive(Debug, clap::Args)]

@@ -50,7 +50,7 @@ pub(crate) struct Args {
 /// Below this confidence in head, hands and feet the user is warned: arms merged with the trunk gave 0.14.
 const CONFIDENCE_MIN: f64 = 0.5;
 
-/// Most scans of one person: the limit on the sources of a skeleton.
+/// Maximum number of scans of one person: the limit on the sources of a skeleton.
 const SCANS_MAX: usize = 64;
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {

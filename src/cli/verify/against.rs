@@ -27,7 +27,7 @@ use crate::cli::{
     values::{count, thousands},
 };
 
-/// Most labels that the text lists; the JSON has all of them.
+/// Maximum number of labels that the text lists; the JSON has all of them.
 const LABELS_LISTED_MAX: usize = 10;
 
 #[derive(Debug, Serialize)]
@@ -92,7 +92,7 @@ pub(crate) fn against(
     };
     let mut difference = difference.with_context(comparing)?;
     if cut_off {
-        // The frames behind the cut are lost; that is not a difference.
+        // The frames after the cut-off are lost; that is not a difference.
         difference.frames_lost += difference.frames_after_take;
         difference.frames_missing -= difference.frames_after_take;
     }

@@ -14,7 +14,7 @@ use crate::cli::{
     values::count,
 };
 
-/// Most ranges with an implausible limb length that the text lists; the JSON has all of them.
+/// Maximum number of ranges with an implausible limb length that the text lists; the JSON has all of them.
 const OUTSIDE_SHOWN: usize = 20;
 
 #[derive(Debug, Serialize)]

@@ -96,7 +96,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         paths::input_format(original)?;
     }
     let format = args.format.map(Into::into);
-    // Exports beside the takes in a folder have no original.
+    // Exports next to the takes in a folder have no original.
     let compares = args.against.is_some() || args.skeleton.is_some();
     let kinds = if compares { FileKinds::Takes } else { FileKinds::Both };
     let inputs = batch::inputs::find(&args.files, &args.input, kinds, format)?;

@@ -11,8 +11,8 @@ use super::locate::{Landmarks, refine_ends};
 use super::skeleton::Method;
 use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side, extremity, joint, locate, paper};
 
-/// Least ratio of the girths of head and neck. Whole bodies have 1.24 or more, in their own and in other builds; bodies
-/// cut off above the throat have less.
+/// Minimum ratio of the girths of head and neck. Whole bodies have 1.24 or more, in their own and in other builds;
+/// bodies cut off above the throat have less.
 const NECK_NARROWING_MIN: f64 = 1.12;
 
 /// Additional standard deviation of a wrist whose arm has no plausible length, in body scales: half a hand (0.108,
@@ -34,7 +34,7 @@ pub struct ScanAnalysis {
     pub confidence: f64,
     /// Whether limbs touch, so that geodesic paths may cross from one limb to another.
     pub in_contact: bool,
-    /// Body scale: about the stature in the mesh's unit, whatever the pose; none for [`Method::Paper`].
+    /// Body scale: about the stature in the mesh's unit, independent of the pose; `None` for [`Method::Paper`].
     pub body_scale: Option<f64>,
     /// Remarks for readers of the joints.
     pub notes: Vec<Note>,
@@ -90,7 +90,7 @@ impl ScanAnalysis {
         if landmarks.missing.as_flattened().iter().any(|part| *part > 0.0) {
             notes.push(limbs_cut_note(landmarks.missing));
         }
-        // Unusual arm lengths alone are no sign of contact.
+        // Unusual arm lengths alone are not a sign of contact.
         let scale = landmarks.scale;
         if let Some(by) = joint::size_shortfall(mesh, scale, touching || handles > 0) {
             notes.push(joint::widen_sigmas(&mut joints, scale, by));
@@ -98,7 +98,7 @@ impl ScanAnalysis {
         if landmarks.head_is_in_doubt() {
             notes.push(Note::new("head-unsure", HEAD_UNCERTAIN));
         }
-        if landmarks.neck.narrows() < NECK_NARROWING_MIN {
+        if landmarks.neck.girth_ratio() < NECK_NARROWING_MIN {
             notes.push(remove_head(&mut joints));
         }
         let body_scale = Some(scale);

@@ -85,7 +85,7 @@ pub enum Refusal {
     /// Limbs touch and have fused in the scan.
     #[error("limbs touch and have fused in the scan{}: scan with limbs apart", loops(.handles))]
     Contact {
-        /// Loops (handles) of the surface, of which a body has none.
+        /// Number of loops (handles) of the surface; a body without contact has none.
         handles: usize,
     },
     /// The published method finds other than five extremities on a body whose limbs are free.

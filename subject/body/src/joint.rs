@@ -1,8 +1,9 @@
 //! Joint centres of a scan, with their standard deviations and their plausibility.
 //!
-//! Where limbs have fused, geodesic distances cut across the contact, and what follows from them is no body: shoulders
-//! in the belly, a trunk twice as long as the legs. [`Plausibility`] compares lengths with the length of a leg. These
-//! ratios hardly differ from person to person; a value far outside means a faulty scan, not an unusual subject.
+//! Where limbs have fused, geodesic distances cut across the contact, and the resulting joints are anatomically
+//! impossible: shoulders in the belly, a trunk twice as long as the legs. [`Plausibility`] compares lengths with the
+//! length of a leg. These ratios hardly differ from person to person; a value far outside means a faulty scan, not an
+//! unusual subject.
 
 use std::{collections::BTreeMap, ops::RangeInclusive};
 
@@ -95,7 +96,7 @@ pub enum Plausibility {
 }
 
 impl Plausibility {
-    /// Judges joints in any unit. Missing joints pass.
+    /// Checks joints in any unit. Missing joints pass.
     #[must_use]
     pub fn of(joints: &Joints) -> Self {
         let Some(leg) = limb(joints, [Joint::Hip, Joint::Knee, Joint::Ankle]) else {

@@ -8,8 +8,8 @@
 //! theirs as printed, for comparison. Both rest on geodesic distances along the surface, which hardly change with the
 //! pose.
 //!
-//! A skeleton is prepared once per subject, before a capture. This crate knows nothing of takes; a take carries the
-//! skeleton as a document. The default method's weights were learned from two synthetic bodies by
+//! A skeleton is prepared once per subject, before a capture. This crate does not depend on takes; a take carries
+//! the skeleton as a document. The default method's weights were learned from two synthetic bodies by
 //! `benches/subject/learn.py`.
 
 pub mod analysis;

@@ -137,7 +137,7 @@ pub(crate) fn edges(half_edges: &[HalfEdge]) -> impl Iterator<Item = &[HalfEdge]
     half_edges.chunk_by(|a, b| a.ends == b.ends)
 }
 
-/// The vertices from which and to which half-edge `side` leads.
+/// The start and end vertices of half-edge `side`.
 pub(crate) fn ends(triangles: &[[u32; 3]], side: u32) -> [u32; 2] {
     let triangle = triangles[side as usize / 3];
     let k = side as usize % 3;

@@ -31,7 +31,7 @@ pub(crate) fn sphere(rows: u32) -> Mesh {
     Mesh { positions, triangles }
 }
 
-/// The surface of unit cubes at such places.
+/// The surface of unit cubes at these grid positions.
 pub(crate) fn cubes(places: &[[i32; 3]]) -> Mesh {
     let mut mesh = Mesh::default();
     let mut known = BTreeMap::new();

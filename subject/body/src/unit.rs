@@ -5,7 +5,7 @@ use std::fmt;
 
 use super::{Mesh, Note};
 
-/// A unit of length that scans come in.
+/// A unit of length used in scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
     /// Metre.

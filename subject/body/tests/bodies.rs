@@ -26,16 +26,16 @@ const EXACT: [&str; 3] = ["mh_mheavy_", "mh_mlean_", "mhr_"];
 const STAND_INS: [&str; 2] = ["faust_", "smpl_"];
 /// Bodies with fused limbs.
 const TOUCHING: [&str; 1] = ["contact_mheavy_"];
-/// Most of these that may be refused, of five.
-const TOUCHING_REFUSED_MOST: usize = 2;
+/// Maximum number of refusals among these five bodies.
+const TOUCHING_REFUSED_MAX: usize = 2;
 /// The same bodies in 5, 10 and 26.7 thousand triangles.
 const REMESHED: [&str; 3] = ["mh_mavg_squat_r0", "mh_mavg_T_fist", "mh_mavg_walk_r0"];
 
-/// In parts of stature.
-const MEAN_MOST: f64 = 0.02;
-const NINETY_FIFTH_MOST: f64 = 0.05;
-/// Least share of limbs whose length is within 10 %.
-const LENGTHS_LEAST: f64 = 0.95;
+/// Largest mean and 95th percentile of the joint errors, as fractions of stature.
+const MEAN_MAX: f64 = 0.02;
+const PERCENTILE_95_MAX: f64 = 0.05;
+/// Minimum fraction of limbs whose length is within 10 %.
+const LENGTHS_FRACTION_MIN: f64 = 0.95;
 
 /// The meshes whose names begin with one of `starts`; `None` if no folder is given.
 fn bodies(starts: &[&str]) -> Option<Vec<PathBuf>> {
@@ -77,15 +77,15 @@ fn joints_are_accurate_on_bodies_not_learned_from() {
             lengths.extend(length_errors(&found, &truth));
         }
     }
-    assert!(refused <= TOUCHING_REFUSED_MOST, "{refused} meshes are refused");
+    assert!(refused <= TOUCHING_REFUSED_MAX, "{refused} meshes are refused");
     errors.sort_by(f64::total_cmp);
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    assert!(mean <= MEAN_MOST, "mean error {mean} of stature");
+    assert!(mean <= MEAN_MAX, "mean error {mean} of stature");
     let ninety_fifth = errors[errors.len() * 95 / 100];
-    assert!(ninety_fifth <= NINETY_FIFTH_MOST, "95th percentile {ninety_fifth} of stature");
+    assert!(ninety_fifth <= PERCENTILE_95_MAX, "95th percentile {ninety_fifth} of stature");
     let within = lengths.iter().filter(|error| error.abs() <= 0.1).count();
     let part = within as f64 / lengths.len() as f64;
-    assert!(part >= LENGTHS_LEAST, "{within} of {} limbs are within 10 %", lengths.len());
+    assert!(part >= LENGTHS_FRACTION_MIN, "{within} of {} limbs are within 10 %", lengths.len());
 }
 
 /// The name of a joint in the truth, and the joint of a side.
@@ -111,7 +111,7 @@ fn length_errors(found: &ScanAnalysis, truth: &Truth) -> Vec<f64> {
 }
 
 /// Largest errors of the head and of the stature, in stated standard deviations.
-const SIGMAS_MOST: f64 = 3.0;
+const SIGMAS_MAX: f64 = 3.0;
 /// Bodies whose limbs are fused with the trunk, so that the distances across it are too short.
 const TUCKED: &str = "contact_mavg_tuck";
 
@@ -131,7 +131,7 @@ fn errors_of_heads_and_statures_match_their_standard_deviations() {
         for found in [Some(&found), other.as_ref()].into_iter().flatten() {
             if let Some((at, known)) = found.joints.estimates.get(&Joint::Head).zip(known) {
                 let error = distance(at.position, *known);
-                assert!(error < SIGMAS_MOST * at.sigma, "head of {name}: {error} at {}", at.sigma);
+                assert!(error < SIGMAS_MAX * at.sigma, "head of {name}: {error} at {}", at.sigma);
             }
         }
         if name.starts_with(TUCKED) {

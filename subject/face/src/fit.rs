@@ -12,10 +12,10 @@ use crate::points::{FacePoints, RoughFace};
 use crate::proportions::ProportionModel;
 use crate::{find, paper, points};
 
-/// Most faces that are fitted, by score: a class, or a team.
+/// Maximum number of faces that are fitted, by score: a class, or a team.
 pub const FACES_MAX: usize = 64;
 
-/// Why a photograph gives no face.
+/// Why no face was fitted to a photograph.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoFace {
     /// No face was detected.

@@ -5,8 +5,8 @@
 //! functions. [`fit`] runs all of it and [`fitted`] writes the result. [`paper`] and [`points::paper`] implement the
 //! published method as printed, for comparison; [`proportions`] checks its points.
 //!
-//! A face is prepared once per subject, before a capture. This crate knows nothing of takes; a take carries the face as
-//! a document, and [`mapping`] places markers on it. The detector and the regressors are linear weights and small
+//! A face is prepared once per subject, before a capture. This crate does not depend on takes; a take carries the face
+//! as a document, and [`mapping`] places markers on it. The detector and the regressors are linear weights and small
 //! decision trees learned from a few photographs and many rendered heads by the scripts in `benches/subject`.
 
 pub mod adapt;

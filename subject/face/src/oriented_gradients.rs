@@ -94,7 +94,7 @@ impl Histograms {
     }
 
     /// Features of those cells: eight gradients clockwise from the right, relative to the local contrast; brightness in
-    /// deviations from the mean; and whatever `more` appends.
+    /// deviations from the mean; and the features that `more` appends.
     pub(crate) fn bytes(&self, border: usize, more: impl Fn(&Histogram, &mut Vec<u8>)) -> Vec<u8> {
         let bright = || self.inner(border).map(|(_, _, cell)| cell.brightness);
         let count = ((self.down - 2 * border) * (self.across - 2 * border)) as f32;

@@ -17,12 +17,12 @@ mod data;
 use data::{Face, Noise, distance};
 
 /// Limits of median errors, in outer interocular distances.
-const PHOTOGRAPHS_MEDIAN_MOST: f64 = 0.06;
-const SYNTHETIC_MEDIAN_MOST: f64 = 0.05;
-/// A face is good if its mean error is below this; the least share of good faces.
+const PHOTOGRAPHS_MEDIAN_MAX: f64 = 0.06;
+const SYNTHETIC_MEDIAN_MAX: f64 = 0.05;
+/// A face is good if its mean error is below this; the minimum fraction of good faces.
 const GOOD_IO: f64 = 0.1;
 const GOOD_SHARE: f64 = 0.85;
-const YAW_ERROR_MOST_DEG: f64 = 4.0;
+const YAW_ERROR_MAX_DEG: f64 = 4.0;
 /// Disturbance of the eyes and mouth from which the search starts.
 const START_SD_INTEROCULAR: f64 = 0.04;
 const STARTS: usize = 3;
@@ -34,7 +34,7 @@ const FOUND_INTEROCULAR_PX: f64 = 40.0;
 const FOUND_NEAR_INTEROCULAR: f64 = 0.25;
 const FOUND_SHARE: f64 = 0.9;
 /// The criterion is a half; the result is a twentieth.
-const FALSE_PER_PHOTOGRAPH_MOST: f64 = 0.15;
+const FALSE_PER_PHOTOGRAPH_MAX: f64 = 0.15;
 
 /// Faces that were not learned from, turned by at most this.
 fn reported(folder: &Path, synthetic: bool, yaw_deg: f64) -> Vec<Face> {
@@ -105,7 +105,7 @@ fn yaw_errors_deg(faces: &[Face]) -> [f64; 2] {
 fn points_of_photographs_are_accurate() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     let (median, good) = median_and_good_share(&reported(&folder, false, PHOTOGRAPHS_YAW_DEG));
-    assert!(median <= PHOTOGRAPHS_MEDIAN_MOST, "median error {median} of the eyes' distance");
+    assert!(median <= PHOTOGRAPHS_MEDIAN_MAX, "median error {median} of the eyes' distance");
     assert!(good >= GOOD_SHARE, "{good} of the faces are good");
 }
 
@@ -113,7 +113,7 @@ fn points_of_photographs_are_accurate() {
 fn points_of_synthetic_faces_are_accurate() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     let (median, good) = median_and_good_share(&reported(&folder, true, SYNTHETIC_YAW_DEG));
-    assert!(median <= SYNTHETIC_MEDIAN_MOST, "median error {median} of the eyes' distance");
+    assert!(median <= SYNTHETIC_MEDIAN_MAX, "median error {median} of the eyes' distance");
     assert!(good >= GOOD_SHARE, "{good} of the faces are good");
 }
 
@@ -122,7 +122,7 @@ fn yaw_is_accurate() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     for is_synthetic in [false, true] {
         let errors = yaw_errors_deg(&reported(&folder, is_synthetic, SYNTHETIC_YAW_DEG));
-        assert!(errors.iter().all(|deg| *deg <= YAW_ERROR_MOST_DEG), "{errors:?} degrees");
+        assert!(errors.iter().all(|deg| *deg <= YAW_ERROR_MAX_DEG), "{errors:?} degrees");
     }
 }
 
@@ -159,7 +159,7 @@ fn few_photographs_have_a_false_detection() {
         photographs += 1;
     }
     let share = wrong as f64 / f64::from(photographs);
-    assert!(share <= FALSE_PER_PHOTOGRAPH_MOST, "{wrong} false ones on {photographs}");
+    assert!(share <= FALSE_PER_PHOTOGRAPH_MAX, "{wrong} false ones on {photographs}");
 }
 
 #[test]

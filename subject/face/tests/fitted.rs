@@ -259,7 +259,7 @@ fn foreign_documents_may_have_other_keys_and_lack_optional_ones() {
             (key == "source", key != "source")
         );
     }
-    // The minimum of a wireframe, with the alternative name of the vertices and lines of its own.
+    // A minimal wireframe, with the alternative name of the vertices and its own lines.
     let least = r#"{"format":"mocapd-face","version":1,"vertices":[[0,0,0],[1,2,3]],"lines":[[0,1],[1,1]]}"#;
     let least = FittedFace::from_json(least.as_bytes()).unwrap();
     assert_eq!((least.vertices_mm.len(), &least.lines), (2, &vec![[0, 1], [1, 1]]));
@@ -355,7 +355,7 @@ fn the_overlay_marks_its_points_in_their_colours() {
 }
 
 #[test]
-fn three_views_stand_in_the_svg() {
+fn the_svg_has_three_views() {
     let (_, face) = example();
     let svg = face.to_svg();
     for text in [

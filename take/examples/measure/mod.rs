@@ -1,4 +1,4 @@
-//! What examples that measure sizes and speeds have in common.
+//! Functions shared by the examples that measure sizes and speeds.
 
 use std::{
     error::Error,

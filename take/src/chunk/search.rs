@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{foreign, stretch};
 
-/// Longest candidate whose CRC is hashed directly; the way over the prefix CRCs costs about as much.
+/// Longest candidate whose CRC is hashed directly; computing it from prefix CRCs costs about as much.
 const HASHED_BYTES: usize = 2048;
 
 /// A block of zeros, to compare many bytes at once.
@@ -97,15 +97,15 @@ fn zeros(bytes: &[u8]) -> usize {
     at + bytes[at..].iter().take_while(|&&byte| byte == 0).count()
 }
 
-/// Most candidates tracked at the same time. In bytes as random as encoded ones, one in 8000 looks like the head of a
-/// long chunk, of 128 MiB on average, which makes 16 000; eight times as many take 4 MiB. Only a crafted file has more,
-/// and a long chunk in it may count as damaged.
+/// Maximum number of candidates tracked at the same time. In bytes as random as encoded ones, one in 8000 looks like
+/// the head of a long chunk, of 128 MiB on average, which makes 16 000; eight times as many take 4 MiB. Only a crafted
+/// file has more, and a long chunk in it may count as damaged.
 const CANDIDATES_MAX: usize = 1 << 17;
 
-/// Most long chunks remembered: half a terabyte of them, in 1 MiB.
+/// Maximum number of long chunks remembered: half a terabyte of them, in 1 MiB.
 const FOUND_MAX: usize = 1 << 16;
 
-/// Bytes needed to judge a candidate: its head, and the front of its payload.
+/// Bytes needed to validate a candidate: its head, and the start of its payload.
 const FRONT_BYTES: usize = HEAD_BYTES_MAX + foreign::FRONT_BYTES;
 
 /// The result of a scan: which of the long chunks that begin in `from..to` are valid.
@@ -160,7 +160,7 @@ enum ScanEventKind {
         start: u64,
         /// The CRC of all scanned bytes before it.
         crc_before: u32,
-        /// The candidate follows a valid chunk.
+        /// Whether the candidate follows a valid chunk.
         in_sync: bool,
     },
     /// A chunk begins here, because the one before it is valid.
@@ -177,7 +177,7 @@ pub(crate) struct LongChunkScan {
     crc: u32,
     events: BinaryHeap<Reverse<ScanEvent>>,
     whole: Vec<u64>,
-    /// The scan began at a long chunk that proved valid, and has nothing else to find.
+    /// Whether the scan began at a long chunk that proved valid, and has nothing else to find.
     is_done: bool,
 }
 
@@ -191,7 +191,7 @@ impl LongChunkScan {
         Self { from, at: from, crc: 0, events, whole: Vec::new(), is_done: false }
     }
 
-    /// The offset at which the scan began, and to which the reader goes back.
+    /// The offset at which the scan began; the reader then seeks back to it.
     pub(crate) fn from(&self) -> u64 {
         self.from
     }
@@ -210,8 +210,8 @@ impl LongChunkScan {
         LongChunks { from: self.from, to, whole: self.whole, end }
     }
 
-    /// Scans the next bytes; `complete` if they end the file. Returns how many are done with. The others must be pushed
-    /// again, with those after them.
+    /// Scans the next bytes; `complete` if they end the file. Returns how many were processed. The others must be
+    /// pushed again, with those after them.
     pub(crate) fn push(&mut self, bytes: &[u8], complete: bool) -> usize {
         let start = self.at;
         let end = if complete { bytes.len() } else { bytes.len().saturating_sub(FRONT_BYTES) };
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn behind_every_mutation_the_next_chunk_is_found() {
+    fn the_next_chunk_is_found_after_every_mutation() {
         let mut bytes = Vec::new();
         put(&mut bytes, types::STRETCH, b"first").unwrap();
         let len = bytes.len();
@@ -335,7 +335,7 @@ mod tests {
 
     /// Long chunks of bytes as random as encoded ones: every second candidate has a plausible length.
     #[test]
-    fn the_next_chunk_is_found_behind_a_long_damaged_one() {
+    fn the_next_chunk_is_found_after_a_long_damaged_one() {
         let mut random = Random::new(1);
         let mut payload = |len: usize| random.bytes(len);
         let mut bytes = Vec::new();
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn zeros_are_passed_over_and_counted() {
+    fn zeros_are_skipped_and_counted() {
         for n in [0, 1, 63, 64, 65, 1000] {
             let mut bytes = vec![0; n];
             assert_eq!(zeros(&bytes), n);
@@ -378,7 +378,7 @@ mod tests {
     /// If each match were counted as often as it is found, each chunk would be tracked once for every one before it:
     /// after 362 chunks, 65 703 matches would fill the list.
     #[test]
-    fn each_of_many_long_chunks_behind_damage_is_found_once() {
+    fn each_of_many_long_chunks_after_damage_is_found_once() {
         const CHUNKS: usize = 400;
         let chunk = long_chunk();
         let mut scan = LongChunkScan::new(0, false);

@@ -16,7 +16,7 @@ pub struct AnalogDifference {
     pub samples: u64,
     /// Samples that the take lost to damage; these are not compared.
     pub samples_lost: u64,
-    /// Samples that are not those of the original, bit by bit.
+    /// Samples that are not bit-identical to those of the original.
     pub samples_differing: u64,
     /// Samples whose error exceeds the one that the take states for their channel.
     pub beyond_stated: u64,
@@ -86,7 +86,7 @@ pub fn compare_analog(
     let widths = [ours.header.width, theirs.header.width];
     let ratio = ours.header.ratio;
     if ratio != theirs.header.ratio {
-        // No sample of one stands for one of the other.
+        // The samples of the two cannot be matched.
         found.channels_missing = our_channels.max(their_channels);
         return Ok(Some(found));
     }

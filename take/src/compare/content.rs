@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_takes_have_no_difference_whatever_the_order_of_their_events() {
+    fn the_order_of_events_is_not_a_difference() {
         let mut a = TakeMap { events: vec![event(3, "b"), event(1, "a")], ..TakeMap::default() };
         let mut b = TakeMap { events: vec![event(1, "a"), event(3, "b")], ..TakeMap::default() };
         (a.ledger, b.ledger) = (Some(Ledger::default()), Some(Ledger::default()));

@@ -53,7 +53,7 @@ impl TimesDifference {
     }
 }
 
-/// What became of a row.
+/// The outcome of a row: recorded or lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum RowOutcome {
     Recorded(RowTime),
@@ -89,9 +89,9 @@ type OutcomeRun = (Range<u64>, RowOutcome);
 /// The outcomes of a recording's rows, in order.
 struct RowOutcomes<R> {
     traversal: TakeTraversal<R>,
-    /// What was not passed of the run in question.
+    /// The rest of the current run.
     current: Option<OutcomeRun>,
-    /// The runs behind it in its stretch.
+    /// The runs after it in its stretch.
     waiting: vec::IntoIter<OutcomeRun>,
 }
 
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_compared_whatever_their_stretches() {
+    fn frames_are_compared_across_different_stretches() {
         let mut rows: Vec<Result<u64, LossCauses>> = (0..40).map(|row| Ok(row * 1000)).collect();
         rows[7..12].fill(Err(LossCauses::NOT_RECEIVED));
         let (one, other) = (take(&rows, 10), take(&rows, 7));

@@ -150,7 +150,7 @@ struct Cutter<'a, W> {
     number: u8,
     /// The row after the last stretch that was read.
     next_row: u64,
-    /// The stretch before was copied, so that the next one may continue it.
+    /// Whether the stretch before was copied, so that the next one may continue it.
     in_step: bool,
     untimed: StretchHeaderWriter,
     timed: StretchHeaderWriter,

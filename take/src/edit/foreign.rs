@@ -52,8 +52,8 @@ pub(super) struct EditedPart {
     pub(super) lost: Vec<LostSamples>,
 }
 
-/// What a part of a take, with the frame numbers `frames`, has of a foreign part; `None` if that is unknown. `input` is
-/// the file of the take.
+/// Cuts a foreign part to the frame numbers `frames`; `None` if its relation to frames is unknown. `input` is the file
+/// of the take.
 pub(super) fn cut(
     part: &ForeignPart,
     input: &mut (impl Read + Seek),
@@ -76,7 +76,7 @@ pub(super) fn cut(
     }))
 }
 
-/// Reads a part of a take in which nothing is damaged.
+/// Reads a foreign part; damage is an error.
 fn read(
     part: &ForeignPart,
     input: &mut (impl Read + Seek),
@@ -184,7 +184,7 @@ fn join_kind<R: Read + Seek>(
 mod tests {
     use super::*;
 
-    /// A new kind needs a decision.
+    /// Fails for a new kind until [`KINDS`] has its relation.
     #[test]
     fn every_documented_kind_has_a_relation_to_frames() {
         let document = include_str!("../../../docs/foreign.md");

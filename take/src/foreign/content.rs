@@ -9,9 +9,9 @@ use std::{
 
 use super::DATA_BYTES_MAX;
 
-/// Most bytes of all foreign parts of a take or file in memory; further parts go into a scratch file. Parameters and header
-/// lines, which every imported C3D or TRC file has, take a few kB; the analog data of a short trial takes a few
-/// hundred.
+/// Maximum number of bytes of all foreign parts of a take or file in memory; further parts go into a scratch file.
+/// Parameters and header lines, which every imported C3D or TRC file has, take a few kB; the analog data of a short
+/// trial takes a few hundred.
 const MEMORY_BYTES_MAX: u64 = 8 << 20;
 
 /// A temporary file. The caller provides it, because this crate opens no files.
@@ -52,7 +52,7 @@ enum Storage {
 }
 
 impl Content {
-    /// The content of a part that nobody wants to read, or that is too long to be kept: only its length is known.
+    /// The content of a part that was not requested, or that is too long to be kept: only its length is known.
     pub(crate) fn omitted(len: u64) -> Self {
         Self(Storage::Omitted { len })
     }
@@ -181,7 +181,7 @@ impl From<Vec<u8>> for Content {
     }
 }
 
-/// Compares the bytes, wherever they are stored. Bytes that cannot be read equal nothing.
+/// Compares the bytes, in memory or in a scratch file. Bytes that cannot be read equal nothing.
 impl PartialEq for Content {
     fn eq(&self, other: &Self) -> bool {
         if let (Storage::Memory(a), Storage::Memory(b)) = (&self.0, &other.0) {
@@ -511,7 +511,7 @@ mod tests {
     }
 
     #[test]
-    fn is_the_same_in_memory_and_in_a_file() {
+    fn content_is_the_same_in_memory_and_in_a_file() {
         let mut spool = Spool::new(memory_scratch);
         let lengths = [0, 5, 70_000, MEMORY_BYTES_MAX, 0, MEMORY_BYTES_MAX + 3];
         for len in lengths {
@@ -529,7 +529,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_is_written_alone() {
+    fn writing_a_copy_leaves_the_original() {
         let mut spool = Spool { memory_bytes: MEMORY_BYTES_MAX, ..Spool::new(memory_scratch) };
         for content in [spool.put(&mut &bytes(300)[..], 300).unwrap(), bytes(300).into()] {
             let mut copy = content.copy().unwrap();

@@ -122,7 +122,7 @@ pub struct ForcePlate {
     pub geometry: PlateGeometry,
     /// Indices of its analog channels: six, or eight of type 3.
     pub channels: Vec<usize>,
-    /// Of type 4: the calibration matrix, by rows; three of N and three of N m per unit of a channel.
+    /// The calibration matrix of a plate of type 4, by rows: three in N and three in N m, per unit of a channel.
     pub calibration: Option<[[f64; 6]; 6]>,
     /// For each channel the factor from its unit to N, N m or mm.
     pub(crate) factors: Vec<f64>,

@@ -2,7 +2,7 @@
 
 use std::{fmt, io, str::FromStr, sync::Arc};
 
-use mocapd_codec::sampled::ChannelSurvey;
+use mocapd_codec::sampled::ChannelProfile;
 
 use super::content::{PartStore, ScratchFile};
 use crate::{
@@ -12,14 +12,14 @@ use crate::{
     record::SampledChannel,
 };
 
-/// In what the largest error is given.
+/// The unit in which the largest error is given.
 #[derive(Debug, Clone, PartialEq)]
 enum ToleranceUnit {
     /// Steps of the converter.
     Counts,
     /// Hundredths of the largest sample of the channel less the smallest.
     Percent,
-    /// The unit of the channel, whichever it is.
+    /// The channel's own unit.
     Own,
     /// This unit, which the channel must have.
     Named(String),
@@ -90,12 +90,12 @@ impl ChannelTolerance {
     }
 
     /// The largest error in stored samples; 0 if the samples do not show what a count is.
-    fn bound(&self, channel: &SampledChannel, survey: &ChannelSurvey) -> f64 {
+    fn bound(&self, channel: &SampledChannel, profile: &ChannelProfile) -> f64 {
         match self.unit {
             ToleranceUnit::Counts => {
-                survey.quantum().map_or(0.0, |quantum| self.value * quantum + survey.rounding())
+                profile.quantum().map_or(0.0, |quantum| self.value * quantum + profile.rounding())
             }
-            ToleranceUnit::Percent => self.value / 100.0 * survey.range(),
+            ToleranceUnit::Percent => self.value / 100.0 * profile.range(),
             ToleranceUnit::Own | ToleranceUnit::Named(_) => self.value / channel.scale.abs(),
         }
     }
@@ -122,7 +122,7 @@ fn matches_pattern(pattern: &[char], name: &[char]) -> bool {
     pattern.get(at..).is_some_and(|rest| rest.iter().all(|c| *c == '*'))
 }
 
-/// The tolerances of all channels: the last that matches a channel holds. Channels that none matches stay exact.
+/// The tolerances of all channels: the last that matches a channel holds. Channels without a match stay exact.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct AnalogTolerance(pub Vec<ChannelTolerance>);
 
@@ -160,9 +160,9 @@ impl AnalogTolerance {
         let rules = self.rules(&channels)?;
         let Some(part) = part else { return Ok(()) };
         let is_unsigned = c3d::is_analog_unsigned(&parameters);
-        let replaced = sample_parts::bounded(part, is_unsigned, &mut store, |column, survey| {
+        let replaced = sample_parts::bounded(part, is_unsigned, &mut store, |column, profile| {
             let (rule, channel) = (rules.get(column)?.as_ref()?, channels.get(column)?);
-            Some(rule.bound(channel, survey))
+            Some(rule.bound(channel, profile))
         })?;
         if let Some(replaced) = replaced {
             *part = replaced;
@@ -263,7 +263,7 @@ mod tests {
         let rules = found.rules(&channels).unwrap();
         let texts: Vec<String> = rules.iter().flatten().map(ToString::to_string).collect();
         assert_eq!(texts, ["F*=2N", "EMG*=0.1%"]);
-        let bound = rules[0].unwrap().bound(&channels[0], &ChannelSurvey::default());
+        let bound = rules[0].unwrap().bound(&channels[0], &ChannelProfile::default());
         assert_eq!(bound, 4.0, "newtons over newtons per sample");
         assert!(tolerance(&["F*=1"]).rules(&channels).unwrap()[1].is_none());
         for (wrong, why) in [("EKG*=1", "no channel has such a name"), ("0.5N", "EMG1 is in `V`")] {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! dataset_description.json  README.md  participants.tsv  participants.json      of the whole dataset
-//! sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv    one column a coordinate, no header
+//! sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv    one column per coordinate, no header
 //!                                                 _motion.json
 //!                                                 _channels.tsv description of each column
 //!                                                 _channels.json
@@ -65,7 +65,8 @@ impl BidsLabels {
     /// Checks the labels. A session and a run are needed only if the subject has several.
     ///
     /// # Errors
-    /// `Unsupported` if a label is empty or has characters other than ASCII letters and digits, or a run is no number.
+    /// `Unsupported` if a label is empty or has characters other than ASCII letters and digits, or a run is not a
+    /// number.
     pub fn new(
         subject: &str,
         session: Option<&str>,

@@ -69,16 +69,16 @@ pub enum Format {
     Trc,
     /// Qualisys Track Manager's text export.
     Tsv,
-    /// CSV with one row a frame. Reading also accepts the `time,head_x,...` dialect, Motive's export and the long
+    /// CSV with one row per frame. Reading also accepts the `time,head_x,...` dialect, Motive's export and the long
     /// layout.
     Csv,
-    /// Apache Parquet with one row a sample; export only, with the feature `full`.
+    /// Apache Parquet with one row per sample; export only, with the feature `full`.
     Parquet,
-    /// Apache Parquet with one row a frame; export only, with the feature `full`.
+    /// Apache Parquet with one row per frame; export only, with the feature `full`.
     ParquetWide,
     /// MCAP with Foxglove's schemas; export only, with the feature `full`.
     Mcap,
-    /// CSV with one row a sample.
+    /// CSV with one row per sample.
     CsvLong,
     /// An archive of `NumPy` arrays; export only, by [`npz::write`].
     Npz,
@@ -96,7 +96,7 @@ struct Capabilities {
     foreign: Option<&'static str>,
     /// Whether the format states which axis is up.
     up_axis: bool,
-    /// Most events that fit.
+    /// Maximum number of events that fit.
     events_max: usize,
     /// Where analog channels and force plates of an imported C3D file are.
     sampled: SampledPlace,
@@ -109,8 +109,8 @@ enum SampledPlace {
     Restored,
     /// In the file.
     Inside,
-    /// In files of their own.
-    Beside,
+    /// In separate files.
+    SeparateFiles,
 }
 
 type Result<T, E = InterchangeError> = std::result::Result<T, E>;
@@ -217,7 +217,9 @@ impl Format {
         let sampled = match self {
             Self::C3d | Self::Trc | Self::Tsv | Self::Mot => SampledPlace::Restored,
             Self::Mcap | Self::Npz | Self::Xdf | Self::Bids => SampledPlace::Inside,
-            Self::Csv | Self::CsvLong | Self::Parquet | Self::ParquetWide => SampledPlace::Beside,
+            Self::Csv | Self::CsvLong | Self::Parquet | Self::ParquetWide => {
+                SampledPlace::SeparateFiles
+            }
         };
         let (foreign, up_axis, events_max) = match self {
             Self::C3d => (Some("c3d/"), true, c3d::EVENTS_MAX),
@@ -248,7 +250,7 @@ impl Format {
     /// Whether analog channels and force plates are files beside the export, by [`write_sampled`](Self::write_sampled).
     #[must_use]
     pub fn has_sampled_files(self) -> bool {
-        self.capabilities().sampled == SampledPlace::Beside
+        self.capabilities().sampled == SampledPlace::SeparateFiles
     }
 
     /// The tables of analog channels and force plates in an export of `info`, or beside it. C3D and `.mot` have them in
@@ -259,7 +261,7 @@ impl Format {
     pub fn sampled_tables(self, info: &MotionInfo) -> io::Result<Vec<SampledTable<'_>>> {
         match self.capabilities().sampled {
             SampledPlace::Restored => Ok(Vec::new()),
-            SampledPlace::Inside | SampledPlace::Beside => SampledTable::all(info),
+            SampledPlace::Inside | SampledPlace::SeparateFiles => SampledTable::all(info),
         }
     }
 
@@ -268,7 +270,7 @@ impl Format {
         match self.capabilities().sampled {
             SampledPlace::Restored if self == Self::Mot => foreign::analog::is_needed(kind),
             SampledPlace::Restored => self.is_restored(kind),
-            SampledPlace::Inside | SampledPlace::Beside => {
+            SampledPlace::Inside | SampledPlace::SeparateFiles => {
                 let has_table = || SampledTable::all(info).is_ok_and(|tables| !tables.is_empty());
                 self.is_restored(kind) || (kind == c3d::ANALOG && has_table())
             }

@@ -37,8 +37,7 @@ const ALIGNMENT: usize = 64;
 const TEXT_BYTES_MAX: u64 = 1 << 26;
 
 /// Writes an archive at the current position of `out`. The writer seeks back to fill in the checksums of the long
-/// arrays, so that a program can stream the archive, as from a pipe: each member's length and checksum stand in front
-/// of it.
+/// arrays, so that a program can stream the archive, as from a pipe: each member's length and checksum precede it.
 ///
 /// # Errors
 /// `Unsupported` if the labels are too long for a text array; `Io` if reading or writing fails.

@@ -21,8 +21,8 @@ pub(super) fn off_origin(position: Position) -> Position {
 /// Finds the samples at the origin, row by row.
 ///
 /// A marker's samples at the origin are missing ones, rather than positions, if it is there for two frames or more, or
-/// if it is far away before and after. What is far depends on the median of its steps; as only a comparison with it
-/// counts, the rows are read again to count the steps on either side.
+/// if it is far away before and after. "Far away" is relative to the median of its steps. Only a comparison with the
+/// median is needed, so a second pass over the rows counts the shorter and the longer steps instead of sorting them.
 #[derive(Debug)]
 pub(super) struct OriginScan {
     markers: Vec<MarkerScan>,
@@ -43,8 +43,8 @@ struct MarkerScan {
     /// Distance from the origin of its sample before that run.
     before: Option<f64>,
     is_long: bool,
-    /// Of its single samples at the origin, the largest distance to the nearer one of their neighbours; infinite if
-    /// there are none.
+    /// The largest distance of a single sample at the origin to the nearer one of its neighbours; infinite if it
+    /// has none.
     farthest_single: Option<f64>,
     last_of_steps: Option<Position>,
     n_steps: u64,
@@ -66,7 +66,7 @@ impl OriginScan {
         }
     }
 
-    /// The markers whose samples at the origin may be missing ones: others move, or a single one does itself.
+    /// The markers whose samples at the origin may be missing ones: another marker moves, or the only marker does.
     pub(super) fn suspects(&self) -> impl Iterator<Item = usize> {
         let n_moving = self.markers.iter().filter(|marker| marker.moves).count();
         let is_single = self.markers.len() == 1;
@@ -169,8 +169,7 @@ impl MarkerScan {
 
     /// Whether some of its samples at the origin are missing ones: the same as `OriginGaps` finds.
     fn has_missing(&self) -> bool {
-        // The median, the upper one for an even count, is too short if at least as many steps are too short as come
-        // before it and itself.
+        // The (upper) median is too short if more than half of the steps are too short.
         let median_is_short = self.n_steps == 0 || self.n_short_steps > self.n_steps / 2;
         self.is_long || self.farthest().is_some_and(|farthest| farthest > 0.0 && median_is_short)
     }

@@ -82,7 +82,7 @@ impl OriginGaps {
         self.missing.n_set()
     }
 
-    /// Makes the missing samples of the next row gaps.
+    /// Turns the missing samples of the next row into gaps.
     pub(super) fn apply(&mut self, row: &mut [Position]) {
         for suspect in &self.suspects {
             if let Some(at) = row.get_mut(suspect.marker).filter(|at| **at == ORIGIN) {
@@ -100,7 +100,7 @@ impl OriginGaps {
     }
 }
 
-/// Bits, eight a byte.
+/// Bits, eight per byte.
 #[derive(Debug, Default)]
 struct Bits {
     bytes: Vec<u8>,

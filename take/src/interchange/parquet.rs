@@ -1,5 +1,5 @@
-//! Export to Apache Parquet, with one row a sample (long) or one row a frame (wide); analog channels and the loads of
-//! force plates are files of their own.
+//! Export to Apache Parquet, with one row per sample (long) or one row per frame (wide); analog channels and the loads
+//! of force plates are files of their own.
 
 use std::{io::Write, sync::Arc};
 
@@ -96,7 +96,7 @@ impl LongRows {
 /// Coordinates of a wide row group: 16 MB in memory.
 const WIDE_GROUP_VALUES: usize = 1 << 22;
 
-/// Most rows of a wide row group, for takes of few markers.
+/// Maximum number of rows of a wide row group, for takes of few markers.
 const WIDE_GROUP_ROWS_MAX: usize = 1 << 17;
 
 /// Writes one row for each frame: frame, time, and three columns for each marker, null for a missing sample.

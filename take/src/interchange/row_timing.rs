@@ -17,11 +17,11 @@ const RATE_MISMATCH_MAX: f64 = 0.01;
 const RATE_UNCERTAINTY_MAX: f64 = 1e-3;
 /// With at least this many steps, a common step of several frame numbers means a decimated file; with fewer, gaps.
 const DECIMATED_MIN: usize = 3;
-/// Most decimals of a rate: 59.94006.
+/// Maximum number of decimals of a rate: 59.94006.
 const RATE_DIGITS_MAX: i32 = 6;
 
-/// The frame numbers and times of the rows read so far: 16 bytes a row, and 64 with what [`place`](RowTiming::place)
-/// makes of them. An hour at 240 Hz has 864 000 rows.
+/// The frame numbers and times of the rows read so far: 16 bytes per row, and 64 with the data that
+/// [`place`](RowTiming::place) derives. An hour at 240 Hz has 864 000 rows.
 #[derive(Debug, Default)]
 pub(super) struct RowTiming {
     n_rows: usize,

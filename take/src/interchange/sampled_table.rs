@@ -41,7 +41,7 @@ impl SampledKind {
     /// Both kinds.
     pub const ALL: [Self; 2] = [Self::Analog, Self::ForcePlates];
 
-    /// What it holds, as text for the user.
+    /// Its content, as text for the user.
     #[must_use]
     pub fn description(self) -> &'static str {
         match self {

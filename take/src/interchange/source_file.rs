@@ -1,7 +1,7 @@
 //! The bytes of a file that is read several times, at any place, without being held.
 //!
-//! It is read in pages, whose checksums are kept: if a page has another content when it is read again, another program
-//! has changed the file, and what was found in it before no longer holds.
+//! It is read in pages, whose checksums are kept: if the content of a page differs when it is read again, another
+//! program has changed the file, and earlier results are invalid.
 
 use std::{
     collections::{HashMap, hash_map::Entry},
@@ -15,7 +15,8 @@ use std::{
 
 use super::InterchangeError;
 
-/// Bytes of a page: enough that the system calls cost nothing, and few for a file of which only some places are read.
+/// Bytes of a page: large enough to make system calls cheap, and small enough for a file that is read in a few places
+/// only.
 const PAGE_BYTES: usize = 1 << 16;
 
 /// An input that can be read at any place.
@@ -191,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn every_place_is_read_as_it_is() {
+    fn every_offset_reads_the_same_bytes() {
         let all = bytes(2 * PAGE_BYTES + 100);
         let (mut file, n_read) = open(&all);
         assert_eq!(file.len(), all.len() as u64);

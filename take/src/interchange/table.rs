@@ -1,5 +1,5 @@
-//! Tables of trajectories in text files: one row a frame with three cells for each marker. TRC, TSV and CSV share this
-//! code; they differ in the header, the separator, and the mark for a missing sample.
+//! Tables of trajectories in text files: one row per frame with three cells for each marker. TRC, TSV and CSV share
+//! this code; they differ in the header, the separator, and the mark for a missing sample.
 
 use std::io;
 
@@ -14,7 +14,8 @@ use crate::{
     motion::{GAP, Position},
 };
 
-/// Most positions to allocate per byte of text: one wide row among many short ones must not cost unbounded memory.
+/// Maximum number of positions to allocate per byte of text: one wide row among many short ones must not cost unbounded
+/// memory.
 pub(super) const MAX_POSITIONS_PER_BYTE: u64 = 4;
 
 /// The warning for a file whose last number may lack digits.

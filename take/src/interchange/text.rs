@@ -46,7 +46,7 @@ pub(super) fn is_rate(number: f64) -> bool {
     number.is_finite() && number > 0.0
 }
 
-/// Most characters of a cell that a message quotes: a line of a terminal.
+/// Maximum number of characters of a cell that a message quotes: a line of a terminal.
 const QUOTED_MAX: usize = 80;
 
 /// The beginning of a cell, for messages.
@@ -61,11 +61,11 @@ pub(super) fn shortened(cell: &str) -> String {
 /// The number of decimals of a number in a cell.
 pub(super) fn decimals(cell: &[u8]) -> usize {
     let point = cell.iter().position(|&b| b == b'.');
-    let behind = point.and_then(|point| cell.get(point + 1..)).unwrap_or(&[]);
-    behind.iter().take_while(|b| b.is_ascii_digit()).count()
+    let decimals = point.and_then(|point| cell.get(point + 1..)).unwrap_or(&[]);
+    decimals.iter().take_while(|b| b.is_ascii_digit()).count()
 }
 
-/// What separates the cells of a line.
+/// The separator between the cells of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Separator {
     /// One byte between two cells: a tab, a comma or a semicolon. Cells may be empty.
@@ -119,7 +119,8 @@ pub(super) fn markers(labels: &[String], width: usize) -> Vec<Marker> {
     (0..width).map(|column| marker(labels.get(column).map_or("", String::as_str), column)).collect()
 }
 
-/// Most bytes of header lines to restore: enough for 65535 markers, the most of a C3D file, with labels of 60 bytes.
+/// Maximum number of bytes of header lines to restore: enough for 65535 markers, the maximum of a C3D file, with labels
+/// of 60 bytes.
 const HEADER_BYTES_MAX: u64 = 1 << 22;
 
 /// The header lines that the importer kept as `kind`; empty if there are none or more than [`HEADER_BYTES_MAX`].

@@ -9,11 +9,11 @@ use super::{
 };
 use crate::stretch::CHANNELS_MAX;
 
-/// Most bytes of a line: of each coordinate of as many markers as a take can have, 42 bytes, twice the digits of an
-/// f64. Without a bound, a file without line ends would be held as a whole.
+/// Maximum number of bytes of a line: of each coordinate of as many markers as a take can have, 42 bytes, twice the
+/// digits of an f64. Without a bound, a file without line ends would be held as a whole.
 const LINE_BYTES_MAX: usize = 1 << 23;
 
-/// Most bytes of the lines above the data: two of the longest.
+/// Maximum number of bytes of the lines above the data: two of the longest.
 const HEADER_BYTES_MAX: usize = 2 * LINE_BYTES_MAX;
 
 /// Bytes that are read at a time: a page of the source.
@@ -165,7 +165,7 @@ impl Lines<'_, '_> {
         Err(self.too_long("the header", HEADER_BYTES_MAX))
     }
 
-    /// Whether the file ends in the middle of a line; to be asked after the last one.
+    /// Whether the file ends in the middle of a line; valid after the last line.
     pub(super) fn is_open(&self) -> bool {
         self.is_open
     }

@@ -1,7 +1,7 @@
 //! The frames of a text file, parsed: in memory, and in a scratch file if there are many.
 //!
-//! They are not parsed again in each pass, because parsing is what an import of a text file spends most of its time on;
-//! as binary numbers they take less than half of the file's size.
+//! They are not parsed again in each pass, because parsing takes most of the time of a text import; as binary numbers
+//! they take less than half of the file's size.
 
 use std::io::{self, Read};
 
@@ -191,7 +191,8 @@ impl TextFrames {
         Ok(())
     }
 
-    /// Checks the unit against the extent of the motion, and finds out what samples at the origin are.
+    /// Checks the unit against the extent of the motion, and decides whether samples at the origin are positions or
+    /// gaps.
     ///
     /// # Errors
     /// Those of the scratch file.

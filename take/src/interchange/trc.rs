@@ -268,7 +268,7 @@ fn read_rows(
     Ok(width)
 }
 
-/// The frame number that a row begins with, also if the row has a separator of its own; `None` for lines that are not
+/// The frame number that a row begins with, also if the row has another separator; `None` for lines that are not
 /// rows.
 fn frame_number(line: &[u8], separator: Separator) -> Option<u64> {
     let of = |separator: Separator| text::whole_number(separator.cells(line).next()?);

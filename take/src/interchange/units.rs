@@ -197,7 +197,7 @@ impl FileUnit {
 /// A stated unit is not checked in files with fewer frames: those are an example or a pose, not a capture.
 const STATED_CHECKED_FRAMES_MIN: usize = 50;
 
-/// Most frames to measure, evenly spread over the file.
+/// Maximum number of frames to measure, evenly spread over the file.
 const FRAMES_MEASURED: usize = 500;
 
 /// The extent of a motion, measured in some of its frames.

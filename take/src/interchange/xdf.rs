@@ -265,7 +265,7 @@ fn sampled_header(table: &SampledTable<'_>) -> String {
     )
 }
 
-/// The header of the stream of events: one string a sample, at irregular times.
+/// The header of the stream of events: one string per sample, at irregular times.
 const EVENT_HEADER: &str = "<?xml version=\"1.0\"?><info><name>mocapd events</name><type>Markers</type>\
      <channel_count>1</channel_count><nominal_srate>0</nominal_srate><channel_format>string</channel_format>\
      <source_id>mocapd events</source_id><version>1.1</version><created_at>0</created_at><desc><channels><channel>\

@@ -2,7 +2,7 @@
 //!
 //! The local header in front of each member has its length and checksum, so that a reader can stream the archive. The
 //! length is known in advance; the checksum of a streamed member is filled in afterwards. No library does this:
-//! streaming writers put both behind the member, and on a full disk the crate `zip` tries to finish the archive again
+//! streaming writers put both after the member, and on a full disk the crate `zip` tries to finish the archive again
 //! when it is dropped, and writes to stderr.
 
 use std::io::{self, Seek, SeekFrom, Write};

@@ -1,5 +1,5 @@
 //! Builds the map of a take from all its chunks, or from the chunk heads of a closed take: stretches are skipped, and
-//! the index tells which of them are keys.
+//! the index states which of them are keys.
 
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 

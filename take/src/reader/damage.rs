@@ -1,5 +1,5 @@
-//! Damaged regions, and the search for the next valid chunk. A chunk with a damaged head alone is repaired: the
-//! position of the next chunk gives its length, and its CRC gives its type.
+//! Damaged regions, and the search for the next valid chunk. A chunk of which only the head is damaged is
+//! repaired: the position of the next chunk gives its length, and its CRC gives its type.
 
 use crc32fast::Hasher;
 
@@ -19,9 +19,9 @@ pub(super) struct Damage {
     /// Its first bytes.
     head: Vec<u8>,
     message: &'static str,
-    /// The region is so long that its beginning is no longer buffered.
+    /// Whether the region is so long that its beginning is no longer buffered.
     pub(super) start_dropped: bool,
-    /// The region is the take's header, and the file ends within it.
+    /// Whether the region is the take's header, and the file ends within it.
     header_cut: bool,
 }
 
@@ -37,8 +37,9 @@ impl Damage {
         self.head.first().copied().filter(|kind| types::ALL.contains(kind))
     }
 
-    /// Whether the region is by its own head exactly one chunk, and not a stretch: then no stretch was lost in it.
-    /// Where bytes are missing, the region consists of pieces of two chunks, and no head fits its length.
+    /// Whether the region is exactly one chunk according to its own head, and not a stretch: then no stretch was
+    /// lost in it. Where bytes are missing, the region consists of pieces of two chunks, and no head fits its
+    /// length.
     fn is_single_non_stretch(&self, damaged_bytes: u64) -> bool {
         let ChunkHead::Valid { kind, len, .. } = chunk::head(&self.head) else { return false };
         len == damaged_bytes && kind != types::STRETCH && types::ALL.contains(&kind)

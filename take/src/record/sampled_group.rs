@@ -46,7 +46,7 @@ pub struct SampledChannel {
 }
 
 /// The largest error of each channel of a group, in stored samples; empty if all samples are those of the source. It is
-/// not part of version 1 of the record, which is that of exact groups; version 2 has it behind all else.
+/// not part of version 1 of the record, which is that of exact groups; version 2 has it after all else.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SampleBounds(pub Vec<f64>);
 
@@ -107,7 +107,7 @@ const BOUNDED: u16 = 2;
 pub(crate) const SAMPLES_MAX: u64 = 1 << 50;
 
 impl SampledGroup {
-    /// Encodes the payload of its chunk: the record, with all behind its version deflated.
+    /// Encodes the payload of its chunk: the record, with everything after its version deflated.
     ///
     /// # Errors
     /// `InvalidArgument` for a group that a reader would refuse.
@@ -149,7 +149,7 @@ impl SampledGroup {
         Ok(group)
     }
 
-    /// Parses the record of a group with bounds: a float64 of each channel behind all else.
+    /// Parses the record of a group with bounds: a float64 of each channel after all else.
     fn with_bounds(body: &[u8]) -> Result<Self, &'static str> {
         let (mut group, used): (Self, usize) =
             bincode::decode_from_slice(body, CONFIG).map_err(|_| "cannot be decoded")?;

@@ -87,18 +87,18 @@ impl LedgerTally {
 
     /// The ledger of what is kept, given the `last` ledger of the file and the rows `lost` to damage in it.
     ///
-    /// The last ledger's counts stand, except that frames it has as recorded and that are not kept count as lost.
-    /// Damaged rows after it count as lost, too.
+    /// The last ledger's counts are kept, except that frames it counts as recorded but that are not kept count as
+    /// lost. Damaged rows after it count as lost, too.
     pub(crate) fn close(&self, last: Option<&Ledger>, lost: &[LostRows]) -> Ledger {
         let (mut ledger, before) = (last.cloned().unwrap_or_default(), self.at_ledger);
         let rows_then = ledger.frames_sent;
         let since = self.rows.since(before);
         let lost_then = ledger.recorded.saturating_sub(before.recorded);
-        let rows_behind = |lost: &LostRows| {
+        let rows_after_ledger = |lost: &LostRows| {
             let end = lost.first_row.saturating_add(lost.rows);
             end.saturating_sub(lost.first_row.max(rows_then))
         };
-        let lost_since = if ledger.finished { 0 } else { lost.iter().map(rows_behind).sum() };
+        let lost_since = if ledger.finished { 0 } else { lost.iter().map(rows_after_ledger).sum() };
 
         let add = |counter: &mut u64, by: u64| *counter = counter.saturating_add(by);
         add(&mut ledger.frames_sent, since.sum());

@@ -20,15 +20,15 @@ use crate::{
 pub(super) struct KeptSamples {
     /// The chunks that are copied by their file offsets, with the records of lost samples before them.
     chunks: HashMap<u64, Vec<OutputChunk>>,
-    /// Records of lost samples behind the last chunk of a group.
+    /// Records of lost samples after the last chunk of a group.
     pub(super) lost_at_end: Vec<OutputChunk>,
-    /// The kinds of foreign parts of which samples are lost.
+    /// The kinds of the foreign parts that lost samples.
     pub(super) kinds: Vec<String>,
     /// Samples whose blocks cannot be decoded.
     pub(super) undecodable: Vec<Problem>,
     /// The chunks of known groups that are not copied, unless they are among `chunks`.
     known: HashSet<u64>,
-    /// Some groups are of a later version; chunks that belong to no known group are theirs.
+    /// Whether some groups are of a later version; chunks that belong to no known group are theirs.
     has_later_groups: bool,
 }
 

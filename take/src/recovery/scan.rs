@@ -14,8 +14,8 @@ use crate::{
     traversal::{Decode, LocatedEvent, LostEntries, Progress, TakeTraversal},
 };
 
-/// Most chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the shortest
-/// stretches, 50 ms, and half a gigabyte. Only a crafted file has more.
+/// Maximum number of chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the
+/// shortest stretches, 50 ms, and half a gigabyte. Only a crafted file has more.
 const CHUNKS_MAX: usize = 1 << 23;
 
 /// Counts of one channel, over the whole take.
@@ -58,9 +58,9 @@ pub struct RecoveryScan {
     pub statistics: TakeStatistics,
     pub(super) output: Vec<OutputChunk>,
     names_lost: bool,
-    /// The kinds of foreign parts of which samples are lost.
+    /// The kinds of the foreign parts that lost samples.
     pub(super) samples_lost_of: Vec<String>,
-    /// A ledger is missing or contradicts the frames and samples found, although nothing is damaged.
+    /// Whether a ledger is missing or contradicts the frames and samples found, although nothing is damaged.
     pub(super) contradicted: bool,
 }
 

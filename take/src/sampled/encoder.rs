@@ -1,5 +1,5 @@
-//! Divides the columns of a foreign part into groups and these into spans from key block to key block, each of which is
-//! encoded independently, on any thread.
+//! Divides the columns of a foreign part into groups, and each group into spans from one key block to the next. Each
+//! span is encoded independently, on any thread.
 
 use std::io;
 
@@ -17,20 +17,20 @@ use crate::{
     timeline::LossCauses,
 };
 
-/// Longest distance of key blocks in seconds: that of the key stretches of an import, so that a reader that wants a part
-/// of a take reads as far ahead for both.
+/// Maximum interval between key blocks in seconds: that of the key stretches of an import, so that a reader that wants
+/// a part of a take reads as far ahead for both.
 const KEY_S: f64 = 10.0;
 
-/// Distance of key blocks where this many seconds have [`KEY_ROWS`] samples: in recorded files, 2.5 seconds of analog
-/// samples need between 4 % fewer and 1 % more bytes than ten. They are what damage to a block costs, and a quarter of
-/// the memory.
+/// Interval between key blocks in seconds, if it holds [`KEY_ROWS`] samples: in recorded files, 2.5 seconds of
+/// analog samples need between 4 % fewer and 1 % more bytes than ten. Damage to a block then costs 2.5 seconds, and
+/// the memory is a quarter.
 const SHORT_KEY_S: f64 = 2.5;
 
-/// Samples of a channel from key block to key block, unless they last more than [`KEY_S`]. The head of a channel behind
+/// Samples of a channel from key block to key block, unless they last more than [`KEY_S`]. The head of a channel after
 /// a key and its first sample are some nine bytes, a fiftieth of a bit per sample.
 const KEY_ROWS: f64 = 4096.0;
 
-/// Most blocks between two keys: they hold 8 MiB of float32, which is what a thread buffers.
+/// Maximum number of blocks between two keys: they hold 8 MiB of float32, which is what a thread buffers.
 const KEY_BLOCKS_MAX: u64 = 2;
 
 /// Size of the buffer for reading columns: 4096 samples of 64 channels of floats.
@@ -39,7 +39,7 @@ const BUFFER_BYTES: usize = 1 << 20;
 /// The kinds of foreign parts whose samples are stored in groups, and the columns of a signal in them.
 const KINDS: [(&str, usize); 3] = [(ANALOG, 1), (RESIDUALS, 1), (MODEL_OUTPUTS, 4)];
 
-/// What the samples of a part mean, and where it stands in the take.
+/// The interpretation of the samples of a part, and its place in the take.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PartContext<'b> {
     /// Frames in a second.
@@ -107,7 +107,7 @@ pub fn sample_count(part: &Foreign) -> io::Result<u64> {
 }
 
 impl<'a> SamplesPlan<'a> {
-    /// Plans the encoding of a part; `None` for one that is no block of columns with samples, or of another kind.
+    /// Plans the encoding of a part; `None` for one that is not a block of columns with samples, or of another kind.
     /// `describe` gives the channels for the kind and the numbers of its signals.
     ///
     /// # Errors
@@ -151,12 +151,12 @@ impl<'a> SamplesPlan<'a> {
         Ok(Some(Self { groups, header, columns, n_samples, lost }))
     }
 
-    /// Records these samples as lost, whatever the columns have in their place.
+    /// Records these samples as lost, and ignores the values that the columns have for them.
     pub(crate) fn lose(&mut self, lost: &[LostSamples]) {
         self.lost.extend_from_slice(lost);
     }
 
-    /// The first lost samples of a group that end behind the sample `next`.
+    /// The first lost samples of a group that end after the sample `next`.
     fn lost_from(&self, group: &SampledGroup, next: usize) -> Option<&LostSamples> {
         let before = u64::from(group.first_channel);
         let end = before + group.channels.len() as u64;
@@ -217,7 +217,7 @@ pub struct KeySpan {
     first: u64,
     n_rows: usize,
     n_channels: usize,
-    /// Channel after channel; none of lost samples.
+    /// Channel after channel; empty if they are lost.
     samples: Vec<f32>,
     /// Why the samples are lost, if they are.
     lost: Option<LossCauses>,

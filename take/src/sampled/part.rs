@@ -1,4 +1,4 @@
-//! The samples of a take's groups: where they are, what is lost, and the block of columns that they stand for.
+//! The samples of a take's groups: where they are, what is lost, and the block of columns that they replace.
 
 use std::{
     convert::Infallible,
@@ -196,7 +196,7 @@ impl GroupSamples {
             input.seek(SeekFrom::Start(chunk.block_at))?;
             block.clear();
             input.by_ref().take(chunk.block_bytes).read_to_end(&mut block)?;
-            // The number of channels is bounded before the decoder makes room for them.
+            // The number of channels is bounded before the decoder allocates memory for them.
             let n_channels = block.first().map(|head| usize::from(head & 0x7f));
             let is_key = content == SampleContent::Key;
             let decoded = match n_channels == Some(self.group.channels.len()) {
@@ -264,7 +264,7 @@ impl SampledPart {
         self.groups.iter().flat_map(of_group).collect()
     }
 
-    /// Adds the next group of the part. Gives it back if it belongs to another one.
+    /// Adds the next group of the part. Returns it if it belongs to another part.
     #[expect(clippy::result_large_err, reason = "it is no error: the group begins another part")]
     pub(crate) fn push_group(&mut self, group: GroupSamples) -> Result<(), GroupSamples> {
         let end = self.groups.last().map_or(0, |last| last.channels()[1]);
@@ -316,7 +316,7 @@ impl SampledPart {
         (next < n_channels).then_some([next + 1, n_channels])
     }
 
-    /// Whether the groups stand for a block of columns: none is missing, and all are alike.
+    /// Whether the groups form a block of columns: none is missing, and all have the same layout.
     pub(crate) fn is_block(&self) -> bool {
         self.layout().is_some()
     }
@@ -341,13 +341,13 @@ impl SampledPart {
         (width as u64).saturating_mul(length as u64).saturating_mul(n_columns as u64)
     }
 
-    /// Samples of each channel of a block of columns: frames that are begun are completed.
+    /// Samples of each channel of a block of columns: incomplete frames are completed.
     fn n_completed(&self) -> u64 {
         let ratio = self.first().map_or(1, |first| u64::from(first.samples_per_frame.max(1)));
         self.n_samples().div_ceil(ratio).saturating_mul(ratio)
     }
 
-    /// Bytes of a sample: 2 for integers, unless some are missing, which only a float can say.
+    /// Bytes of a sample: 2 for integers, unless some are missing, which only floats can express.
     fn width(&self) -> usize {
         let n_samples = self.n_completed();
         let is_missing =
@@ -492,7 +492,7 @@ impl SampledPart {
                 Ok(())
             };
             undecodable.extend(group.decode(input, &mut write)?);
-            // Frames that are begun are completed, and so are groups of which less was written than of others.
+            // Incomplete frames are completed, and so are groups that are shorter than others.
             let missing = (length as u64).saturating_sub(group.n_samples());
             if missing > 0 {
                 write(missing, None)?;

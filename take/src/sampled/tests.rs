@@ -124,7 +124,7 @@ fn columns_of(part: &Foreign, n_columns: usize) -> Vec<Vec<f32>> {
 }
 
 #[test]
-fn parts_come_back_bit_for_bit() {
+fn parts_round_trip_bit_for_bit() {
     let mut all: Vec<Foreign> = [
         (ANALOG, 2, 10, 3, 12_000),
         (ANALOG, 4, 10, 70, 300),
@@ -173,7 +173,7 @@ fn long_take() -> (Vec<u8>, Foreign) {
 }
 
 #[test]
-fn a_damaged_block_costs_its_own_samples_and_a_recovery_states_them() {
+fn a_damaged_block_loses_only_its_samples_and_a_recovery_states_them() {
     let (take, whole) = long_take();
     let original = columns_of(&whole, 66);
     let samples: Vec<_> =
@@ -210,7 +210,7 @@ fn a_damaged_block_costs_its_own_samples_and_a_recovery_states_them() {
         let again = RecoveryScan::read(&new).unwrap();
         assert!(again.problems.is_empty() && !again.lost_anything(), "{:?}", again.problems);
         assert!(again.damage.is_empty());
-        // Whoever reads the samples still learns that some are lost.
+        // Readers of the samples still learn that some are lost.
         assert_eq!(check(&new), [expected]);
     }
 }
@@ -262,7 +262,7 @@ fn a_lost_description_costs_its_part_and_a_recovery_leaves_it_out() {
     }
 }
 
-/// As a recording will write them: the number of samples is unknown, and some were never received.
+/// Groups as a recording writes them: the number of samples is unknown, and some were never received.
 #[test]
 fn open_ended_groups_are_read_up_to_the_last_sample() {
     let mut take = TakeWriter::new(Vec::new(), &header()).unwrap();
@@ -307,7 +307,7 @@ fn open_ended_groups_are_read_up_to_the_last_sample() {
 }
 
 #[test]
-fn a_frame_that_was_begun_is_completed_with_nan_and_not_with_zeros() {
+fn an_incomplete_frame_is_completed_with_nan_and_not_with_zeros() {
     let mut take = TakeWriter::new(Vec::new(), &header()).unwrap();
     let group = SampledGroup {
         kind: ANALOG.to_owned(),
@@ -331,7 +331,7 @@ fn a_frame_that_was_begun_is_completed_with_nan_and_not_with_zeros() {
     assert!(column[15..].iter().all(|sample| sample.is_nan()), "{column:?}");
 }
 
-/// A take with one channel: blocks of ten samples, of which the first and the fourth are keys.
+/// A take with one channel: blocks of ten samples; the first and the fourth are keys.
 fn continued_take(change: impl Fn(usize, &mut Vec<u8>)) -> Vec<u8> {
     let mut take = TakeWriter::new(Vec::new(), &header()).unwrap();
     let group = SampledGroup {
@@ -372,7 +372,7 @@ fn blocks_that_continue_a_lost_one_are_lost_up_to_the_next_key() {
         damaged[to - 5] ^= 0x40;
         // A chunk that is missing, without damaged bytes in its place.
         let missing = [&whole[..from], &whole[to..]].concat();
-        // A valid chunk whose block is none: it is of two channels, or its bytes are others.
+        // A valid chunk with an invalid block: of two channels, or with other bytes.
         let of_two = continued_take(|i, payload| {
             let head_bytes = 4;
             if i == block {
@@ -425,7 +425,7 @@ fn hostile_chunks_give_errors_or_bounded_parts_and_can_be_recovered() {
             continue;
         }
         let ChunkParse::Whole { payload, .. } = chunk::parse(&whole[from..to]) else { panic!() };
-        // Of a description the inflated bytes are changed: others hardly ever inflate.
+        // For a description, the inflated bytes are changed: changed deflated bytes hardly ever inflate.
         let is_group = kind == types::SAMPLED_GROUP;
         let group = is_group.then(|| SampledGroup::from_chunk_payload(payload, 0).unwrap());
         let open = group.map_or_else(|| payload.to_vec(), |group| group.to_payload().unwrap());
@@ -477,7 +477,7 @@ fn deflated_parts_are_read_as_before() {
 }
 
 #[test]
-fn chunks_that_cannot_be_are_refused() {
+fn impossible_chunks_are_refused() {
     let mut payload = Vec::new();
     let content = SampleContent::Key;
     SampleSpan { group: 1, first: 300, n: 5, content }.put(&mut payload);
@@ -508,7 +508,7 @@ fn chunks_that_cannot_be_are_refused() {
 
 /// Bounds come back with the samples, group by group, through a cut and through a join.
 #[test]
-fn bounds_of_parts_come_back() {
+fn bounds_of_parts_round_trip() {
     let mut whole = part(ANALOG, 4, 10, &walks(5, 70, 300, 4));
     whole.bounds = vec![0.0; 70];
     whole.bounds[66] = 0.25;
@@ -533,7 +533,7 @@ fn bounds_of_parts_come_back() {
 }
 
 #[test]
-fn descriptions_come_back_and_impossible_ones_are_refused() {
+fn descriptions_round_trip_and_impossible_ones_are_refused() {
     let channel = |i: u32| SampledChannel {
         name: format!("Fz{i}"),
         unit: "N".to_owned(),

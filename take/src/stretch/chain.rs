@@ -37,7 +37,7 @@ pub(crate) struct StretchChain {
     next_row: u64,
     /// The number of the next stretch; `None` if reading began in the middle of the take.
     next_number: Option<u8>,
-    /// The next stretch does not continue what was read.
+    /// Whether the next stretch does not continue what was read.
     broken: bool,
 }
 

@@ -72,7 +72,7 @@ fn assert_same(found: &Stretch<'_>, span: Span, timeline: &Timeline) {
 }
 
 #[test]
-fn all_come_back_and_their_bytes_are_counted() {
+fn stretches_round_trip_and_their_bytes_are_counted() {
     let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
     for (i, (span, timeline, payload)) in written(100).into_iter().enumerate() {
         let stretch = placed(&mut chain, &payload).unwrap();
@@ -89,7 +89,7 @@ fn all_come_back_and_their_bytes_are_counted() {
 
 /// The rows of the stretches after it are unknown, so none is assigned up to the next key stretch.
 #[test]
-fn behind_a_missing_stretch_no_row_is_given_that_could_be_wrong() {
+fn no_row_is_assigned_after_a_missing_stretch() {
     let written = written(64);
     for n_missing in [1, 2, 19, 20, 31] {
         for first in 0..30 {
@@ -110,7 +110,7 @@ fn behind_a_missing_stretch_no_row_is_given_that_could_be_wrong() {
 }
 
 #[test]
-fn what_may_have_hidden_a_stretch_breaks_the_chain() {
+fn damage_that_may_hide_a_stretch_breaks_the_chain() {
     let written = written(25);
     let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
     let mut found = written.iter().enumerate().map(|(i, (.., payload))| {
@@ -229,7 +229,7 @@ fn groups_are_decoded_side_by_side() {
 
 /// A take that begins at any key stretch of a recording, with rows and numbers of its own.
 #[test]
-fn stretches_that_are_moved_come_back_at_their_new_rows() {
+fn moved_stretches_are_read_at_their_new_rows() {
     let all = written(100);
     for begin in [0, 20, 60] {
         let rows_before = all[begin].1.first_row;
@@ -256,7 +256,7 @@ fn stretches_that_are_moved_come_back_at_their_new_rows() {
 }
 
 #[test]
-fn a_missing_stretch_that_had_no_rows_leaves_one_that_can_be_read() {
+fn stretches_after_a_missing_empty_one_can_be_read() {
     let times = TimelineEncoder::new(TICK_HZ, 60.0);
     let mut headers = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
     let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);

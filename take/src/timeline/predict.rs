@@ -4,7 +4,7 @@ use mocapd_codec::range::{BinaryCoder, Bit};
 
 // Signed integers that are mostly near zero: docs/take-format.md, "Numbers".
 
-/// Contexts distinguish the last two values up to these magnitudes; batched arrivals make a saw-tooth of them.
+/// Contexts distinguish the last two values up to these magnitudes; batched arrivals turn them into a sawtooth.
 const LAST_MAX: i64 = 3;
 const BEFORE_MAX: i64 = 1;
 const CONTEXTS: usize = ((2 * LAST_MAX + 1) * (2 * BEFORE_MAX + 1)) as usize;
@@ -83,7 +83,7 @@ impl ResidualModel {
 
 // Device ticks from row to row: a rational number of ticks per row, and the fraction of a tick carried between rows.
 
-/// Most rows of a period; enough for any rate that devices state.
+/// Maximum number of rows of a period; enough for any rate that devices state.
 const ROWS_MAX: u64 = 0xffff;
 
 /// A frame period, as a number of ticks in a number of rows.
@@ -184,7 +184,7 @@ const STEPS_MAX: u64 = 64;
 /// Largest offset from the start of the line: six hours. The limit of the slope per row is the same.
 const LINE_MAX: i64 = 1 << 47;
 
-/// Most rows that are counted as arriving together with the previous row.
+/// Maximum number of rows that are counted as arriving together with the previous row.
 const BATCH_MAX: usize = 7;
 
 /// Longest quantisation step: three minutes.
@@ -276,7 +276,7 @@ fn distance(a: u64, b: u64) -> i64 {
 
 // Timecodes: equal to the previous one, one frame later, or stored in full.
 
-/// Most rows of one timecode that are counted: 480 Hz at 30 frames per second.
+/// Maximum number of rows of one timecode that are counted: 480 Hz at 30 frames per second.
 const HELD_MAX: usize = 16;
 
 /// Predicts each timecode from the previous one.

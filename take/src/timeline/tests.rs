@@ -87,7 +87,7 @@ fn round_trip(parts: &[TestRows], tick_hz: u64, rate_hz: f64) -> Vec<Vec<u8>> {
 
 proptest! {
     #[test]
-    fn comes_back(
+    fn time_lines_round_trip(
         parts in prop::collection::vec(part(), 1..6),
         tick_hz in prop_oneof![Just(0), Just(1), Just(1_000_000_000), Just(u64::MAX), any::<u64>()],
         rate_hz in prop_oneof![Just(60.0), Just(239.76), Just(0.001), Just(1e6)],
@@ -132,7 +132,7 @@ fn steady(tick_hz: u64, rate_hz: f64, late_10us: impl Fn(u64) -> u64) -> Vec<Tes
 }
 
 #[test]
-fn a_steady_clock_costs_nothing_whatever_its_period() {
+fn a_steady_clock_of_any_period_costs_nothing() {
     for (tick_hz, rate_hz) in [
         (1_000_000, 60.0),
         (1_000_000, 240.0),
@@ -151,7 +151,7 @@ fn a_steady_clock_costs_nothing_whatever_its_period() {
 }
 
 #[test]
-fn a_rate_that_is_not_the_stated_one_is_measured() {
+fn a_rate_that_differs_from_the_stated_one_is_measured() {
     // A divider that cannot produce 240 Hz: 4167 ticks per row, so the clock runs 80 ppm fast.
     let parts = steady(1_000_080, 240.0, |_| 3);
     for (part, bytes) in parts.iter().zip(round_trip(&parts, 1_000_000, 240.0)) {

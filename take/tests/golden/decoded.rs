@@ -29,7 +29,7 @@ pub(crate) struct Decoded {
     pub(crate) stated_mm: f64,
     /// First row, rows, and whether it is a key.
     pub(crate) stretches: Vec<(u64, u32, bool)>,
-    /// As the take states them.
+    /// The statistics as the take states them.
     pub(crate) statistics: Option<TakeStatistics>,
     pub(crate) groups: Vec<SampledGroup>,
     /// The foreign parts that are stored as groups.

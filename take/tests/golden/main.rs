@@ -151,7 +151,7 @@ fn takes_without_statistics_decode_alike() {
 
 /// Keeps a wrong take from becoming a golden one.
 #[test]
-fn the_takes_hold_what_they_were_made_of() {
+fn the_takes_hold_their_motion() {
     for golden in GOLDENS {
         let written = golden.write();
         let decoded = Decoded::read(&written.bytes).unwrap();

@@ -23,7 +23,7 @@ pub(crate) fn parts() -> Vec<Foreign> {
     ]
 }
 
-/// States errors, of which those of an import are counts.
+/// States error bounds; those of an import are counts.
 pub(crate) fn bound(parts: &mut Vec<Foreign>) {
     parts.truncate(2);
     if let Some(analog) = parts.last_mut() {
@@ -58,7 +58,7 @@ fn floats(random: &mut Random, column: usize, n: usize) -> Vec<u32> {
     (0..n).map(&mut next).map(|sample| ordered(sample.to_bits())).collect()
 }
 
-/// Residuals that change now and then.
+/// Residuals that change occasionally.
 fn flags(random: &mut Random, column: usize, n: usize) -> Vec<u32> {
     let mut word = 0.0_f32;
     let mut next = |_| {

@@ -24,7 +24,7 @@ pub(crate) struct Golden {
     pub(crate) tolerance_mm: f64,
     /// Number of markers of the seeded motion.
     pub(crate) n_markers: usize,
-    /// It has foreign parts with samples.
+    /// Whether it has foreign parts with samples.
     has_samples: bool,
 }
 
@@ -123,7 +123,7 @@ impl Golden {
         Settings { kind, tolerance: Tolerance::from_mm(mm).unwrap() }
     }
 
-    /// The same bytes on every machine, at any time.
+    /// Writes the take; the bytes are the same on every machine, at any time.
     pub(crate) fn write(&self) -> Written {
         if self.settings().kind.is_live() { self.record() } else { self.import() }
     }

@@ -22,7 +22,7 @@ pub(crate) struct Plan {
     pub(crate) n_rows: u32,
     /// Offsets of rows lost inside it, and the causes.
     pub(crate) lost: &'static [(u64, LossCauses)],
-    /// No marker is visible.
+    /// Whether no marker is visible.
     pub(crate) empty: bool,
 }
 

@@ -74,7 +74,7 @@ fn a_coordinate_that_is_not_finite_makes_a_gap() {
 }
 
 #[test]
-fn labels_go_on_in_labels2_and_are_never_lost() {
+fn labels_continue_in_labels2_and_are_never_lost() {
     let names: Vec<String> = (0..300).map(|i| format!("m{i}")).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let mut file = C3dFile::new(300, vec![vec![0.5; 1200]]);
@@ -84,7 +84,7 @@ fn labels_go_on_in_labels2_and_are_never_lost() {
 }
 
 #[test]
-fn unlabelled_points_keep_the_text_they_have() {
+fn unlabelled_points_keep_their_text() {
     let mut file = C3dFile::new(4, vec![vec![0.5; 16]]);
     file.texts(1, "LABELS", &["HEAD", "*115", ""]);
     let motion = read(&file);
@@ -107,7 +107,7 @@ fn model_outputs_are_not_markers_but_modelled_markers_are() {
 }
 
 #[test]
-fn frames_beyond_16_bits_are_counted_by_the_parameters_made_for_it() {
+fn frames_beyond_16_bits_are_counted_by_their_own_parameters() {
     let n_frames = 70_000u32;
     let frames: Vec<Vec<f32>> = (0..n_frames).map(|i| vec![i as f32, 0.0, 1.0, 0.0]).collect();
     let mut by_trial = C3dFile::new(1, frames.clone());
@@ -136,7 +136,7 @@ fn frames_beyond_16_bits_are_counted_by_the_parameters_made_for_it() {
 }
 
 #[test]
-fn a_cut_file_gives_its_whole_frames_and_says_how_many_are_missing() {
+fn a_truncated_file_gives_its_complete_frames_and_counts_the_missing_ones() {
     let bytes = small().bytes();
     let motion = Format::C3d.read(&bytes[..bytes.len() - 5]).expect("two whole frames");
     assert_eq!(motion.n_frames(), 2);
@@ -145,7 +145,7 @@ fn a_cut_file_gives_its_whole_frames_and_says_how_many_are_missing() {
 }
 
 #[test]
-fn a_missing_description_byte_is_forgiven_and_named() {
+fn a_missing_description_byte_is_a_warning() {
     let mut file = small();
     file.records.clear();
     let mut record = file.record(1, "LABELS", -1, &[4, 2], b"LASIRASI");
@@ -180,7 +180,7 @@ fn units_and_disagreements_are_stated() {
 }
 
 #[test]
-fn what_is_no_c3d_file_says_so() {
+fn other_files_are_refused_as_c3d() {
     for bytes in [&b""[..], b"\x02", b"PathFileType", &[2, 0x50], &small().bytes()[..600]] {
         let error = Format::C3d.read(bytes).expect_err("not usable");
         assert!(

@@ -53,7 +53,7 @@ fn reader(file: Vec<u8>) -> SerializedFileReader<bytes::Bytes> {
 }
 
 #[test]
-fn a_row_a_sample_and_no_row_where_there_is_none() {
+fn one_row_per_sample_and_none_for_a_missing_one() {
     let motion = motion(300, 5);
     let file = reader(written(&motion, Format::Parquet));
     let mut seen = HashSet::new();
@@ -75,7 +75,7 @@ fn a_row_a_sample_and_no_row_where_there_is_none() {
 }
 
 #[test]
-fn a_row_a_frame_and_null_where_there_is_no_sample() {
+fn one_row_per_frame_and_null_for_a_missing_sample() {
     let motion = motion(300, 5);
     let file = reader(written(&motion, Format::ParquetWide));
     let mut n_rows = 0;
@@ -113,7 +113,7 @@ fn about(file: &SerializedFileReader<bytes::Bytes>, name: &str) -> Option<String
 }
 
 #[test]
-fn metadata_say_what_the_numbers_are() {
+fn metadata_describes_the_columns() {
     let file = reader(written(&motion(3, 2), Format::Parquet));
     let value = |name: &str| about(&file, name);
     assert_eq!(value("mocapd.labels").unwrap(), r#"["M0","M0"]"#);
@@ -145,7 +145,7 @@ fn sampled(motion: &Motion, format: Format) -> Vec<(SampledKind, Vec<u8>, Vec<Ve
 }
 
 #[test]
-fn analog_channels_and_force_plates_are_files_with_a_row_a_sample() {
+fn analog_channels_and_force_plates_are_files_with_one_row_per_sample() {
     let motion = loaded_and_not();
     for format in [Format::Parquet, Format::ParquetWide] {
         let files = sampled(&motion, format);
@@ -201,7 +201,7 @@ fn values(message: &[u8]) -> Vec<f32> {
 }
 
 #[test]
-fn mcap_has_a_message_a_sample_of_analog_channels_and_force_plates() {
+fn mcap_has_one_message_per_sample_of_analog_channels_and_force_plates() {
     let motion = loaded_and_not();
     let expected = sampled(&motion, Format::Parquet);
     let file = written(&motion, Format::Mcap);
@@ -227,7 +227,7 @@ fn mcap_has_a_message_a_sample_of_analog_channels_and_force_plates() {
 }
 
 #[test]
-fn mcap_has_a_cloud_a_frame_and_names_ten_times_a_second() {
+fn mcap_has_one_cloud_per_frame_and_names_ten_times_a_second() {
     let motion = motion(300, 5);
     let file = written(&motion, Format::Mcap);
     let (mut clouds, mut names, mut transforms) = (0_u64, 0, 0);
@@ -250,7 +250,7 @@ fn mcap_has_a_cloud_a_frame_and_names_ten_times_a_second() {
 }
 
 #[test]
-fn nothing_is_a_file_too() {
+fn an_empty_motion_is_exported() {
     for (n_frames, n_markers) in [(0, 3), (4, 0), (0, 0)] {
         let mut motion = motion(n_frames, n_markers);
         motion.info.n_frames = n_frames as u64;

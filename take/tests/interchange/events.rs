@@ -138,7 +138,7 @@ fn the_events_of_a_c3d_file_become_those_of_the_take() {
 }
 
 #[test]
-fn a_group_that_is_still_true_is_given_back_as_it_was() {
+fn an_unchanged_event_group_is_restored_exactly() {
     let source = Format::C3d.read(&with_group().bytes()).expect("a usable file");
     let back = through(Format::C3d, &source);
     assert_eq!(back.info.events, source.info.events);
@@ -162,7 +162,7 @@ fn a_part_has_its_own_events() {
 }
 
 #[test]
-fn an_event_more_joins_those_of_the_file() {
+fn an_added_event_joins_those_of_the_file() {
     let mut source = Format::C3d.read(&with_group().bytes()).expect("a usable file");
     source.info.events.insert(1, mark(4, "now"));
     let back = through(Format::C3d, &source);
@@ -184,7 +184,7 @@ fn events_beyond_the_limit_of_a_group_are_reported_and_marks_come_first() {
 }
 
 #[test]
-fn parts_keep_what_lies_between_their_ends() {
+fn parts_keep_the_events_between_their_ends() {
     let mut info = motion(10, 5, vec![mark(0, "a"), mark(4, "b"), mark(10, "end")]).info;
     let whole = info.clone();
     info.cut(0, 10);

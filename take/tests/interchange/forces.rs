@@ -16,7 +16,8 @@ use crate::c3d_file::{C3dFile, Order};
 
 type Vector = [f64; 3];
 
-/// A still point beside these analog samples, frame by frame: first those of the first instant, then of the next.
+/// A file with a still point and these analog samples, frame by frame: first those of the first instant, then of the
+/// next.
 fn file(order: Order, scale: f32, (n_channels, ratio): (usize, usize), analog: &[f32]) -> C3dFile {
     let frames = analog
         .chunks(n_channels * ratio)
@@ -51,7 +52,7 @@ fn values(motion: &Motion) -> Vec<f64> {
 }
 
 #[test]
-fn values_are_what_the_samples_stand_for() {
+fn samples_are_converted_to_physical_units() {
     // Two frames of two instants of three channels.
     let stored = [0, 100, -100, 1, 101, -101, 2, 102, -102, 3, 103, -103];
     let floats: Vec<f32> = stored.iter().map(|&v: &i16| f32::from(v)).collect();
@@ -161,7 +162,7 @@ fn long_takes_come_in_blocks() {
 }
 
 #[test]
-fn parts_that_were_not_read_are_an_error_and_no_parts_are_none() {
+fn unread_parts_are_an_error_and_missing_parts_are_none() {
     let mut motion = read(&file(Order::Intel, -1.0, (1, 1), &[1.0, 2.0]));
     for kind in ["c3d/analog", "c3d/parameters"] {
         let mut unread = motion.clone();
@@ -264,7 +265,7 @@ fn as_f32<const N: usize>(values: [f64; N]) -> [f32; N] {
 #[test]
 fn six_components_are_force_and_moment_of_the_sensors() {
     let moment = about_sensors();
-    // Moments in N mm beside mm, in N m beside m, in N m beside mm as stated, and without a unit.
+    // Moments in N mm with lengths in mm, in N m with m, in N m with mm as stated, and without a unit.
     for (unit, of_moments, factor) in [
         ("mm", Some("Nmm"), 1000.0),
         ("m", Some("N m"), 1.0),
@@ -554,7 +555,7 @@ fn a_mot_is_rotated_with_the_markers() {
 }
 
 #[test]
-fn a_mot_remarks_what_it_cannot_know() {
+fn a_mot_states_its_assumptions() {
     // The action on the plate instead of the reaction.
     let reversed = as_f32(FORCE_N.map(|v| -v));
     let channels = [reversed, as_f32(about_sensors().map(|m| -m * 1000.0))].concat();

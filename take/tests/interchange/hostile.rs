@@ -8,7 +8,7 @@ use mocapd_take::motion::{Marker, Motion, MotionFrames, MotionInfo, Source};
 
 use crate::c3d_file::{C3dFile, Order};
 
-/// Most bytes of positions per byte of input.
+/// Maximum number of bytes of positions per byte of input.
 const EARNED: usize = 48;
 
 /// Reads bytes and, if they give a motion, writes it again, because foreign parts are hostile, too.
@@ -97,7 +97,7 @@ fn text_files_of_every_kind() {
 }
 
 #[test]
-fn counts_of_billions_earn_nothing() {
+fn huge_counts_allocate_no_memory() {
     let mut trc = b"PathFileType\nDataRate\tNumFrames\tNumMarkers\tUnits\n100\t4000000000\t4000000000\tmm\nFrame#\tTime\n\n".to_vec();
     trc.extend(b"1\t0\n".repeat(2000));
     trc.extend(b"2\t0");

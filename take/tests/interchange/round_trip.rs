@@ -133,7 +133,7 @@ fn unique(motion: &Motion) -> Vec<String> {
 }
 
 #[test]
-fn a_position_at_the_origin_is_no_gap_in_tsv_and_trc() {
+fn a_position_at_the_origin_is_not_a_gap_in_tsv_and_trc() {
     let source = motion(&["a".to_owned()], vec![[0.0; 3], [1.0; 3], [-0.0; 3]], 100.0, 1);
     for format in [Format::Tsv, Format::Trc] {
         let back = through(format, &source);
@@ -154,7 +154,7 @@ fn labels_with_odd_characters_do_not_move_columns() {
 }
 
 #[test]
-fn no_markers_are_no_columns() {
+fn a_motion_without_markers_has_no_columns() {
     let mut source = motion(&["a".to_owned()], vec![[1.0; 3]; 5], 100.0, 1);
     source.info.markers.clear();
     source.positions_mm.clear();
@@ -167,7 +167,7 @@ fn no_markers_are_no_columns() {
 }
 
 #[test]
-fn rates_come_back_from_the_times_of_a_csv() {
+fn rates_are_recovered_from_the_times_of_a_csv() {
     for rate_hz in [60.0, 60.0002, 119.88, 120.0, 1000.0 / 3.0, 1000.0] {
         let source = motion(&["a".to_owned()], vec![[100.0, 200.0, 300.0]; 500], rate_hz, 1);
         let back = through(Format::Csv, &source).info;

@@ -53,7 +53,7 @@ fn trc_without_labels_is_as_wide_as_its_widest_row() {
 }
 
 #[test]
-fn trc_that_disagrees_with_itself_says_so() {
+fn contradictions_in_a_trc_are_warnings() {
     let motion = trc(&format!(
         "{TRC_HEAD}Frame#\tTime\tA\tB\nx\n1\t0\t1\t2\t3\t4\t5\t6\n3\t0\t1\tbad\t3\nrest\n"
     ));
@@ -156,7 +156,7 @@ fn csv_without_a_rate_takes_it_from_the_times() {
 }
 
 #[test]
-fn formats_are_known_by_their_endings() {
+fn formats_are_recognised_by_extension() {
     for (name, format) in [
         ("a.C3D", Format::C3d),
         ("b.trc", Format::Trc),
@@ -169,7 +169,7 @@ fn formats_are_known_by_their_endings() {
 }
 
 #[test]
-fn an_export_of_motive_without_a_rate_of_its_own_has_that_of_its_times() {
+fn a_motive_export_without_a_rate_gets_it_from_its_times() {
     let motive = |export: &str| {
         format!(
             "Format Version,1.23,Capture Frame Rate,240.000000{export},Length Units,Meters\n\n\

@@ -149,7 +149,7 @@ fn chunks(file: &[u8]) -> Vec<(u64, &[u8])> {
 }
 
 #[test]
-fn an_xdf_is_a_row_of_chunks() {
+fn an_xdf_is_a_sequence_of_chunks() {
     let source = motion(300, 70);
     let file = write(Format::Xdf, &source);
     let chunks = chunks(&file);
@@ -195,7 +195,7 @@ impl bids::DatasetFolder for Files {
 }
 
 #[test]
-fn a_bids_folder_has_a_column_a_coordinate() {
+fn a_bids_folder_has_one_column_per_coordinate() {
     let source = motion(300, 50);
     let names = bids::BidsLabels::new("7", None, "jump", None).expect("letters and digits");
     let mut files = Files::default();
@@ -235,7 +235,7 @@ fn long_takes_and_none_at_all() {
 }
 
 #[test]
-fn what_is_written_only_says_so() {
+fn export_only_formats_say_so() {
     for format in [Format::Npz, Format::Xdf, Format::Bids, Format::Mot] {
         assert!(!format.is_read());
         let error = format.read(b"PK").expect_err("written only");

@@ -36,9 +36,9 @@ use mocapd_take::{
 
 use mocapd_testkit::random::Random;
 
-use self::counting::most_bytes;
+use self::counting::peak_bytes;
 
-/// Memory of the DEFLATE decoder, whatever the length: the takes here have a document of a few bytes.
+/// Memory of the DEFLATE decoder, independent of the length: the takes here have a document of a few bytes.
 const INFLATER_BYTES: usize = 48 << 10;
 
 /// Rows, times and names read from a take.
@@ -78,9 +78,10 @@ fn times(take: &[u8]) -> Result<Vec<(u64, RowTime)>, TakeError> {
     Ok(times)
 }
 
-/// Most bytes that a reader holds of the take, without its decoders; the take arrives in pieces, as from a disk.
+/// Maximum number of bytes that a reader holds of the take, without its decoders; the take arrives in pieces, as from a
+/// disk.
 fn reader_memory(take: &[u8]) -> usize {
-    most_bytes(|| {
+    peak_bytes(|| {
         let mut reader = TakeReader::new();
         let mut pieces = take.chunks(1 << 12);
         loop {
@@ -101,7 +102,7 @@ impl Whole {
         let take = take::take(kind);
         let mut rows = Vec::new();
         let mut read_whole = None;
-        let memory = most_bytes(|| read_whole = Some(read(&take, |_, _| {})));
+        let memory = peak_bytes(|| read_whole = Some(read(&take, |_, _| {})));
         let (labels, problems) = read_whole.unwrap().unwrap();
         read(&take, |_, row| rows.push(row.to_vec())).unwrap();
         assert!(problems.is_empty(), "{problems:?}");
@@ -115,7 +116,7 @@ impl Whole {
     fn check(&self, damaged: &[u8], what: &str) -> Option<Read> {
         let mut samples = 0;
         let mut result = None;
-        let memory = most_bytes(|| {
+        let memory = peak_bytes(|| {
             result = Some(read(damaged, |at, row| {
                 let original = self.rows.get(at);
                 assert!(original.is_some(), "{what}: row {at} is beyond the end");

@@ -14,13 +14,13 @@ use mocapd_take::{
 
 use mocapd_testkit::random::Random;
 
-use crate::{counting::most_bytes, take};
+use crate::{counting::peak_bytes, take};
 
 /// Enough for three keys, a channel that appears late, and an event.
 const STRETCHES: usize = 28;
 
-/// Most rows of a take that is read row by row, and the memory of the compared frames: six copies, of six channels, in
-/// vectors that double.
+/// Maximum number of rows of a take that is read row by row, and the memory of the compared frames: six copies, of six
+/// channels, in vectors that double.
 const ROWS_MAX: u64 = 3_000;
 const FRAMES_BYTES: usize = 2 * 6 * ROWS_MAX as usize * (24 + 6 * 12);
 
@@ -260,7 +260,7 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
 fn mutated(kind: &str, seeds: Range<u64>) {
     let begun = Instant::now();
     let original = take::begun(kind, STRETCHES);
-    let whole = most_bytes(|| check(&original, &mut Random::new(0), kind).unwrap());
+    let whole = peak_bytes(|| check(&original, &mut Random::new(0), kind).unwrap());
     let (n, mut n_read) = (seeds.end - seeds.start, 0);
     for seed in seeds {
         let mut random = Random::new(seed);
@@ -269,7 +269,7 @@ fn mutated(kind: &str, seeds: Range<u64>) {
             mutate(&mut take, &mut random);
         }
         let what = format!("{kind}, seed {seed}");
-        let memory = most_bytes(|| match check(&take, &mut random, &what) {
+        let memory = peak_bytes(|| match check(&take, &mut random, &what) {
             Ok(()) => n_read += 1,
             Err(TakeError::NotATake(_) | TakeError::Unsupported { .. }) => {}
             Err(error) => panic!("{what}: {error}"),

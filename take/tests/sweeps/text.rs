@@ -15,12 +15,12 @@ use mocapd_take::{
     motion::{FrameSource, GAP, Position, is_gap},
 };
 
-use crate::{counting::most_bytes, window::Scratch};
+use crate::{counting::peak_bytes, window::Scratch};
 
 const MARKERS: usize = 40;
 const FRAMES: usize = 24_000;
 
-/// Most memory of an import: of the 11 MiB of positions and 22 MiB of samples of the long layout 8 MiB, and the buffer
+/// Peak memory of an import: of the 11 MiB of positions and 22 MiB of samples of the long layout 8 MiB, and the buffer
 /// of half that size from which they were moved when it was full; the times of the rows; lines and blocks.
 const HELD_MAX: usize = 16 << 20;
 
@@ -91,7 +91,7 @@ fn table(header: &str, separator: char, lead: impl Fn(usize) -> String) -> (Stri
 fn assert_small(format: Format, text: &str, n_gaps: usize) {
     assert!(text.len() > 3 * HELD_MAX / 2, "{} bytes prove nothing", text.len());
     let mut opened = None;
-    let memory = most_bytes(|| opened = Some(open(format, Cursor::new(text)).unwrap()));
+    let memory = peak_bytes(|| opened = Some(open(format, Cursor::new(text)).unwrap()));
     let opened = opened.unwrap();
     assert_eq!((opened.n_frames, opened.n_gaps, opened.n_wrong), (FRAMES, n_gaps, 0), "{format:?}");
     assert!(memory < HELD_MAX, "{format:?}: {memory} bytes held: {:?}", opened.warnings);
@@ -157,7 +157,7 @@ fn a_line_without_end_is_refused() {
     ] {
         let text = format!("{header}{}", "1,".repeat(5 << 20));
         let mut error = None;
-        let memory = most_bytes(|| error = open(format, Cursor::new(&text)).err());
+        let memory = peak_bytes(|| error = open(format, Cursor::new(&text)).err());
         let message = error.unwrap().to_string();
         assert!(message.contains("more than 8 MiB") && message.contains("split"), "{message}");
         let line = format!("line {}", header.lines().count() + 1);
@@ -167,7 +167,7 @@ fn a_line_without_end_is_refused() {
     }
 }
 
-/// A file that another program changes when so many bytes have been read from it.
+/// A file that another program changes after this many bytes have been read from it.
 struct Changing {
     file: Cursor<Vec<u8>>,
     left: Rc<Cell<usize>>,

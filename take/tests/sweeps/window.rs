@@ -24,7 +24,7 @@ use mocapd_take::{
 
 use mocapd_testkit::random::Random;
 
-use crate::{counting::most_bytes, take};
+use crate::{counting::peak_bytes, take};
 
 /// Memory of a reader: a window that grows to its full size, and tables of some MiB.
 const HELD_MAX: usize = 2 * WINDOW_BYTES + (8 << 20);
@@ -78,7 +78,7 @@ struct Found {
 fn found(take: &[u8]) -> Found {
     let mut found = Found::default();
     let mut input = Counted { file: Cursor::new(take), read: 0 };
-    let memory = most_bytes(|| {
+    let memory = peak_bytes(|| {
         let mut reader = TakeReader::new();
         loop {
             match reader.next_event().unwrap() {
@@ -229,7 +229,7 @@ fn small_chunks_between_false_heads_cost_time_in_proportion() {
 }
 
 #[test]
-fn a_long_record_is_damaged_and_what_is_unknown_is_skipped() {
+fn a_long_record_is_damaged_and_unknown_chunks_are_skipped() {
     let take = take::take("dense");
     for kind in types::ALL.into_iter().chain([0x7f, 0xf1]) {
         let mut long = Vec::new();
@@ -270,7 +270,7 @@ fn the_cut_off_is_reported_after_any_number_of_problems() {
 }
 
 #[test]
-fn a_valid_long_chunk_is_skipped_and_found_behind_damage() {
+fn a_valid_long_chunk_is_skipped_and_found_after_damage() {
     let take = take::take("dense");
     let data = Random::new(2).bytes(20 * MIB);
     let long = stored("c3d/analog", &data);

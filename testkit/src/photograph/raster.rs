@@ -4,7 +4,7 @@ use image::{Rgb, RgbImage};
 
 use super::random::PictureRng;
 
-/// Each pixel is the average of this many by this many samples.
+/// Samples per pixel along each axis, averaged.
 pub(super) const OVERSAMPLING: u32 = 2;
 
 /// Linear colour, 0 to 1.

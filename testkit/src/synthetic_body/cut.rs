@@ -58,9 +58,9 @@ impl LimbPart {
         }
     }
 
-    /// Plausible range of the part's share of the surface, half to twice the expected one: a hand has 2.5 %, a foot
-    /// 3.5 %, a forearm 3 %, an upper arm 4 %, a shank 7 % (Lund and Browder 1944). A plane that removes more cuts
-    /// the trunk, and one that removes less leaves toes or fingers.
+    /// Plausible range of the part's fraction of the surface, half to twice the expected one: a hand has 2.5 %, a
+    /// foot 3.5 %, a forearm 3 %, an upper arm 4 %, a shank 7 % (Lund and Browder 1944). A plane that removes more
+    /// cuts the trunk, and one that removes less leaves toes or fingers.
     fn surface_share(self) -> [f64; 2] {
         let of = match self {
             Self::Foot => 0.03,
@@ -91,7 +91,7 @@ pub struct LimbCut {
 
 /// Largest tilt of the plane: steeper cuts are unrealistic and miss the limb.
 const TILT_MAX_DEG: f64 = 40.0;
-/// Most planes tried; those that remove more than the limb are rejected.
+/// Maximum number of planes tried; those that remove more than the limb are rejected.
 const TRIES: usize = 16;
 
 /// Removes a part of a limb, selected by the seed; `None` when every plane tried removes more than the limb.

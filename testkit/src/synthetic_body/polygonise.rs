@@ -10,15 +10,15 @@ use mocapd_body::Mesh;
 use super::Point;
 use super::field::Field;
 
-/// Most cells of the lattice, which keeps its memory below 100 MB.
+/// Maximum number of cells of the lattice, which keeps its memory below 100 MB.
 const CELLS_MAX: f64 = 2e6;
 /// First guess of the cell size, metres: the size at which a person of medium height has one face, if the number of
 /// faces followed the inverse square law.
 const CELL_OF_ONE_FACE: f64 = 2.6;
-/// Least distance of lattice corners from the surface, in cells: nearer corners would cause needle-shaped triangles.
+/// Minimum distance of lattice corners from the surface, in cells: nearer corners would cause needle-shaped triangles.
 const CLEARANCE: f64 = 0.12;
-/// Most lattices tried when limbs merge or come off, or an extremity falls between lattice corners: at 5000 faces a
-/// cell is about 5 cm, and a foot 5 to 7 cm across.
+/// Maximum number of lattices tried when limbs merge or become detached, or an extremity falls between lattice
+/// corners: at 5000 faces a cell is about 5 cm, and a foot 5 to 7 cm across.
 const TRIES: usize = 32;
 
 /// A closed surface of genus 0 with about `n_faces` faces.

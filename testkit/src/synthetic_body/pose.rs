@@ -11,9 +11,9 @@ pub enum Pose {
     Down,
     /// In stride: one arm and the other leg forward.
     Walk,
-    /// Deep in the knees, arms forward.
+    /// Knees deeply bent, arms forward.
     Squat,
-    /// As on a chair, forearms forward.
+    /// Seated, as on a chair, with the forearms forward.
     Sit,
     /// Arms overhead.
     Up,

@@ -1,4 +1,4 @@
-//! Cycles between files: the graph of which file of a crate uses names of which, and its cycles.
+//! Cycles between files: a graph in which each file of a crate points to the files whose names it uses, and its cycles.
 //!
 //! To declare a module or to re-export its names (`pub use`) does not count as use; to call into it does. Names are
 //! followed through re-exports to the file that defines them. A submodule's use of its parent modules does not count:
@@ -204,7 +204,7 @@ impl<'ast> Visit<'ast> for Paths<'_> {
     }
 }
 
-/// Most re-exports through which a name is followed.
+/// Maximum number of re-exports through which a name is followed.
 const DEPTH_MAX: usize = 16;
 
 /// The module that defines the last name of a path, as seen from a module; `None` if no file of the crate does.

@@ -140,7 +140,7 @@ const RULES: &[Rule] = &[
     },
 ];
 
-/// The sources of the workspace. The Python package is a workspace of its own.
+/// The sources of the workspace, without the Python package, which is a separate workspace.
 fn product_sources() -> Vec<PathBuf> {
     let sources = super::product_sources(&super::root());
     sources.into_iter().filter(|path| !path.starts_with("python")).collect()

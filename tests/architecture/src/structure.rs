@@ -9,10 +9,10 @@ use syn::{
     visit::{self, Visit},
 };
 
-/// Most lines of a function, from its signature to its closing brace.
+/// Maximum number of lines of a function, from its signature to its closing brace.
 pub const FUNCTION_LINES_MAX: usize = 80;
 
-/// Most parameters of a function, without `self` and with every member of a tuple counted.
+/// Maximum number of parameters of a function, without `self` and with every member of a tuple counted.
 pub const PARAMETERS_MAX: usize = 6;
 
 /// Files with fewer lines than this count as small.
@@ -177,7 +177,7 @@ impl<'ast> Visit<'ast> for Functions<'_> {
     }
 }
 
-/// Counts the values in a type: a tuple, also behind a reference, counts as many as it has members.
+/// Counts the values in a type: a tuple, or a reference to one, counts as many as it has members.
 fn values_in(kind: &Type) -> usize {
     match kind {
         Type::Tuple(tuple) => tuple.elems.iter().map(values_in).sum(),

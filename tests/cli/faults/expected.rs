@@ -22,7 +22,7 @@ pub(super) fn expected(fates: &[FrameFate]) -> Expected {
     for (index, fate) in fates.iter().enumerate().filter(|(_, fate)| is_whole(fate)) {
         let between = &fates[from..index];
         match last {
-            // Between two runs the host was not connected, whatever happened to the frames.
+            // Between two runs the host was not connected, so the fates of frames do not matter.
             Some(before) if before.frame.run != fate.frame.run => {
                 expected.unknown += between.len() as u64;
                 expected.away_s += (fate.frame.host_ns - before.frame.host_ns) as f64 * 1e-9;

@@ -4,10 +4,10 @@ use mocapd_codec::CodecError;
 
 use crate::{Input, check, motion::Group};
 
-/// Most blocks of one input.
+/// Maximum number of blocks of one input.
 const BLOCKS_MAX: usize = 24;
 
-/// Most rows requested with arbitrary bytes: 64 channels of them take milliseconds.
+/// Maximum number of rows requested with arbitrary bytes: 64 channels of them take milliseconds.
 const ROWS_MAX: usize = 1 << 10;
 
 /// Decodes a sequence of arbitrary, valid, damaged and skipped blocks. Each gives an error or samples. After an error
@@ -72,7 +72,7 @@ pub fn decode_block(bytes: &[u8]) {
             check::faithful(settings, &stretch, &block, &decoded);
         }
     }
-    // Whatever came before, a key block restores the decoder.
+    // A key block restores the decoder from any state.
     let stretch = group.stretch(true, &mut Input::new(&[40, 0x42, 0x11, 0x63, 0]));
     let block = check::encode(settings, &mut *encoder, &stretch);
     decoder

@@ -8,9 +8,9 @@ use mocapd_face::{
     photo::BYTES_MAX,
 };
 
-/// Most characters in an error message.
+/// Maximum number of characters in an error message.
 const REASON_MAX: usize = 400;
-/// Most vertices of a model that is also fitted: the cost of a fit grows with them.
+/// Maximum number of vertices of a model that is also fitted: the cost of a fit grows with them.
 const FITTED_VERTICES_MAX: usize = 2000;
 
 /// Reads a photograph: gives an error with a message, or a complete picture.

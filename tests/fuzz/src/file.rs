@@ -4,7 +4,7 @@ use mocapd_take::{interchange::Format, motion::MotionFrames};
 
 use crate::Input;
 
-/// Most bytes of positions per byte of input.
+/// Maximum number of bytes of positions per byte of input.
 const EARNED: usize = 48;
 
 /// Reads a file; the first byte selects the format. Gives an error, or a motion whose size is bounded by the input's,

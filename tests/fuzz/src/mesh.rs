@@ -9,7 +9,7 @@ use mocapd_body::{
     skeleton::{LEN_MAX, Skeleton},
 };
 
-/// Most characters in an error message.
+/// Maximum number of characters in an error message.
 const REASON_MAX: usize = 400;
 
 /// Reads a mesh; the first byte selects the file's extension, and whether its unit is given. Gives a one-line error,

@@ -4,10 +4,10 @@ use mocapd_codec::{BlockReport, Position, Rows, Settings};
 
 use crate::Input;
 
-/// Most rows of a stretch: enough for every span, stride and table, and quick to code.
+/// Maximum number of rows of a stretch: enough for every span, stride and table, and quick to code.
 const ROWS_MAX: usize = 600;
 
-/// Most rows for the exhaustive resamplers, whose work grows with the third power.
+/// Maximum number of rows for the exhaustive resamplers, whose work grows with the third power.
 const EXHAUSTIVE_ROWS_MAX: usize = 24;
 
 /// A channel over one stretch.

@@ -6,7 +6,7 @@ use crate::Input;
 
 const MODELS: usize = 8;
 
-/// Most bits of one input, which bounds a decoder that would never end.
+/// Maximum number of bits of one input, which bounds a decoder that would never end.
 const STEPS_MAX: usize = 1 << 14;
 
 /// Encodes and decodes a program of bits, which must round-trip if it fits the limit; then decodes arbitrary bytes.

@@ -7,10 +7,10 @@ use mocapd_codec::{
 
 use crate::Input;
 
-/// Most blocks of one input.
+/// Maximum number of blocks of one input.
 const BLOCKS_MAX: usize = 12;
 
-/// Most rows of a block: 64 channels of them take milliseconds.
+/// Maximum number of rows of a block: 64 channels of them take milliseconds.
 const ROWS_MAX: usize = 1 << 8;
 
 /// Encodes arbitrary samples, which come back bit for bit, and decodes arbitrary, damaged and skipped blocks. Each gives

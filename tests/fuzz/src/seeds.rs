@@ -321,8 +321,8 @@ fn damaged_takes() -> Vec<Vec<u8>> {
     takes().into_iter().flat_map(damaged).collect()
 }
 
-/// Three analog channels of 16-bit integers, four samples in each of thirty frames; with bounds
-/// of their errors, of which one is that of an exact channel, or without.
+/// Three analog channels of 16-bit integers, four samples in each of thirty frames; with error
+/// bounds, one of them that of an exact channel, or without.
 fn analog_part(is_bounded: bool) -> Foreign {
     const SAMPLES: usize = 120;
     let mut data = vec![1, 2];
@@ -429,7 +429,7 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
 mod tests {
     use super::*;
 
-    /// A target that fails on its own seeds would tell nothing of other inputs.
+    /// A target that fails on its own seeds is useless.
     #[test]
     fn every_target_passes_on_its_seeds() {
         for Target { name, run, seeds } in targets() {

@@ -9,13 +9,13 @@ use mocapd_take::{
 
 use crate::Input;
 
-/// Most samples of a stretch that is decoded. More would take time without reaching other code.
+/// Maximum number of samples of a stretch that is decoded. More would take time without reaching other code.
 const SAMPLES_MAX: usize = 1 << 13;
 
-/// Most bytes of a part in memory: beyond them it goes into a file, which these targets do not have.
+/// Maximum number of bytes of a part in memory: beyond them it goes into a file, which these targets do not have.
 const PART_BYTES_MAX: u64 = 8 << 20;
 
-/// Most frames read.
+/// Maximum number of frames read.
 const FRAMES_MAX: usize = 1 << 10;
 
 /// Reads a take's events, stretches and frames: gives errors or samples, and reaches an end. The first byte selects

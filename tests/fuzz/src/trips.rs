@@ -5,7 +5,7 @@ use crate::{
     motion::{Group, Stretch},
 };
 
-/// Most stretches of one input.
+/// Maximum number of stretches of one input.
 const STRETCHES_MAX: usize = 12;
 
 /// Encodes and decodes any float32 samples, presence, tolerance and stretches: the bound holds, the encoder is

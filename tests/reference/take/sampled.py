@@ -392,7 +392,7 @@ class SampledDecoder:
         track = self.tracks[channel]
         self.read_head(track)
         if any(index >= channel for index in track.beside):
-            raise Corrupt("a neighbour that does not come before its channel")
+            raise Corrupt("a reference that does not come before its channel")
         self.rows = rows
         if track.cells.form[0] == "stored":
             samples.extend(self.coder.plain(32) for _ in rows)
@@ -421,7 +421,7 @@ class SampledDecoder:
             track.exponent = exponent - 256 if exponent >> 7 else exponent
             n_beside = coder.plain(3)
             if track.exponent <= -127 or n_beside > NEIGHBOURS:
-                raise Corrupt("a unit out of range, or too many neighbours")
+                raise Corrupt("a unit out of range, or too many references")
             track.beside = [coder.plain(self.index_bits) for _ in range(n_beside)]
         bits = [coder.bit(flags[1 + i]) for i in range(7)]
         track.repeats, track.has_lines = bits[0:2], bits[2:4]

@@ -37,7 +37,7 @@ const STALLED: &[Stalled] = &[
     Stalled::Device,
 ];
 
-/// What is done to the service, and when, in seconds since it began.
+/// A command or signal, and its time in seconds since the start of the service.
 #[derive(Debug, Clone, Copy)]
 enum Act {
     Signal(Signal),
@@ -45,7 +45,7 @@ enum Act {
 }
 
 const START: Act = Act::Command(&["start"]);
-// Longer than any stall: of a device that stalled for so long nothing is held.
+// Longer than any stall, because nothing is buffered of a device that stalls.
 const SAVE_LAST: Act = Act::Command(&["save-last", "40s"]);
 const STOP: Act = Act::Command(&["stop"]);
 

@@ -26,13 +26,13 @@ const SECOND_NS: f64 = 1e9;
 /// The host's monotonic clock at the start: a day of uptime.
 const BEGUN_NS: f64 = 86_400e9;
 
-/// Frames that a line keeps for a reader that does not come: 4 KiB of a pty's, of 40 bytes each.
+/// Frames that a pty buffers for an absent reader: 4 KiB, 40 bytes each.
 const LINE_FRAMES: usize = 100;
 
 /// How long a read waits for data.
 const READ_NS: f64 = 20e6;
 
-/// How long the pipeline's threads are given after a stall of the whole process, in virtual time.
+/// Time that the pipeline's threads get after a stall of the whole process, in virtual seconds.
 const CATCH_UP_S: f64 = 0.3;
 
 /// What stalls.
@@ -44,7 +44,7 @@ pub(super) enum Stalled {
     Process,
     /// The thread that reads the device.
     Reader,
-    /// The device: it sends its frames and answers when it goes on.
+    /// The device: it sends its frames and answers when it resumes.
     Device,
 }
 
@@ -56,11 +56,11 @@ pub(super) struct World {
     /// When the stall begins and ends, in seconds.
     pub(super) stall_s: (f64, f64),
     pub(super) start_s: f64,
-    /// How much from before the start is asked for.
+    /// Requested pre-roll in seconds.
     pub(super) pre_roll_s: f64,
     pub(super) save_s: Option<f64>,
     pub(super) stop_s: f64,
-    /// Another take begins where that one ends, and ends with the run.
+    /// Whether another take begins where that one ends, until the end of the run.
     pub(super) splits: bool,
     /// When the device's clock jumps ahead by 5 s.
     pub(super) jump_s: Option<f64>,
@@ -129,7 +129,7 @@ fn between(rng: &mut Seeded, from: f64, to: f64) -> f64 {
 
 #[derive(Debug, Clone, Copy)]
 enum Command {
-    /// With so many seconds from before it.
+    /// With this pre-roll in seconds.
     Start(f64),
     SaveLast,
     Stop,
@@ -192,7 +192,7 @@ impl World {
         (device_s * TICK_HZ as f64) as u64
     }
 
-    /// When the stalled one goes on.
+    /// When the stalled component resumes.
     fn resumed_ns(&self, stalled: &[Stalled], ns: f64) -> f64 {
         let (from_ns, to_ns) = (Self::at_ns(self.stall_s.0), Self::at_ns(self.stall_s.1));
         if stalled.contains(&self.stalled) && (from_ns..to_ns).contains(&ns) { to_ns } else { ns }
@@ -262,7 +262,7 @@ impl World {
             now_ns = self.resumed_ns(&[Stalled::Process, Stalled::Reader], now_ns);
             disk.stall(self.disk_stalls(now_ns));
 
-            // Commands come on a thread of their own: with the process asleep, when that goes on.
+            // Commands come on a separate thread; if the process is stopped, after it resumes.
             while let Some(&(_, command)) = due.first().filter(|due| Self::at_ns(due.0) <= now_ns) {
                 due.remove(0);
                 match command {
@@ -327,7 +327,7 @@ impl World {
     }
 }
 
-/// The writer works in its own time, behind the virtual one.
+/// The writer works in real time and lags the virtual clock.
 fn patiently<T>(mut order: impl FnMut() -> anyhow::Result<T>) -> T {
     let since = Instant::now();
     loop {
@@ -385,7 +385,7 @@ fn give(intake: &mut Intake, seq: u32, device_ticks: u64, arrival_ns: u64) {
 /// Round trips that [`flooded`] measures: twice as many as wait for the writer.
 pub(super) const FLOOD: u64 = 2_048;
 
-/// A take whose disk stalls while more is observed of the clocks than can wait.
+/// A take whose disk stalls while there are more clock observations than the queue holds.
 pub(super) fn flooded() -> (Vec<u8>, TakeAccount) {
     let disk = Arc::new(Disk::default());
     let (mut intake, pipeline, mut armed) = arm();
@@ -396,7 +396,7 @@ pub(super) fn flooded() -> (Vec<u8>, TakeAccount) {
             let ticks = at_ns / 1000;
             give(intake, next_seq, ticks, at_ns + 90_000);
             for trip in 0..trips {
-                // Each tells a little more than the one before.
+                // Each gives a slightly tighter bound than the previous one.
                 let requested_ns = at_ns + trip * 200_000;
                 intake.probe(
                     ticks + trip * 200 + 50,

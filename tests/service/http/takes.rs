@@ -73,7 +73,7 @@ fn a_download_of_a_growing_take_has_what_is_durable() {
     post(served.at, "/v1/start", r#"{"name": "live"}"#);
     let path = served.folder.path().join("takes/live.take");
     let durable = fs::read(&path).unwrap();
-    // Preallocated space behind the data.
+    // Preallocated space after the data.
     fs::OpenOptions::new().append(true).open(&path).unwrap().write_all(&[0; 1000]).unwrap();
     let growing = get(served.at, "/v1/takes/live/download");
     assert_eq!((growing.status, &growing.body), (200, &durable));

@@ -16,7 +16,7 @@ struct Row {
 }
 
 impl Table {
-    /// Runs a scenario. `prepare` restores the initial state, whatever the one before left.
+    /// Runs a scenario. `prepare` restores the initial state.
     pub(crate) fn run(
         &mut self,
         name: &'static str,

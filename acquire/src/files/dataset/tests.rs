@@ -9,19 +9,19 @@ fn labels(subject: &str, run: Option<&str>) -> BidsLabels {
 
 /// Writes the files of a recording, and those of a new data set.
 fn recording(dataset: &Path, labels: &BidsLabels) -> anyhow::Result<NewRecording> {
-    let mut begun = NewRecording::begin(dataset, labels)?;
+    let mut staged_addition = NewRecording::begin(dataset, labels)?;
     for (path, content) in [
         (DESCRIPTION, "{\"BIDSVersion\": \"1.10.0\"}".to_owned()),
         ("README.md", "new".to_owned()),
         (PARTICIPANTS, format!("participant_id\nsub-{}\n", labels.subject())),
         ("participants.json", "{}".to_owned()),
     ] {
-        begun.common_file(path)?.write_all(content.as_bytes())?;
+        staged_addition.common_file(path)?.write_all(content.as_bytes())?;
     }
     for path in labels.paths() {
-        begun.file(&path)?.write_all(path.as_bytes())?;
+        staged_addition.file(&path)?.write_all(path.as_bytes())?;
     }
-    Ok(begun)
+    Ok(staged_addition)
 }
 
 fn add(dataset: &Path, labels: &BidsLabels) -> anyhow::Result<()> {
@@ -47,11 +47,13 @@ fn a_data_set_appears_whole_or_not_at_all() {
     let dataset = dir.path().join("set");
     drop(recording(&dataset, &labels("01", None)).unwrap());
     assert_eq!(names(dir.path()), [""; 0]);
-    let mut begun = recording(&dataset, &labels("01", None)).unwrap();
-    assert!(begun.file("sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv").is_err());
+    let mut staged_addition = recording(&dataset, &labels("01", None)).unwrap();
+    assert!(
+        staged_addition.file("sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv").is_err()
+    );
     // While it is written nothing can be seen, so nothing is left of a killed program.
     assert_eq!(names(dir.path()), [""; 0]);
-    begun.keep().unwrap();
+    staged_addition.keep().unwrap();
     assert_eq!(names(dir.path()), ["set"]);
     assert_eq!(
         names(&dataset),
@@ -72,9 +74,9 @@ fn recordings_are_added_and_the_data_set_keeps_its_files() {
     fs::write(dataset.join(DESCRIPTION), description).unwrap();
     fs::write(dataset.join("README.md"), "mine").unwrap();
     fs::write(dataset.join(PARTICIPANTS), "participant_id\tage\nsub-01\t40\n").unwrap();
-    let begun = recording(&dataset, &labels("02", None)).unwrap();
+    let staged_addition = recording(&dataset, &labels("02", None)).unwrap();
     assert_eq!(names(&dataset).len(), 5, "nothing can be seen of it");
-    begun.keep().unwrap();
+    staged_addition.keep().unwrap();
     add(&dataset, &labels("02", Some("2"))).unwrap();
     assert_eq!(participants(&dataset), "participant_id\tage\nsub-01\t40\nsub-02\tn/a\n");
     assert_eq!(fs::read_to_string(dataset.join(DESCRIPTION)).unwrap(), description);
@@ -90,7 +92,7 @@ fn recordings_are_added_and_the_data_set_keeps_its_files() {
 }
 
 #[test]
-fn what_exists_is_refused_and_stays() {
+fn existing_recordings_are_refused_and_kept() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("set");
     add(&dataset, &labels("01", None)).unwrap();
@@ -112,7 +114,7 @@ fn what_exists_is_refused_and_stays() {
 }
 
 #[test]
-fn other_folders_are_no_data_sets() {
+fn other_folders_are_not_data_sets() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("folder");
     fs::create_dir(&folder).unwrap();
@@ -131,7 +133,7 @@ fn other_folders_are_no_data_sets() {
 }
 
 #[test]
-fn many_add_to_one_new_data_set_at_once() {
+fn concurrent_exports_share_a_new_data_set() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("set");
     let subjects: Vec<String> = (10..26).map(|number| number.to_string()).collect();

@@ -18,14 +18,14 @@ pub(super) struct ClockTracker {
     events: u32,
 }
 
-/// The queue to the writer. An item that finds it full is stored in no take, and the line is not fitted to it.
+/// The queue to the writer. If it is full, an item is neither stored in the take nor used to fit the line.
 #[derive(Debug)]
 struct ClockQueue {
     items: Sender<ClockItem>,
     sent: u64,
-    /// An item was refused, and the queue has not been empty since.
+    /// Whether an item was refused, and the queue has not been empty since.
     is_overflowing: bool,
-    /// The overflow is not reported yet.
+    /// Whether an overflow has not been reported yet.
     has_new_overflow: bool,
 }
 

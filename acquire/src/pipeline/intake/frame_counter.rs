@@ -13,8 +13,8 @@ const LATE_MIN: i32 = -64;
 /// Gaps up to this size are never doubted: a clock read late by a few frame times does not refute the counter.
 const DOUBTED_MIN: i32 = 8;
 
-/// A counter that advanced so many times further than the device's own clock allows did not lose frames. Far from 1:
-/// the true rate may differ from the stated one, and the clock may be set while frames are lost.
+/// A counter that advanced this many times further than the device's own clock allows did not lose frames. Far from
+/// 1: the true rate may differ from the stated one, and the clock may be set while frames are lost.
 const CLOCK_FACTOR: f64 = 4.0;
 
 /// What a frame's counter says.
@@ -23,7 +23,7 @@ pub(super) enum SeqStep {
     /// The next frame, after `missing` frames that did not arrive.
     Next { missing: u32 },
     /// Received before, or late: its row is closed.
-    Again,
+    Stale,
     /// The counter jumped as no loss explains; the frame counts as the next one.
     Jump,
 }
@@ -41,7 +41,7 @@ impl FrameCounter {
         Self { last: None, frame_ticks: tick_hz as f64 / rate_hz }
     }
 
-    /// Whether the device cannot have produced so many frames since the last one, by its own clock.
+    /// Whether, by its own clock, the device cannot have produced `ahead` frames since the last one.
     fn is_ahead_of_clock(&self, ahead: i32, ticks: u64, last_ticks: u64) -> bool {
         // A clock that went back proves nothing.
         let elapsed = ticks.checked_sub(last_ticks).filter(|elapsed| *elapsed > 0);
@@ -58,7 +58,7 @@ impl FrameCounter {
         let Some((last, ticks)) = last else { return Some(0) };
         match seq.wrapping_sub(last).cast_signed() {
             ahead @ 1..=OUTAGE_MAX if device_ticks > ticks => {
-                // The counter stood still while the device was stopped, but its clock went on.
+                // The counter stood still while the device was stopped, but its clock continued.
                 let elapsed = (device_ticks - ticks) as f64 / self.frame_ticks;
                 let by_clock = if elapsed.is_finite() { elapsed.round() as i64 } else { 0 };
                 let slack = i64::from(DOUBTED_MIN).max(i64::from(ahead) / 100);
@@ -78,7 +78,7 @@ impl FrameCounter {
             Some((last, ticks)) => match seq.wrapping_sub(last).cast_signed() {
                 ahead @ 1.. if self.is_ahead_of_clock(ahead, device_ticks, ticks) => SeqStep::Jump,
                 ahead @ 1..=MISSING_MAX => SeqStep::Next { missing: ahead as u32 - 1 },
-                LATE_MIN..=0 if device_ticks <= ticks => return SeqStep::Again,
+                LATE_MIN..=0 if device_ticks <= ticks => return SeqStep::Stale,
                 _ => SeqStep::Jump,
             },
         };
@@ -92,13 +92,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counts_through_the_wrap() {
+    fn counter_wraps_around() {
         let mut counter = FrameCounter::default();
         assert_eq!(counter.step(u32::MAX - 1, 10), SeqStep::Next { missing: 0 });
         assert_eq!(counter.step(u32::MAX, 20), SeqStep::Next { missing: 0 });
         assert_eq!(counter.step(2, 50), SeqStep::Next { missing: 2 });
-        assert_eq!(counter.step(2, 50), SeqStep::Again);
-        assert_eq!(counter.step(1, 40), SeqStep::Again);
+        assert_eq!(counter.step(2, 50), SeqStep::Stale);
+        assert_eq!(counter.step(1, 40), SeqStep::Stale);
         assert_eq!(counter.step(3, 60), SeqStep::Next { missing: 0 });
     }
 

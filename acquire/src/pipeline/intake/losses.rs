@@ -22,7 +22,7 @@ impl Intake {
                 self.counts.not_received += new;
                 self.pending.add(new, LossCauses::NOT_RECEIVED);
             }
-            SeqStep::Again => {
+            SeqStep::Stale => {
                 self.counts.duplicates += 1;
                 return false;
             }
@@ -46,7 +46,7 @@ impl Intake {
     /// Counts the loss at the first frame after an outage.
     pub(super) fn end_outage(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.rejoining = false;
-        let silent_s = self.silence.until_ns(arrival_ns) as f64 * 1e-9;
+        let silent_s = self.silence.since_last_frame_ns(arrival_ns) as f64 * 1e-9;
         let (missing, causes, how, why) = match self.counter.rejoin(frame.seq, frame.device_ticks) {
             Some(missing) => {
                 let causes = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
@@ -54,7 +54,7 @@ impl Intake {
             }
             // The counter does not cover the time between; use the host's clock, so that the take keeps time.
             None => {
-                let due = self.due(silent_s);
+                let due = self.frames_due(silent_s);
                 (due, LossCauses::DISCONNECTED, "started again", "were due by the host's clock")
             }
         };
@@ -73,18 +73,19 @@ impl Intake {
     }
 
     /// Number of frames that fit between two frames with this interval.
-    pub(super) fn due(&self, silent_s: f64) -> u64 {
+    pub(super) fn frames_due(&self, silent_s: f64) -> u64 {
         ((silent_s * self.rate_hz).round() as u64).saturating_sub(1).min(UNSEEN_MAX)
     }
 }
 
-/// A silence of this length is an event,
+/// Shortest silence that is an event, in seconds.
 const SILENCE_S: f64 = 1.0;
 
-/// or of this many frame intervals at a low rate.
+/// Shortest silence that is an event, in frame intervals; it exceeds [`SILENCE_S`] at low rates.
 const SILENCE_FRAMES: f64 = 10.0;
 
-/// Silences that get an event. More mean a device that stutters: the timeline has each of its frames.
+/// Silences that get an event. More of them mean a device that sends irregularly; the timeline has the time of each
+/// frame.
 const EVENTS_MAX: u32 = 256;
 
 /// Arrival of the last frame, and the silences so far.
@@ -104,8 +105,8 @@ impl SilenceMonitor {
     }
 
     /// Time since the last frame; 0 before the first.
-    pub(super) fn until_ns(&self, arrival_ns: u64) -> u64 {
-        self.last_arrival_ns.map_or(0, |last_ns| arrival_ns.saturating_sub(last_ns))
+    pub(super) fn since_last_frame_ns(&self, now_ns: u64) -> u64 {
+        self.last_arrival_ns.map_or(0, |last_ns| now_ns.saturating_sub(last_ns))
     }
 
     /// The device reports that all its frames have arrived.
@@ -115,12 +116,12 @@ impl SilenceMonitor {
 
     /// Time since the last frame or the last such report, whichever is later.
     pub(super) fn unaccounted_ns(&self, now_ns: u64) -> u64 {
-        self.until_ns(now_ns).min(now_ns.saturating_sub(self.accounted_ns))
+        self.since_last_frame_ns(now_ns).min(now_ns.saturating_sub(self.accounted_ns))
     }
 
     /// The length of the silence in seconds, if it is long enough for an event.
     pub(super) fn long_silence_s(&mut self, now_ns: u64) -> Option<f64> {
-        let silent_ns = self.until_ns(now_ns);
+        let silent_ns = self.since_last_frame_ns(now_ns);
         if silent_ns < self.longest_ns || self.n_events == EVENTS_MAX {
             return None;
         }
@@ -136,10 +137,10 @@ impl SilenceMonitor {
 }
 
 impl Intake {
-    /// Ends a silence with a frame. `is_told`: another event explains the silence.
-    pub(super) fn end_silence(&mut self, device_ticks: u64, arrival_ns: u64, is_told: bool) {
+    /// Ends a silence with a frame. `is_explained`: another event explains the silence.
+    pub(super) fn end_silence(&mut self, device_ticks: u64, arrival_ns: u64, is_explained: bool) {
         if let Some(silent_s) = self.silence.frame(arrival_ns)
-            && !is_told
+            && !is_explained
         {
             self.silence_event(silent_s, device_ticks, arrival_ns);
         }
@@ -150,7 +151,7 @@ impl Intake {
     pub(super) fn count_absence(&mut self, now_ns: u64) {
         let until_ns = self.due_until_ns.map_or(now_ns, |due_ns| due_ns.min(now_ns));
         let silent_ns = if self.is_away {
-            self.silence.until_ns(until_ns)
+            self.silence.since_last_frame_ns(until_ns)
         } else if let Some(silent_s) = self.silence.long_silence_s(until_ns) {
             self.silence_event(silent_s, 0, until_ns);
             self.silence.unaccounted_ns(until_ns)
@@ -161,7 +162,7 @@ impl Intake {
         if self.counts.ended {
             return;
         }
-        let new = self.due(silent_ns as f64 * 1e-9).saturating_sub(self.rows_away);
+        let new = self.frames_due(silent_ns as f64 * 1e-9).saturating_sub(self.rows_away);
         self.rows_away += new;
         if self.is_away {
             self.counts.lost_to_outage(new);

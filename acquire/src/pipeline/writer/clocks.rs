@@ -20,12 +20,12 @@ use crate::clock::{ClockItem, ClockStatus};
 /// than a record may hold.
 const BUFFERED_MAX: usize = 256;
 
-/// Most observations of each kind that a line is fitted to: 16 bursts of 8 round trips, and 48 points. They are copied
-/// to a take that begins later.
+/// Maximum number of observations of each kind that a line is fitted to: 16 bursts of 8 round trips, and 48 points.
+/// They are copied to a take that begins later.
 const RECENT_MAX: usize = 128;
 
-/// Segments listed one by one at the end: a device reconnects so often in a long day. The take
-/// has the line of every segment.
+/// Segments listed one by one at the end: more than a device's reconnections in a long day. The
+/// take has the line of every segment.
 const LINES_MAX: usize = 256;
 
 /// Time until the first record: earlier, little is known. A recording killed before has the line in its ledger.
@@ -91,7 +91,7 @@ impl ClockWriter {
         Self::new(never())
     }
 
-    /// A writer for a take saved beside the open one, which ends with the observations taken so far.
+    /// A writer for a take that is saved while another one is open; it ends with the observations taken so far.
     pub(super) fn for_saved_take(&self) -> Self {
         let mut saved = Self::idle();
         (saved.taken, saved.status) = (self.taken, self.status);

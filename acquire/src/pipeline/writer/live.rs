@@ -129,7 +129,7 @@ impl LiveTake {
         }
         self.report.add(&report.parts);
         self.counts = counts.since(&self.base);
-        // The last stretch has no rows, and no front either when nothing was lost at the end.
+        // The last stretch has no rows, and no header either if nothing was lost at the end.
         if payload.is_empty() {
             return Ok(());
         }
@@ -348,8 +348,8 @@ impl LiveTake {
 /// Shortest time between two ledgers.
 const LEDGER_INTERVAL_MIN: Duration = Duration::from_secs(5);
 
-/// Longest time between two ledgers: the last ledger of a killed take can be so much older than its last
-/// frame, in the counters that change while all goes well.
+/// Longest time between two ledgers: the last ledger of a killed take can be this much older than its
+/// last frame, in the counters that change while all goes well.
 const LEDGER_INTERVAL_MAX: Duration = Duration::from_secs(60);
 
 /// Decides when to write a ledger: with the first stretch; then, while all goes well, whenever the recording is

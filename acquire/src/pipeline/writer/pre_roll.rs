@@ -41,13 +41,13 @@ pub(super) struct PreRollBuffer {
     stretches: VecDeque<PreRollStretch>,
     events: VecDeque<(u64, Event)>,
     bytes: usize,
-    /// Stretches were dropped early because of the memory limit.
+    /// Whether stretches were dropped early because of the memory limit.
     cut: bool,
 }
 
 impl PreRollBuffer {
     pub(super) fn new(config: PreRollConfig) -> Self {
-        // Two a second, and those up to the next key.
+        // Two stretches per second, and those up to the next key.
         let usual = 2 * config.time.as_secs().min(600) as usize + 32;
         Self {
             time_ns: u64::try_from(config.time.as_nanos()).unwrap_or(u64::MAX),

@@ -26,7 +26,7 @@ pub(super) struct SplitState {
     end_row: u64,
     /// The length at which the open take ends, if it ends at a length.
     end_bytes: u64,
-    /// The reader was asked to end it.
+    /// Whether the reader was asked to end it.
     is_asked: bool,
     /// Events from `end_row` on. They came before the boundary, but belong to the next take.
     held_events: Vec<Event>,
@@ -41,7 +41,7 @@ impl SplitState {
         new
     }
 
-    /// The open take begins, or goes on, at this row and byte.
+    /// The open take begins, or continues, at this row and byte.
     fn begin(&mut self, row: u64, byte: u64) {
         self.is_asked = false;
         (self.end_row, self.end_bytes) = match self.at {
@@ -86,8 +86,8 @@ impl Writer {
         }
     }
 
-    /// Divides the recording before `first_row`. If the next take cannot begin, the open one goes on; it then gets the
-    /// channels behind the first `n_channels`, which appeared at this boundary.
+    /// Divides the recording before `first_row`. If the next take cannot begin, the open one continues; it then gets
+    /// the channels behind the first `n_channels`, which appeared at this boundary.
     pub(super) fn split(&mut self, first_row: u64, n_channels: usize) {
         self.apply_held_events(first_row);
         if !self.begin_next(first_row) {
@@ -105,7 +105,7 @@ impl Writer {
 
     /// Begins the next take, then closes the open one: the header shows whether the disk still takes a new file, and
     /// what was reserved for the open take is released before the next one reserves. Returns `false` if the open take
-    /// goes on.
+    /// continues.
     fn begin_next(&mut self, first_row: u64) -> bool {
         let progress = &self.progress;
         // The reader is ending the recording.

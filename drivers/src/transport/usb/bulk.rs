@@ -101,7 +101,7 @@ impl UsbTransport {
         Ok(Self { received, tx, device, stalls_cleared: 0, stalls })
     }
 
-    /// Counts a stall; returns `true` when stalls are too frequent to go on.
+    /// Counts a stall; returns `true` when stalls are too frequent to continue.
     fn record_stall(&mut self) -> bool {
         let first = (self.stalls.len() == STALLS_MAX).then(|| self.stalls.pop_front()).flatten();
         self.stalls.push_back(Instant::now());

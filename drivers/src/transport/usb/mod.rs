@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn one_is_selected_by_serial_number_or_because_it_is_the_only_one() {
+    fn a_device_is_selected_by_serial_number_or_as_the_only_one() {
         let two = [device(Some("A")), device(Some("B"))];
         assert_eq!(selected(Some("B"), &two).unwrap(), 1);
         assert_eq!(selected(None, &two[..1]).unwrap(), 0);

@@ -15,10 +15,10 @@ pub const TRANSFERS: usize = 8;
 
 /// Bytes of a transfer: a multiple of every packet size (at most 1024). Eight of them hold what high speed
 /// delivers in 6 ms (40 MB/s), a scheduling delay. A device that ends a transfer after each frame is not
-/// held up before eight frames wait. Together they take 256 KiB, a 64th of the kernel's default limit.
+/// delayed until eight frames wait. Together they take 256 KiB, a 64th of the kernel's default limit.
 pub const TRANSFER_BYTES: usize = 32 << 10;
 
-/// Fewest transfers of a queue: one is filled while the other is read.
+/// Minimum number of transfers of a queue: one is filled while the other is read.
 const TRANSFERS_MIN: usize = 2;
 
 /// Consecutive failures that are retried: noise does not strike four times in 10 ms, and an unplugged cable
@@ -28,7 +28,7 @@ const FAILURES_MAX: u32 = 4;
 /// Pause between a failure and the next attempt: some microframes.
 pub(super) const RETRY_PAUSE: Duration = Duration::from_millis(3);
 
-/// Time-out of cancelled transfers; the kernel normally returns them at once.
+/// Time-out of cancelled transfers; the kernel normally returns them immediately.
 pub(super) const CANCEL_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The transfers of an endpoint: each is pending in the kernel, holds unread bytes, or is idle.
@@ -81,7 +81,7 @@ impl ReadQueue {
     pub(super) fn take(&mut self, buf: &mut [u8], timeout: Duration) -> usize {
         let mut n = self.copy_to(buf);
         if n == 0 && self.error.is_none() && self.rx.pending() == 0 {
-            // Cannot happen, but without a pending transfer a read would return at once, for ever.
+            // Cannot happen, but without a pending transfer every read would return immediately.
             self.submit_idle();
         }
         let mut wait = if n > 0 { Duration::ZERO } else { timeout };

@@ -14,7 +14,7 @@ use nusb::hotplug::HotplugWatch;
 /// Waits for USB devices to be plugged in or unplugged.
 ///
 /// The events come from udev. In a container, or where udev does not run, none arrive, and there is no
-/// error either: callers must also poll the list of devices now and then.
+/// error either: callers must also poll the list of devices occasionally.
 pub struct UsbWatch {
     watch: Option<HotplugWatch>,
     waker: Waker,

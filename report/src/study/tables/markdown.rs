@@ -10,7 +10,7 @@ use crate::{
     study::{EXHAUSTIVE_FRAMES_MAX, Findings, Method, Piece, paper},
 };
 
-/// Most trials that are listed one by one.
+/// Maximum number of trials that are listed one by one.
 const LISTED_MAX: usize = 20;
 
 /// All tables of the study.

@@ -14,7 +14,7 @@ fn listed(uri: &str, usb_ids: Option<(u16, u16)>, claim: Claim) -> AttachedDevic
 }
 
 #[test]
-fn the_surest_and_only_one_is_meant() {
+fn auto_selects_the_only_most_certain_device() {
     let bare = || listed("serial:/dev/ttyS0", None, Claim::Possible);
     let adapter = |n: u8| {
         let uri = format!("serial:/dev/ttyUSB{n}");
@@ -40,7 +40,7 @@ fn the_surest_and_only_one_is_meant() {
 }
 
 #[test]
-fn a_named_device_is_taken_as_it_is() {
+fn a_named_device_is_used_unchanged() {
     let uri: DeviceUri = "serial:/tmp/rig?driver=ndi".parse().unwrap();
     assert_eq!(auto_device(&DeviceChoice::At(uri.clone()), &[]), Ok(uri));
 }

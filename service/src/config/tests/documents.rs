@@ -10,7 +10,7 @@ fn text(path: &str) -> String {
 }
 
 #[test]
-fn the_example_that_ships_is_the_one_that_is_printed() {
+fn the_shipped_example_is_the_printed_one() {
     let shipped = text("systemd/mocapd.toml");
     assert!(
         shipped == example(),
@@ -29,7 +29,7 @@ fn uncommented() -> String {
 }
 
 #[test]
-fn the_example_is_good_as_it_is_and_with_every_key() {
+fn the_example_is_valid_with_and_without_its_keys() {
     let defaults = parse("").unwrap();
     assert_eq!(parse(&example()).unwrap(), defaults);
     let changes = defaults.changes(&parse(&uncommented()).unwrap());

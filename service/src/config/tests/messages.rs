@@ -12,7 +12,7 @@ fn refusal(text: &str) -> ConfigError {
 }
 
 #[track_caller]
-fn assert_tells(message: &str, facts: &[&str]) {
+fn assert_mentions(message: &str, facts: &[&str]) {
     for fact in facts {
         assert!(message.contains(fact), "'{fact}' is not in: {message}");
     }
@@ -32,7 +32,7 @@ fn refused(text: &str, at: (usize, usize), key: &str, facts: &[&str]) -> String 
     let (column_wanted, message) = (if at.1 == 0 { *column } else { at.1 }, message.clone());
     assert_eq!((*line, *column), (at.0, column_wanted), "{message}");
     assert_eq!(found.unwrap_or_default(), key, "{message}");
-    assert_tells(&message, facts);
+    assert_mentions(&message, facts);
     let lines = error.lines();
     let [shown] = &lines[..] else { panic!("{lines:?}") };
     let (line, column) = (line.to_string(), column.to_string());
@@ -43,14 +43,14 @@ fn refused(text: &str, at: (usize, usize), key: &str, facts: &[&str]) -> String 
     message
 }
 
-/// The message about a value of this key, without the advice that ends every such message: the facts stand before it.
+/// The message about a value of this key, without the advice that ends every such message; the facts precede it.
 #[track_caller]
 fn wrong(key: &str, value: &str, at: (usize, usize), facts: &[&str]) -> String {
     let key = KEYS.iter().find(|known| known.path == key).unwrap();
     let text = format!("[{}]\n{} = {value}", key.section(), key.name());
     let message = refused(&text, at, key.path, &[key.path]);
     let Some(before) = message.strip_suffix(&key.advice()) else { panic!("{message}") };
-    assert_tells(before, &[&[key.path], facts].concat());
+    assert_mentions(before, &[&[key.path], facts].concat());
     before.to_owned()
 }
 
@@ -243,7 +243,7 @@ fn all_problems_are_reported_at_once_up_to_a_limit() {
 }
 
 #[test]
-fn a_file_name_that_is_no_rig_name_asks_for_one() {
+fn a_file_name_that_is_not_a_rig_name_is_explained() {
     let environment = Environment { file_stem: Some("my rig".to_owned()), ..nowhere() };
     let parse = |text: &str| {
         Config::parse("my rig.toml", text.as_bytes(), &environment, &Overrides::default())

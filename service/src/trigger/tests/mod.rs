@@ -146,7 +146,7 @@ fn repeats_do_nothing() {
         |text: &str, from: &str, at_s| receive(&mut listener, text, from, at_s).unwrap();
     assert!(matches!(receive(&packet(5), "10.0.0.1", 0), Incoming::Trigger(_)));
     assert_eq!(receive(&packet(5), "10.0.0.1", 1), Incoming::Repeat);
-    // The same address, whatever it came over.
+    // The same address, received over IPv6.
     assert_eq!(receive(&packet(5), "::ffff:10.0.0.1", 1), Incoming::Repeat);
     assert!(matches!(receive(&packet(5), "10.0.0.2", 1), Incoming::Trigger(_)), "another sender's");
     assert!(matches!(receive(&packet(6), "10.0.0.1", 1), Incoming::Trigger(_)), "another number");

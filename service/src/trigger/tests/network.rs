@@ -127,7 +127,7 @@ fn a_port_in_use_is_reported() {
 }
 
 #[test]
-fn a_trigger_that_did_not_fit_acts_when_it_is_repeated() {
+fn a_repeat_of_a_dropped_trigger_is_executed() {
     let service = Service::start(7);
     let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
     let numbered =
@@ -145,7 +145,7 @@ fn a_trigger_that_did_not_fit_acts_when_it_is_repeated() {
         for _ in 0..DUE_EACH_MAX {
             service.next();
         }
-        // The sender repeats it twice: one of them acts.
+        // The sender repeats it twice: one repeat is executed.
         for _ in 0..2 {
             sender.send_to(late.as_bytes(), service.at).unwrap();
         }

@@ -67,11 +67,11 @@ pub(super) fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
     Ok(Some(Arc::new(script)))
 }
 
-/// Most bytes in a raw log, which is held in memory: hours of a serial line, minutes of the fastest.
+/// Maximum number of bytes in a raw log, which is held in memory: hours of a serial line, minutes of the fastest.
 const LOG_BYTES_MAX: u64 = 1 << 30;
 
 /// A file that matches this many of a raw log's first eight bytes is taken for a damaged log.
-const MAGIC_BYTES_ALIKE: usize = 4;
+const MAGIC_BYTES_MATCHING: usize = 4;
 
 /// Reads the file if it is a raw log; `None` if it is something else.
 pub(super) fn log(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
@@ -106,7 +106,7 @@ fn unknown_file(path: &Path, head: &[u8]) -> Failure {
         n if n < MAGIC.len() && n_alike == n => {
             anyhow::anyhow!("{path} is a raw log cut off in its first bytes: there is nothing to replay").into()
         }
-        _ if n_alike >= MAGIC_BYTES_ALIKE => anyhow::anyhow!(
+        _ if n_alike >= MAGIC_BYTES_MATCHING => anyhow::anyhow!(
             "{path} looks like a raw log, but its first {} bytes are damaged; was it transferred as text?",
             MAGIC.len()
         )

@@ -163,7 +163,7 @@ fn a_slow_line_is_refused_with_the_rate_that_fits() {
 }
 
 #[test]
-fn answers_do_not_fill_memory() {
+fn queued_answers_are_bounded() {
     let settings = DeviceSettings { queue_bytes: Some(1), ..DeviceSettings::default() };
     let mut bench = Bench::new(jump(0.1), settings);
     for _ in 0..10_000 {

@@ -25,7 +25,7 @@ fn every_frame_arrives_in_order_bit_for_bit() {
     }
     let all = Status { frames_produced: 300, frames_dropped: 0, temperature_c_100: i16::MIN };
     assert_eq!(bench.ends(), [all]);
-    // Frames go on for 2.99 s: a Status after each whole second, produced as counted by then.
+    // Frames continue for 2.99 s: a Status after each whole second, produced as counted by then.
     let statuses: Vec<_> = bench.events.iter().filter(|h| matches!(h, Event::Status(_))).collect();
     assert_eq!(statuses.len(), 2, "{statuses:?}");
     let log = bench.device.log();

@@ -5,12 +5,12 @@ use mocapd_body::{Joint, Joints, Mesh, Side};
 
 use crate::read::Truth;
 
-/// Largest distance of an extremity from the joint at its end, in parts of the stature.
+/// Largest distance of an extremity from the joint at its end, as a fraction of stature.
 const NEAR_MAX: f64 = 0.12;
-/// The same if only a joint farther up is known: the wrist is a hand's length away, the ankle a foot's, the neck a
-/// head's.
+/// Largest distance if only a more proximal joint is known: the wrist is a hand's length away, the ankle a foot's,
+/// the neck a head's.
 const FARTHER_MAX: f64 = 0.16;
-/// The same for the neck if no joint above it is known.
+/// Largest distance from the neck if no joint above it is known.
 const NECK_MAX: f64 = 0.25;
 
 /// Known joints by kind of extremity: the joint at its end, and one farther up as a substitute.

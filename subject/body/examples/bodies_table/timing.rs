@@ -10,7 +10,8 @@ use mocapd_body::{Mesh, extremity};
 use crate::case::{Case, skeleton};
 use crate::table::quantile;
 
-/// The whole pipeline from a mesh in memory, beside one run of Dijkstra's algorithm along the edges of the same mesh.
+/// The whole pipeline from a mesh in memory, compared with one run of Dijkstra's algorithm along the edges of the same
+/// mesh.
 pub(crate) fn print(cases: &[Case]) {
     println!(
         "| faces | meshes | median ms | slowest ms | of it joints | one Dijkstra ms | ratio |"
@@ -53,7 +54,7 @@ fn of_joints(mesh: &Mesh, adjacency: &Adjacency) -> Option<f64> {
     }))
 }
 
-/// In milliseconds.
+/// Median wall-clock time of five runs, in milliseconds.
 fn median_of_five(mut run: impl FnMut()) -> f64 {
     let mut times = [0.0; 5].map(|_: f64| {
         let start = Instant::now();

@@ -1,4 +1,4 @@
-//! Extremities of a body: head, hands and feet, and which is which.
+//! Finds the extremities of a body and identifies them as head, hands and feet.
 //!
 //! Extremities are the maxima of the mean geodesic distance to a few widely spread vertices, in any pose; how far each
 //! protrudes is its persistence. Head, hands and feet are assigned by the ten geodesic distances between five of them,
@@ -151,7 +151,7 @@ pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<End
 /// position or vertex order.
 pub(crate) fn start(mesh: &Mesh, graph: &Graph) -> Option<u32> {
     let far = distances_from_place(mesh, mesh.area_centroid());
-    // Unused vertices are no part of the surface.
+    // Unused vertices are not part of the surface.
     farthest(&far, |vertex| !graph.links(vertex).is_empty())
 }
 

@@ -11,7 +11,7 @@ const LIMB_MIN: f64 = 0.1;
 /// crown into an open mouth it is about 0.17, from a hand to its elbow 0.25.
 const DISTINCT_MIN: f64 = 0.22;
 
-/// Least margin between the misfits of the best and the second best assignment. Bodies without contact have 1.7 or
+/// Minimum margin between the misfits of the best and the second best assignment. Bodies without contact have 1.7 or
 /// more, some that crouch 0.5, a lion and a horse less than 0.25.
 pub(crate) const MARGIN_MIN: f64 = 0.4;
 
@@ -106,10 +106,10 @@ const fn prior(mean: f64, sd: f64) -> Prior {
     Prior { mean, sd }
 }
 
-/// Least standard deviation of a measure. Two shapes do not show how people differ, and poses stretch skin; limb
+/// Minimum standard deviation of a measure. Two shapes do not show how people differ, and poses stretch skin; limb
 /// lengths differ by about 5 % between people of one stature.
 const BETWEEN_PEOPLE: f64 = 0.06;
-/// Least standard deviation of a measure that symmetry makes small.
+/// Minimum standard deviation of a measure that symmetry makes small.
 const BETWEEN_SIDES: f64 = 0.04;
 
 /// Priors of the [`measures`]: means over the two average shapes of `MakeHuman` in 13 poses, by `cargo run -p
@@ -137,7 +137,7 @@ pub const MISFIT_IN_CONTACT_MAX: f64 = 1.3;
 /// other. Free bodies without missing parts have at most 0.86.
 const MISFIT_CUT_MAX: f64 = 1.0;
 
-/// Least relative shortening, as a fraction of the mean distance, for which a limb counts as cut: more than poses
+/// Minimum relative shortening, as a fraction of the mean distance, for which a limb counts as cut: more than poses
 /// cause.
 const SHORTER_MIN: f64 = 0.05;
 

@@ -8,15 +8,15 @@ use crate::mesh::find_root;
 /// Number of widely spread vertices. Five would do for a body; two more limit the effect of one that fell on a knee.
 const SPREAD_COUNT: usize = 7;
 
-/// Least persistence of a protrusion, as a fraction of the longest distance. On bodies, hands fused with the hips have
-/// 0.034.
+/// Minimum persistence of a protrusion, as a fraction of the longest distance. On bodies, hands fused with the hips
+/// have 0.034.
 const PERSISTENCE_MIN: f64 = 0.015;
 
 /// Maxima closer than this fraction of the longest distance belong to one protrusion: fingers, chin and crown, heel and
 /// toes.
 const APART_MIN: f64 = 0.15;
 
-/// Most candidates, the most persistent first; each costs a run of distances.
+/// Maximum number of candidates, the most persistent first; each costs a run of distances.
 const CANDIDATE_COUNT_MAX: usize = 8;
 
 /// A candidate extremity: its maximum, and the distances from it.

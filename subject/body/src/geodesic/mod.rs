@@ -14,7 +14,8 @@ use std::collections::BinaryHeap;
 pub(crate) use graph::GraphEdge;
 pub use graph::{Adjacency, Edge, Graph, Link, NONE};
 
-/// Most sweeps over all vertices before Dijkstra's method takes over, whose time is bounded. Bodies need about ten.
+/// Maximum number of sweeps over all vertices before Dijkstra's method takes over, whose time is bounded. Bodies need
+/// about ten.
 const SWEEPS_MAX: usize = 48;
 /// Mean number of visits per vertex in the sweeps, at most. Bodies need 1.3 to 1.7.
 const VISITS_MAX: usize = 4;
@@ -43,7 +44,7 @@ pub fn distances(graph: &Graph, source: u32, workspace: &mut Workspace) -> Vec<f
 
 /// The least distance from several sources, each with an initial length.
 ///
-/// A source that is no vertex is ignored.
+/// A source that is not a vertex is ignored.
 #[must_use]
 pub fn distances_from(
     graph: &Graph,

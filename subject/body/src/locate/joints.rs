@@ -7,7 +7,7 @@ use super::{Landmarks, Touching, limb};
 use crate::mesh::Point;
 use crate::{Estimate, Joint, Joints, Side};
 
-/// Index of a landmark in the front of the foot, behind the toes.
+/// Index of a landmark in the forefoot, proximal to the toes.
 const TOES: usize = 0;
 
 /// Additional standard deviations of joints of a limb that touches something, in body scales: about the root mean
@@ -28,8 +28,8 @@ const OFF_TOP: f64 = 0.05;
 const OF_STUMP: f64 = 0.05;
 /// Additional standard deviation of hip and shoulder of a cut limb, which landmarks of the trunk support too.
 const ROOT_OF_STUMP: f64 = 0.03;
-/// Least length of limb beyond a joint, in body scales, for the joint to be located.
-const STUMP_LEAST: f64 = 0.03;
+/// Minimum length of limb beyond a joint, in body scales, for the joint to be located.
+const STUMP_MIN: f64 = 0.03;
 
 /// The joints of a set of landmarks, in the frame and unit of their mesh.
 #[must_use]
@@ -77,7 +77,7 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
             (Joint::Knee(side), leg, leg.hinge, knee, knee_sigma),
             (Joint::Ankle(side), leg, leg.end, ankle, of.ankle.sigma),
         ] {
-            if limb.missing <= 0.0 || mark >= limb.missing + STUMP_LEAST {
+            if limb.missing <= 0.0 || mark >= limb.missing + STUMP_MIN {
                 add(joint, at, sigma.hypot(limb.stump(OF_STUMP)));
             }
         }
@@ -155,10 +155,10 @@ fn at(from: Point, towards: Point, length: f64) -> Point {
     from + bone * length
 }
 
-/// Least cosine of the angle between the hips' axis and the legs'; below it left and right stay unknown.
+/// Minimum cosine of the angle between the hips' axis and the legs'; below it left and right stay unknown.
 const AGREEMENT_MIN: f64 = 0.3;
 
-/// Least cosine if only one foot is visible: a leg rotated outwards by 60 degrees is no evidence.
+/// Minimum cosine if only one foot is visible: a leg rotated outwards by 60 degrees is not evidence.
 const AGREEMENT_OF_ONE_MIN: f64 = 0.5;
 
 /// Index of the left leg; none if the feet give no answer. `toes` are points in the front of the feet.

@@ -23,10 +23,10 @@ const HEAD_LEVELS: [f64; HEAD_LANDMARKS] =
 const NECK: usize = 6;
 /// Largest distance of the head's first landmark, which lies 0.03 below its presumed top, from the point farthest from
 /// the neck: 0.038 was measured with the correct top, 0.074 with one off by 8 % of stature.
-const FROM_TOP_MOST: f64 = 0.055;
+const FROM_TOP_MAX: f64 = 0.055;
 /// Largest missing length of a limb, in body scales: an arm has 0.44 of stature with its hand, a leg 0.53 (Drillis and
 /// Contini 1966), and a remainder of less than 0.04 does not protrude.
-const MISSING_MOST: f64 = 0.40;
+const MISSING_MAX: f64 = 0.40;
 /// The surface within this distance of the end of a hand belongs to the arm, in body scales.
 const ARM_LENGTH: f64 = 0.40;
 /// Curves of a hand reach to the middle of the chest, in body scales.
@@ -75,8 +75,8 @@ pub struct Landmarks {
 }
 
 impl Landmarks {
-    /// Finds the landmarks of `mesh`. None if the extremities are no body's: an unreachable one, contradictory
-    /// distances, or a limb without a centre line.
+    /// Finds the landmarks of `mesh`. `None` if the extremities cannot be those of a body: one is unreachable,
+    /// distances are contradictory, or a limb has no centre line.
     #[must_use]
     pub fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
         let from_distances = missing::from_distances(fields);
@@ -158,13 +158,13 @@ impl Landmarks {
     #[must_use]
     pub fn limbs_may_be_cut(&self) -> bool {
         let parts = self.missing.as_flattened();
-        parts.iter().any(|part| *part > 0.0) && parts.iter().all(|part| *part <= MISSING_MOST)
+        parts.iter().any(|part| *part > 0.0) && parts.iter().all(|part| *part <= MISSING_MAX)
     }
 
     /// Whether the presumed top of the head may be the forehead, a temple or an open mouth.
     #[must_use]
     pub fn head_is_in_doubt(&self) -> bool {
-        self.from_top > FROM_TOP_MOST
+        self.from_top > FROM_TOP_MAX
     }
 }
 

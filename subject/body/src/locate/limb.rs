@@ -89,8 +89,8 @@ pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
     Some(Marks { narrow, hinge, root, sharpness })
 }
 
-/// The marks of a leg. From the toes on, the curves reach the heel all at once. The level half-way between the thinnest
-/// curve of the foot and the thickest around the heel is equally far from ankle and knee on everybody.
+/// The marks of a leg. Going up from the toes, the curves jump to include the heel. The level half-way between the
+/// thinnest curve of the foot and the thickest around the heel is equally far from ankle and knee on everybody.
 pub(super) fn leg(sections: &Sections) -> Option<Marks> {
     let heel =
         heel(&sections.perimeter).unwrap_or(HEEL).clamp(HEEL - HEEL_REACH, HEEL + HEEL_REACH);
@@ -186,11 +186,11 @@ fn narrowed(perimeter: &[f64]) -> Option<f64> {
     let (thickest, _) = between(perimeter, [0.0, HAND_ENDS]).max_by(by_length)?;
     let from = level(thickest) + STEP / 2.0;
     let (least, shortest) = between(perimeter, [from, from + THINNEST_REACH]).min_by(by_length)?;
-    Some(narrows(perimeter, HAND_TO_FOREARM * shortest, least))
+    Some(narrowing_level(perimeter, HAND_TO_FOREARM * shortest, least))
 }
 
 /// The last level before `least` where the curve is longer than `length`, interpolated.
-fn narrows(perimeter: &[f64], length: f64, least: usize) -> f64 {
+fn narrowing_level(perimeter: &[f64], length: f64, least: usize) -> f64 {
     let before = perimeter.iter().enumerate().take(least).rev();
     let mut last = perimeter.get(least).copied().unwrap_or(length);
     for (index, at) in before {
@@ -272,7 +272,7 @@ fn misfit(points: &[(f64, Point)], knot: f64, rounded: f64) -> f64 {
 
 /// Step of the search, in body scales.
 const SEARCH_STEP: f64 = 0.004;
-/// Most candidate places; the windows hold about thirty.
+/// Maximum number of candidate places; the windows hold about thirty.
 const SEARCH_STEPS_MAX: usize = 200;
 
 /// The minimum of a cost along a limb.

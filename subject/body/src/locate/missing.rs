@@ -1,7 +1,7 @@
 //! Detection of missing parts: limbs that end early, and a missing head.
 //!
-//! Each limb is judged before both sides are given one length: by its length relative to the other limb and to the
-//! body, and by the shape of its end.
+//! Each limb is assessed before both sides get a common length: by its length relative to the other limb and to
+//! the body, and by the shape of its end.
 
 use super::scale::ALL_PAIRS;
 use super::section::{STEP, Sections, between, level};
@@ -15,12 +15,12 @@ const ARM_SHORTER: f64 = 0.08;
 const HANDLESS_SHORTER: f64 = 0.03;
 /// Largest difference between whole legs: 0.044 was measured in lunges, and a sharply bent knee shortens the path over
 /// it by more. The legs' own difference is 0.003 of stature on average and exceeds 0.012 in one of a thousand people
-/// (Knutson 2005); a foot with what is below the ankle has 0.08 along the skin.
+/// (Knutson 2005); a foot, measured from the ankle along the skin, has 0.08.
 const LEG_SHORTER: f64 = 0.1;
 /// Largest difference if the shorter leg has no foot shape.
 const FOOTLESS_SHORTER: f64 = 0.02;
-/// Least logarithmic shortening of the distance between the hands relative to the body if both hands are missing: free
-/// bodies have at most 0.12, bodies without hands 0.2.
+/// Minimum logarithmic shortening of the distance between the hands relative to the body if both hands are missing:
+/// free bodies have at most 0.12, bodies without hands 0.2.
 const HANDS_SHORTER: f64 = 0.17;
 /// Length lost with a hand or a foot cut off at its beginning, in body scales.
 const END: f64 = 0.08;
@@ -28,23 +28,23 @@ const END: f64 = 0.08;
 const HAND_TO_HAND: f64 = 0.945;
 const HEAD_TO_FOOT: f64 = 1.078;
 
-/// Least ratio of the longest curve around the heel to the shortest around the ankle behind it. Nearly all whole feet
-/// have 1.22 to 1.9, nearly all cut shanks and thighs 1.00 to 1.10.
-const HEEL_LEAST: f64 = 1.14;
+/// Minimum ratio of the longest curve around the heel to the shortest around the ankle. Nearly all whole feet have
+/// 1.22 to 1.9, nearly all cut shanks and thighs 1.00 to 1.10.
+const HEEL_MIN: f64 = 1.14;
 /// Range of the heel in body scales from the end, and largest distance from there to the ankle.
 const HEEL: [f64; 2] = [0.09, 0.19];
 const ANKLE_REACH: f64 = 0.08;
 /// Distance of the end of a foot from the axis of the shank, in radii of the shank: whole feet have 2.1 to 5, mostly
-/// over 2.8. An end within the girth of its limb is a stump, whatever its curves.
+/// over 2.8. An end within the girth of its limb is a stump, even if its curves resemble a foot's.
 const WITHIN_GIRTH: f64 = 1.0;
 /// A larger distance is a foot even without the bulge of a heel. The slant of a cut of 40 degrees alone gives 0.84;
 /// with a bent leg or part of the heel left, 2.5 was measured once, and 3.6 and more where the cut left the toes.
-const OFF_AXIS_LEAST: f64 = 2.5;
+const OFF_AXIS_MIN: f64 = 2.5;
 /// Range of the shank, in body scales.
 const SHANK: [f64; 2] = [0.15, 0.25];
-/// Least ratio of the longest curve of a hand to that of the wrist. Open hands have 1.6 to 2.9, cut arms 1.00 to 1.04;
-/// fists of generated bodies have 1.0 to 1.4 and are weak evidence.
-const HAND_LEAST: f64 = 1.15;
+/// Minimum ratio of the longest curve of a hand to that of the wrist. Open hands have 1.6 to 2.9, cut arms 1.00 to
+/// 1.04; fists of generated bodies have 1.0 to 1.4 and are weak evidence.
+const HAND_MIN: f64 = 1.15;
 /// A hand with this ratio is open: few fists of generated bodies have it.
 const PLAIN_HAND: f64 = 1.5;
 /// An arm without a hand has less; 1.04 was measured.
@@ -114,11 +114,11 @@ pub(super) fn from_shape(
     missing
 }
 
-/// Shortening of a limb relative to its twin, in the mesh's unit.
+/// Shortening of a limb relative to the contralateral one, in the mesh's unit.
 struct Shortfall {
     /// The extremity of the shorter limb.
     end: usize,
-    /// The lesser of the two measures: no pose alone affects both.
+    /// The smaller of the two measures: no pose alone affects both.
     least: f64,
     mean: f64,
 }
@@ -158,19 +158,19 @@ fn head_to_feet(fields: &Fields<'_>) -> Option<f64> {
 }
 
 fn has_hand(perimeter: &[f64]) -> bool {
-    bulge(perimeter, HAND_AT, WRIST_REACH) >= HAND_LEAST
+    bulge(perimeter, HAND_AT, WRIST_REACH) >= HAND_MIN
 }
 
 /// Whether the leg has a heel and ends outside the girth of its shank, or ends far outside.
 fn has_foot(leg: &Sections, toes: Point) -> bool {
-    let heel = bulge(&leg.perimeter, HEEL, ANKLE_REACH) >= HEEL_LEAST;
+    let heel = bulge(&leg.perimeter, HEEL, ANKLE_REACH) >= HEEL_MIN;
     match off_axis(leg, toes) {
-        Some(off) => off >= OFF_AXIS_LEAST || heel && off >= WITHIN_GIRTH,
+        Some(off) => off >= OFF_AXIS_MIN || heel && off >= WITHIN_GIRTH,
         None => heel,
     }
 }
 
-/// Largest ratio of a curve between two levels to one behind it.
+/// Largest ratio of a curve between two levels to a later one within `reach`.
 fn bulge(perimeter: &[f64], within: [f64; 2], reach: f64) -> f64 {
     let reach = (reach / STEP) as usize;
     let mut most: f64 = 1.0;
@@ -197,26 +197,26 @@ const HEAD_AT: [f64; 2] = [0.03, 0.13];
 /// Largest distance from the crown to the neck's thinnest curve.
 const NECK_ENDS: f64 = 0.24;
 /// Largest girth of a neck: 0.38 was measured, builds included.
-const NECK_MOST: f64 = 0.5;
+const NECK_MAX: f64 = 0.5;
 
-/// Least girth of a head: the means are 0.33 of stature for men and 0.34 for women (ANSUR II, Gordon et al. 2014),
-/// those of hands 0.12 and 0.11; curves around spread fingers have up to 0.25.
-const HEAD_LEAST: f64 = 0.27;
-/// Least girth of a neck behind a head of less than [`HEAD_STOUT`]: the means are 0.23 of stature for men and 0.20 for
-/// women, 0.10 for wrists (ANSUR II); stout wrists have 0.14.
-const NECK_LEAST: f64 = 0.16;
+/// Minimum girth of a head: the means are 0.33 of stature for men and 0.34 for women (ANSUR II, Gordon et al.
+/// 2014), those of hands 0.12 and 0.11; curves around spread fingers have up to 0.25.
+const HEAD_MIN: f64 = 0.27;
+/// Minimum girth of a neck below a head of less than [`HEAD_STOUT`]: the means are 0.23 of stature for men and 0.20
+/// for women, 0.10 for wrists (ANSUR II); stout wrists have 0.14.
+const NECK_MIN: f64 = 0.16;
 /// A hand is never this thick.
 const HEAD_STOUT: f64 = 0.36;
 
 /// Largest curve around a hand, in body scales, however its fingers are spread: 0.255 was measured on stout ones.
 /// Around a head they are longer.
-const HAND_MOST: f64 = 0.30;
+const HAND_MAX: f64 = 0.30;
 /// Length of a closed fist, in body scales.
 const HAND_ENDS: f64 = 0.10;
 
 /// Whether the curves around an arm's end may be those of a hand or of a stump, and not of a head.
 pub(super) fn may_be_a_hand(perimeter: &[f64]) -> bool {
-    between(perimeter, [0.0, HAND_ENDS]).map(|(_, length)| length).fold(0.0, f64::max) <= HAND_MOST
+    between(perimeter, [0.0, HAND_ENDS]).map(|(_, length)| length).fold(0.0, f64::max) <= HAND_MAX
 }
 
 /// Girths of head and neck, in body scales.
@@ -224,7 +224,7 @@ pub(super) fn may_be_a_hand(perimeter: &[f64]) -> bool {
 pub struct Neck {
     /// The longest curve around the head.
     pub head: f64,
-    /// The shortest curve behind it, up to the shoulders.
+    /// The shortest curve from there to the shoulders.
     pub neck: f64,
 }
 
@@ -232,14 +232,14 @@ impl Neck {
     /// Ratio of the girths of head and neck. It is 1 on a remainder of a neck, where the curves only grow or go around
     /// shoulders and arms.
     #[must_use]
-    pub fn narrows(self) -> f64 {
-        if self.neck > NECK_MOST { 1.0 } else { self.head / self.neck.max(f64::MIN_POSITIVE) }
+    pub fn girth_ratio(self) -> f64 {
+        if self.neck > NECK_MAX { 1.0 } else { self.head / self.neck.max(f64::MIN_POSITIVE) }
     }
 
     /// Whether this may be a head, and not a hand or a stump mistaken for one.
     #[must_use]
     pub fn may_be_a_head(self) -> bool {
-        let is_thin = self.head < HEAD_LEAST || (self.neck < NECK_LEAST && self.head < HEAD_STOUT);
+        let is_thin = self.head < HEAD_MIN || (self.neck < NECK_MIN && self.head < HEAD_STOUT);
         !is_thin
     }
 

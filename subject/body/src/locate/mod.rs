@@ -190,7 +190,7 @@ fn farthest(fields: &Fields<'_>) -> [u32; 5] {
         let total = |at: u32| rest.clone().map(|other| fields.at(other, at as usize)).sum::<f64>();
         let near = (0_u32..).zip(fields.distances[end]).filter(|(_, d)| **d < REACH * feet);
         let ranked = near.map(|(at, _)| (total(at), at)).filter(|(d, _)| d.is_finite());
-        // Of equals the lowest index, the same on every machine.
+        // Ties go to the lowest index, so that every machine finds the same.
         let best = ranked.max_by(|one, other| one.0.total_cmp(&other.0).then(other.1.cmp(&one.1)));
         *vertex = best.map_or(*vertex, |(_, at)| at);
     }

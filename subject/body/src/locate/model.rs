@@ -17,7 +17,7 @@ pub(super) static JOINTS: LazyLock<JointModels> =
 pub(super) static GIRTHS: LazyLock<Girths> =
     LazyLock::new(|| built_in(include_str!("../../data/girths.json")));
 
-/// Parses a built-in file. Tests read both files, so there is no error.
+/// Parses a built-in file, whose validity a test checks.
 fn built_in<T: DeserializeOwned + Default>(json: &str) -> T {
     serde_json::from_str(json).unwrap_or_default()
 }

@@ -24,7 +24,7 @@ pub(super) struct BodyScale {
 
 impl BodyScale {
     /// The mean of two estimates, each a geodesic length divided by its value on a body of average build. The distance
-    /// between the feet changes by 5 % with the pose, the sum over all pairs by 3 %, and both hardly with the girth.
+    /// between the feet changes by 5 % with the pose, the sum over all pairs by 3 %; girth hardly affects either.
     ///
     /// Contact shortens distances and never lengthens them: if the estimates disagree, the longer counts.
     ///
@@ -48,23 +48,23 @@ impl BodyScale {
 
 /// Largest ratio of an arm's longest curve to its shortest, without hand and armpit: free bodies that were learned
 /// from, stout builds included, have at most 2.7.
-const ARM_MOST: f64 = 4.0;
+const ARM_MAX: f64 = 4.0;
 /// Largest ratio of a leg's longest curve to its shortest, without foot and groin: at most 2.5, and 3.2 on squatting
 /// generated bodies of capsules.
-const LEG_MOST: f64 = 3.4;
+const LEG_MAX: f64 = 3.4;
 /// Levels of the arm's longest and shortest curve, in body scales.
 const ARM: [[f64; 2]; 2] = [[0.17, 0.33], [0.12, 0.25]];
 /// Levels of the leg's longest and shortest curve, in body scales.
 const LEG: [[f64; 2]; 2] = [[0.20, 0.50], [0.17, 0.30]];
 
-/// What is uncertain because it touches something.
+/// Limbs in contact, whose joints are uncertain.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Touching {
-    /// The arm on either side.
+    /// Left and right arm.
     pub arms: [bool; 2],
-    /// The leg on either side; both or none.
+    /// Left and right leg: both or neither.
     pub legs: [bool; 2],
-    /// Some geodesic distance is too short, so the body scale and every joint are in doubt.
+    /// Whether some geodesic distance is too short, so the body scale and every joint are in doubt.
     pub scale: bool,
 }
 
@@ -80,9 +80,9 @@ impl Touching {
         let feet = scale.disagrees() && scale.feet_to_all < 1.0;
         let across = scale.disagrees() && !feet;
         Self {
-            arms: arms.map(|arm| across || arm.is_some_and(|arm| widening(arm, ARM) > ARM_MOST)),
+            arms: arms.map(|arm| across || arm.is_some_and(|arm| widening(arm, ARM) > ARM_MAX)),
             // A leg most often touches the other one.
-            legs: [feet || legs.into_iter().flatten().any(|leg| widening(leg, LEG) > LEG_MOST); 2],
+            legs: [feet || legs.into_iter().flatten().any(|leg| widening(leg, LEG) > LEG_MAX); 2],
             scale: scale.disagrees(),
         }
     }

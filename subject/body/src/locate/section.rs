@@ -64,7 +64,7 @@ impl Sections {
         let mut found = sums.iter().filter(|sum| sum.weight > 0.0);
         let mut last = found.next().map(|sum| sum.moment / sum.weight)?;
         let centres = sums.iter().map(|sum| {
-            // An empty level repeats the one before, so that no centre falls to the origin.
+            // An empty level repeats the previous centre.
             if sum.weight > 0.0 {
                 last = sum.moment / sum.weight;
             }

@@ -139,7 +139,7 @@ fn mean(rings: &Rings, ring: u32) -> [f64; 3] {
 fn minima(curve: &[f64]) -> Vec<(usize, f64)> {
     let mut found = Vec::new();
     for at in 1..curve.len().saturating_sub(1) {
-        // Of a plateau, the first point.
+        // The first point of a plateau counts.
         if !(curve[at] < curve[at - 1] && curve[at] <= curve[at + 1]) {
             continue;
         }
@@ -172,10 +172,10 @@ const POINT_COUNT_MAX: usize = 32;
 /// The condition under which algorithm 1 takes another point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StopRule {
-    /// As printed: while the new point is NEARER to earlier points than `a` times the longest distance. This
-    /// contradicts the sentence beside it and ends at the second or third point.
+    /// The printed condition: while the new point is NEARER to earlier points than `a` times the longest
+    /// distance. It contradicts the paper's own explanation and ends at the second or third point.
     Printed,
-    /// As the sentence says: until the new point is near enough to earlier points.
+    /// The explained condition: until the new point is near enough to earlier points.
     Corrected,
 }
 
@@ -209,8 +209,8 @@ pub fn extremity_points(
     points
 }
 
-/// Finds the head among five extremities: its distances to the other four fall into two equal pairs, of which the
-/// nearer are the hands (section 5: cost |g(c,p1) - g(c,p2)| + |g(c,p3) - g(c,p4)|, least over the three pairings).
+/// Finds the head among five extremities: its distances to the other four fall into two equal pairs, the nearer one
+/// being the hands (section 5: cost |g(c,p1) - g(c,p2)| + |g(c,p3) - g(c,p4)|, minimum over the three pairings).
 ///
 /// A foot is often as symmetric and then wins; nothing in the paper prevents it.
 #[must_use]

@@ -1,5 +1,5 @@
-//! What stands beside and below the views: charts of circularity along each part, the Reeb graph, the table of limb
-//! lengths, left beside right, and the notes at the foot of the page.
+//! The parts of the page outside the views: charts of circularity along each part, the Reeb graph, the table of
+//! left and right limb lengths, and the footnotes.
 
 use super::sheet::{Anchor, DIM, GRID, INK, Sheet};
 use super::views::{Upright, bounds};
@@ -95,7 +95,7 @@ pub(super) fn circularity(
 const LETTER: f64 = 6.3;
 
 /// Joint positions with names, above for the first curve, below for the second. A name that would overlap the previous
-/// one moves beside it.
+/// one is shifted.
 fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]) {
     let colour = colour(curve.part);
     let mut taken = f64::NEG_INFINITY;
@@ -137,7 +137,8 @@ fn side_name(part: BodyPart, sides_known: bool) -> &'static str {
 /// Left, top, width and height of the Reeb graph.
 const REEB_BOX: [f64; 4] = [1080.0, 90.0, 285.0, 330.0];
 
-/// Nodes are as low as their level set is far from the head, and as far aside as it is on the body.
+/// Draws the Reeb graph: a node's height shows the geodesic distance from the head, its horizontal position that of the
+/// level set on the body.
 pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
     let [left, top, width, height] = REEB_BOX;
     let mm = drawing.mm();
@@ -205,7 +206,7 @@ pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
             sheet.circle([x + dx, LENGTHS_TOP], 3.5, &style);
         }
     }
-    // Joints may be missing, and with them the lengths that need them.
+    // Lengths between missing joints are left out.
     let rows = LENGTHS_ROWS
         .into_iter()
         .map(|(label, left, right)| (label, [left, right].map(|bone| length(drawing, bone))));
@@ -235,7 +236,7 @@ fn plus_minus(sigma_mm: Option<f64>) -> String {
     sigma_mm.map_or_else(String::new, |mm| format!(" ± {mm:.0}"))
 }
 
-/// A length from the skeleton, or from the joints without one.
+/// A length from the skeleton, or from the joints if there is no skeleton.
 fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
     if let Some(skeleton) = drawing.skeleton {
         let bone = skeleton.bones.iter().find(|bone| bone.name == name)?;
@@ -252,9 +253,9 @@ fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
 
 const NOTES_LEFT: f64 = 40.0;
 const NOTES_STEP: f64 = 17.0;
-/// Most characters of a line; the page has room for more.
+/// Maximum number of characters of a line; the page has room for more.
 const LINE_MAX: usize = 150;
-/// Most lines of notes; the skeleton has all of them.
+/// Maximum number of lines of notes; the skeleton has all of them.
 const LINES_MAX: usize = 24;
 
 /// The lines of all notes, each note beginning with a bullet.

@@ -29,7 +29,7 @@ pub enum BodyPart {
 /// A polyline, in the mesh's frame and unit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Line {
-    /// Of which part.
+    /// The part of the body.
     pub part: BodyPart,
     /// Points in order; a closed curve does not repeat its first.
     pub points: Vec<[f64; 3]>,
@@ -51,14 +51,14 @@ pub struct ReebEdge {
     pub from: usize,
     /// The node farther from the head.
     pub to: usize,
-    /// Of which part.
+    /// The part of the body.
     pub part: BodyPart,
 }
 
 /// Circularity along a part of the body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
-    /// Of which part.
+    /// The part of the body.
     pub part: BodyPart,
     /// Distance along the part in the mesh's unit, and circularity (Yu et al. 2008, eq. 5): 1 is a circle.
     pub samples: Vec<[f64; 2]>,

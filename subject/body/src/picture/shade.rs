@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use crate::Mesh;
 use crate::mesh::{Point, normal, unit};
 
-/// Most cells along a side.
+/// Maximum number of cells along a side.
 const CELLS_MAX: usize = 700;
 
 /// A raster over part of the page.

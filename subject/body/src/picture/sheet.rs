@@ -6,7 +6,7 @@ pub(super) const INK: &str = "#282828";
 pub(super) const DIM: &str = "#6e6e6e";
 pub(super) const GRID: &str = "#e1e1e1";
 const FONT: &str = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif";
-/// Most characters of foreign text.
+/// Maximum number of characters of foreign text.
 const TEXT_MAX: usize = 160;
 
 /// Alignment of a text at its point.

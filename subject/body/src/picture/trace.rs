@@ -18,7 +18,7 @@ impl Drawing<'_> {
         for (side, leg) in self.assign_sides(rings, &segments.legs, Joint::Ankle) {
             parts.push((BodyPart::Leg(side), leg));
         }
-        // Curves of no segment, such as those of an ear, count to the trunk.
+        // Curves that belong to no segment, such as those of an ear, are part of the trunk.
         let mut part_of = vec![BodyPart::Trunk; rings.rings.len()];
         for (part, indices) in parts {
             for &index in indices {
@@ -98,7 +98,7 @@ impl Drawing<'_> {
 /// Number of points that give the direction of a line at its end; fewer are not in line.
 const DIRECTION: usize = 4;
 
-/// Whether a point nearest to an end of a line lies beyond it, not beside it.
+/// Whether a point whose nearest line point is an end lies beyond that end.
 fn beyond(line: &[[f64; 3]], nearest: usize, at: [f64; 3]) -> bool {
     let behind = |end: [f64; 3], inward: Option<&[f64; 3]>| {
         let from_end = |at: [f64; 3]| Point::from(at) - Point::from(end);

@@ -15,7 +15,7 @@ const ROWS: [f64; 2] = [90.0, 740.0];
 const COLUMN: f64 = 87.0;
 const UNSURE_COLUMN: f64 = 122.0;
 /// Gap between a body and its names.
-const BESIDE: f64 = 15.0;
+const NAME_GAP: f64 = 15.0;
 /// Brightness thresholds and their tones.
 const TONES: [(f64, &str); 6] = [
     (0.30, "#c9ced4"),
@@ -30,7 +30,7 @@ const RIM: &str = "#b4bac2";
 const UNSURE: &str = "#7b3294";
 /// Largest circle: half a thigh.
 const WIDE_MM: f64 = 80.0;
-/// Most level-set curves; more are thinned out.
+/// Maximum number of level-set curves; more are thinned out.
 const RINGS_MAX: usize = 160;
 
 type Projection = fn(&Upright, Point) -> Point;
@@ -42,7 +42,7 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
         projections.map(|to| bounds(mesh.positions.iter().map(|p| to(upright, Point::from(*p)))));
     let column = if anything_wide(drawing) { UNSURE_COLUMN } else { COLUMN };
     // Space for names on either side of a body.
-    let names = column + BESIDE;
+    let names = column + NAME_GAP;
     // One scale for both views, as large as fits.
     let extent = |axis: usize| boxes.map(|[low, high]| (high[axis] - low[axis]).max(1e-9));
     let (widths, heights) = (extent(0), extent(1));

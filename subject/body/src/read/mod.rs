@@ -16,9 +16,9 @@ use super::{Mesh, Note, Unit};
 
 /// Largest file: five million triangles as text need less.
 pub const BYTES_MAX: usize = 1 << 30;
-/// Most triangles. A body scanner gives 0.1 to 2 million.
+/// Maximum number of triangles. A body scanner gives 0.1 to 2 million.
 pub const FACES_MAX: usize = 5_000_000;
-/// Most vertices: three per face, as if none were shared.
+/// Maximum number of vertices: three per face, as if none were shared.
 pub const VERTICES_MAX: usize = 3 * FACES_MAX;
 
 /// A mesh as read: polygons are triangulated, every position is finite, every index valid. Whether it is one clean
@@ -118,7 +118,7 @@ impl fmt::Display for Format {
 /// Keywords of OBJ lines.
 const OBJ_KEYWORDS: [&[u8]; 11] =
     [b"v", b"vt", b"vn", b"vp", b"f", b"o", b"g", b"s", b"l", b"mtllib", b"usemtl"];
-/// Most lines before the first keyword of an OBJ: exporters' comments are shorter.
+/// Maximum number of lines before the first keyword of an OBJ: exporters' comments are shorter.
 const OBJ_LINES: usize = 1000;
 
 fn format(bytes: &[u8], name: &str) -> Result<Format, ReadError> {
@@ -192,12 +192,12 @@ pub enum ReadError {
         /// The variant.
         what: String,
     },
-    /// More than memory is reserved for.
+    /// Too many vertices or faces.
     #[error("{found} {what}, the limit is {limit}: decimate the mesh in the scanner's software")]
     TooLarge {
-        /// Of what, such as `faces`.
+        /// What exceeds the limit, such as `faces`.
         what: &'static str,
-        /// How many there are, or more.
+        /// Number found, a lower bound if reading stopped early.
         found: usize,
         /// The limit.
         limit: usize,

@@ -63,7 +63,7 @@ fn elements(header: &Header, source: &mut impl ValueSource, surface: &mut Surfac
     let mut row = Row::default();
     for element in &header.elements {
         let role = Role::of(element)?;
-        // An element without properties occupies nothing, whatever its count.
+        // An element without properties occupies no bytes.
         if element.properties.is_empty() {
             continue;
         }
@@ -155,7 +155,7 @@ fn malformed(place: impl Into<String>, reason: impl Into<String>) -> ReadError {
     Format::Ply.malformed(place, reason)
 }
 
-/// Most elements of a file and properties of an element; scanners write fewer than twenty.
+/// Maximum number of elements of a file and properties of an element; scanners write fewer than twenty.
 const PARTS_MAX: usize = 256;
 /// Largest header in bytes.
 const LEN_MAX: usize = 1 << 20;
@@ -212,7 +212,7 @@ struct Property {
 #[derive(Debug)]
 struct Element {
     name: String,
-    /// As announced in the header.
+    /// Number of rows that the header declares.
     count: u64,
     properties: Vec<Property>,
 }

@@ -6,7 +6,7 @@ use crate::{Mesh, Note, Unit};
 
 /// Largest coordinate in any unit; squares of distances cannot overflow within it.
 const COORDINATE_MAX: f64 = 1e9;
-/// Most corners of a face: those of the largest mesh.
+/// Maximum number of corners of a face: those of the largest mesh.
 const CORNERS_MAX: usize = FACES_MAX + 2;
 /// Largest fraction of vertices that are not numbers; scanners leave single ones, a damaged file many.
 const NOT_FINITE_SHARE_MAX: f64 = 0.01;
@@ -164,7 +164,8 @@ impl Surface {
     }
 }
 
-/// Most corners of a polygon that is cut by ears, which takes quadratic time or more; larger ones are cut as fans.
+/// Maximum number of corners of a polygon that is cut by ears, which takes quadratic time or more; larger ones are cut
+/// as fans.
 const EARS_MAX: usize = 64;
 
 /// Triangulates a polygon of three or more corners, keeping its orientation. `at` gives the position of a corner.
@@ -193,8 +194,8 @@ fn triangulate(corners: &[u32], at: impl Fn(u32) -> Point, out: &mut Vec<[u32; 3
     }
 }
 
-/// Quality of an ear: the least agreement with the polygon's normal among its triangle and the two that it leaves
-/// beside it; lowest of all if another corner lies within.
+/// Quality of an ear: the minimum agreement with the polygon's normal of its triangle and of the two triangles
+/// that remain next to it; the worst value if another corner lies within.
 fn ear(positions: &[Point], i: usize, normal: Point) -> f64 {
     let n = positions.len();
     let at = |k: usize| positions[(i + n + k) % n];

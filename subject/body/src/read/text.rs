@@ -4,7 +4,7 @@ use super::surface::{Surface, put_corner};
 use super::{Format, ReadError};
 use crate::{Note, Unit};
 
-/// Most bytes of foreign text that a message quotes.
+/// Maximum number of bytes of foreign text that a message quotes.
 const QUOTE_MAX: usize = 24;
 
 /// Strips a UTF-8 byte order mark.

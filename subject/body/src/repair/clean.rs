@@ -1,4 +1,5 @@
-//! Removal of what is no part of the body's surface: duplicate vertices and triangles, cracks, spikes and stray pieces.
+//! Removal of what is not part of the body's surface: duplicate vertices and triangles, cracks, spikes and stray
+//! pieces.
 
 use std::collections::HashMap;
 
@@ -157,7 +158,7 @@ fn longest_edge(mesh: &Mesh, triangle: &[u32; 3]) -> f64 {
     distance(a, b).max(distance(b, c)).max(distance(c, a))
 }
 
-/// Least area of the largest piece, as a fraction of the whole; below it the subject is ambiguous.
+/// Minimum area of the largest piece, as a fraction of the whole; below it the subject is ambiguous.
 const SHARE_MIN: f64 = 0.6;
 
 /// Keeps the piece with the largest area.

@@ -8,7 +8,7 @@ use crate::{Mesh, Note};
 /// Largest patch that is closed, as a fraction of the surface. A missing sole has 0.01, a neck 0.007, a leg cut at the
 /// hip 0.02, a body cut at the waist 0.05.
 const AREA_MAX: f64 = 0.03;
-/// Most rings of vertices that fill a hole.
+/// Maximum number of rings of vertices that fill a hole.
 const RINGS_MAX: usize = 24;
 
 /// Closes every hole with rings of triangles around its centroid.

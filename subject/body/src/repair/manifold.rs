@@ -8,10 +8,10 @@ use crate::{Mesh, Note, mesh};
 
 /// No half-edge.
 pub(super) const NONE: u32 = u32::MAX;
-/// Most triangles at an edge that are paired; beyond that the edge is cut.
+/// Maximum number of triangles at an edge that are paired; beyond that the edge is cut.
 const FAN_MAX: usize = 16;
 
-/// Most rounds of cutting; scans need one or two.
+/// Maximum number of rounds of cutting; scans need one or two.
 const ROUNDS: usize = 16;
 
 /// Cuts edges with more than two triangles, orients triangles like their neighbours, and gives sheets that touch only

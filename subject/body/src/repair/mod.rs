@@ -14,7 +14,7 @@ use super::{Mesh, Note, Unit, UnitError, unit};
 /// Faces above which a surface is decimated. Joints move less than by a scanner's noise (Yu et al. 2008 use 5000
 /// faces), and time and memory stay bounded.
 pub const FACES_KEPT_MAX: usize = 60_000;
-/// Least volume of a solid, as a fraction of its extent cubed; below it the surface is a sheet. The slimmest bodies
+/// Minimum volume of a solid, as a fraction of its extent cubed; below it the surface is a sheet. The slimmest bodies
 /// with arms spread have 0.01.
 const SOLIDITY_MIN: f64 = 1e-3;
 

@@ -9,18 +9,18 @@ use super::{
 use crate::mesh::distance;
 use crate::{Estimate, Joint, Joints};
 
-/// Most sources, and most notes.
+/// Maximum number of sources, and of notes.
 const LIST_MAX: usize = 100;
-/// Most characters of a name or a note.
+/// Maximum number of characters of a name or a note.
 pub(super) const TEXT_MAX: usize = 300;
 /// Plausible statures.
 const STATURE_MM: std::ops::RangeInclusive<f64> = 300.0..=3000.0;
 
-/// Least standard deviation of a length, in millimetres, since a scan shows only skin. It keeps an overconfident scan
-/// from outweighing the others.
+/// Minimum standard deviation of a length, in millimetres, since a scan shows only skin. It keeps an overconfident
+/// scan from outweighing the others.
 const FLOOR_MM: f64 = 1.0;
 
-/// Plausible bone lengths: two joints in one place are no bone, and nobody has longer ones.
+/// Plausible bone lengths: not zero, and no longer than in any person.
 const LENGTHS_MM: std::ops::RangeInclusive<f64> = FLOOR_MM..=LENGTH_MAX_MM;
 
 /// Largest relative difference between the longest and the shortest length of a limb over all poses of one person:

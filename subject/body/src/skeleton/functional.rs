@@ -11,11 +11,11 @@ use crate::{Joint, Joints, Side};
 
 /// Longest bone: more than any person's trunk.
 pub(super) const LENGTH_MAX_MM: f64 = 2000.0;
-/// Fewest scans.
+/// Minimum number of scans.
 const SCANS_MIN: usize = 3;
-/// Least range of motion of the limb, in degrees.
+/// Minimum range of motion of the limb, in degrees.
 const SWING_MIN_DEGREES: f64 = 40.0;
-/// Least standard deviation of an elbow or knee in the frame of the trunk, in millimetres, since the trunk bends.
+/// Minimum standard deviation of an elbow or knee in the frame of the trunk, in millimetres, since the trunk bends.
 const FLOOR_MM: f64 = 8.0;
 /// Iterations of the fit, which converges within five.
 const STEPS: usize = 20;

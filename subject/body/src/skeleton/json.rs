@@ -11,9 +11,9 @@ const FORMAT: &str = "mocapd-skeleton";
 const VERSION: u64 = 1;
 /// Largest document: the most that a take holds.
 pub const LEN_MAX: usize = 1 << 20;
-/// Most joints, and most bones.
+/// Maximum number of joints, and of bones.
 const PARTS_MAX: usize = 256;
-/// Most characters of a document that an error quotes.
+/// Maximum number of characters of a document that an error quotes.
 const QUOTED_MAX: usize = 200;
 /// Largest coordinate, in millimetres.
 pub(super) const POSITION_MAX_MM: f64 = 1e9;

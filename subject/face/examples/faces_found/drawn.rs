@@ -203,7 +203,7 @@ fn photo(image: &RgbImage) -> Option<Photo> {
     Photo::from_pixels(image.width() as usize, image.height() as usize, pixels).ok()
 }
 
-/// Writes the pictures `seeds` into a folder, each with its face in a file beside it.
+/// Writes the pictures `seeds` into a folder, each with a JSON file of its face.
 pub(crate) fn write(seeds: std::ops::Range<u64>, folder: &Path) {
     for seed in seeds {
         let Some(drawn) = draw(seed) else { continue };

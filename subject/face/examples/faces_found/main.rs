@@ -10,7 +10,8 @@
 //! them.
 //!
 //! A face counts if its outer eye corners are at least 40 pixels apart and its yaw, where known, is at most 35 degrees.
-//! It is found if both eyes are within 0.25 of that distance; a detection that is no face, counting or not, is false.
+//! It is found if both eyes are within 0.25 of that distance; a detection that is not a face, counting or not, is
+//! false.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "an example that prints a table")]
 
 mod drawn;

@@ -11,7 +11,7 @@ use super::table::Row;
 use super::{detected, disturbed_by};
 
 /// Standard deviations of the starting positions (in outer interocular distances): from that of a good detection to
-/// that of one half beside the face.
+/// that of one half outside the face.
 const START_SDS: [f64; 6] = [0.02, 0.04, 0.08, 0.12, 0.2, 0.3];
 
 pub(crate) fn print(out: &mut impl Write, faces: &[&Face]) -> Result<(), Box<dyn Error>> {

@@ -19,7 +19,7 @@ const DEVELOPMENT: [&str; 9] = [
 ];
 
 /// Largest disagreement of two detectors, in per cent of the outer interocular distance.
-const AGREE_MOST_PERCENT: f64 = 20.0;
+const AGREE_MAX_PERCENT: f64 = 20.0;
 
 /// One annotated face.
 pub(crate) struct Face {
@@ -80,7 +80,7 @@ pub(crate) fn read(folder: &Path) -> Result<Vec<Face>, Box<dyn std::error::Error
             let list = value.get("faces").unwrap_or(&value).as_array().cloned().unwrap_or_default();
             for (number, face) in list.iter().enumerate() {
                 // If two detectors disagree, neither is trusted as ground truth.
-                if face["agree_pct_io"].as_f64().is_some_and(|percent| percent > AGREE_MOST_PERCENT)
+                if face["agree_pct_io"].as_f64().is_some_and(|percent| percent > AGREE_MAX_PERCENT)
                 {
                     continue;
                 }

@@ -22,7 +22,7 @@ pub(crate) struct Row {
     sure: bool,
     /// Found minus true yaw, in degrees.
     yaw_deg: Option<f64>,
-    /// The same for the generic face fitted to the points.
+    /// Yaw error of the generic face fitted to the points, in degrees.
     fitted_yaw_deg: Option<f64>,
 }
 

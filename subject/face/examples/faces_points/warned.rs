@@ -11,7 +11,7 @@ use super::data::{Face, Noise};
 use super::table::Row;
 use super::{STARTS, detected, disturbed};
 
-/// Limit of a mean error, in per cent of the outer interocular distance.
+/// Mean error above which points count as wrong, in per cent of the outer interocular distance.
 const OFF: f64 = 10.0;
 
 /// Number of faces, and of those with a note: with a large error as a whole; in one feature; in none.

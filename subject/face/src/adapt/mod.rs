@@ -111,7 +111,7 @@ fn spread(points: &[[f64; 2]]) -> f64 {
     (squares / n).sqrt()
 }
 
-/// Most nodes, since the solution takes cubic time; a face has 53.
+/// Maximum number of nodes, since the solution takes cubic time; a face has 53.
 const MAX_NODES: usize = 1000;
 /// Nodes closer than this fraction of their extent are duplicates: no double distinguishes them after the solution.
 const DUPLICATE: f64 = 1e-7;
@@ -134,9 +134,9 @@ pub enum AdaptError {
     Nodes {
         /// Number of nodes.
         found: usize,
-        /// Least number: dimensions plus one.
+        /// Minimum number: dimensions plus one.
         least: usize,
-        /// Largest number.
+        /// Maximum number.
         most: usize,
     },
     /// A coordinate that is not finite.

@@ -1,5 +1,5 @@
-//! Search of the template: every place of every size, at five rolls, frontal and turned to both sides; and refinement
-//! between the cells, sizes and rolls of that search.
+//! Searches for the template at every position and size, at five rolls, frontal and turned to both sides, and refines
+//! the results between the cells, sizes and rolls of that search.
 
 use super::features::{Frame, length};
 use super::template::{CELL_PX, Cells, EYES_PX, SIDE, TEMPLATES, TemplateFit, best_fit, eyes_of};
@@ -11,14 +11,14 @@ const ROLLS_RAD: [f32; 5] = [0.0, -0.262, 0.262, -0.524, 0.524];
 const STEP: f32 = 1.2;
 /// Margin around a level, in pixels: a face may lie at the border.
 const MARGIN_PX: usize = 8;
-/// Most candidates: two for each of a class of thirty.
+/// Maximum number of candidates: two for each of a class of thirty.
 const CANDIDATES_MAX: usize = 64;
 /// Candidates closer than this, in eye distances, are the same face.
 const APART: f32 = 0.4;
 /// Larger ratios of sizes are different faces: an eye with its brow may resemble a small face.
 const SAME_SIZE: f32 = 1.5;
 
-/// Least log odds of a candidate.
+/// Minimum log odds of a candidate.
 const ODDS_MIN: f32 = -4.0;
 /// Cells around the template on each side, for the local contrast.
 const AROUND: usize = 4;

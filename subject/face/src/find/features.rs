@@ -36,8 +36,8 @@ const NASION: usize = 27;
 /// Turn of the frame per offset of the nasion, in eye distances: fitted to 600 random heads of known turn. The nasion
 /// lies in front of the cylinder that a [`Frame`] assumes, so this is less than the cylinder's 4.
 const TURN_BY_ASIDE: f32 = -2.4;
-/// Largest turn, 54 degrees; beyond it an eye is hidden.
-const TURN_MOST: f32 = 0.6;
+/// Largest turn, 54 degrees; beyond it one eye is hidden.
+const TURN_MAX: f32 = 0.6;
 
 /// [`FEATURE_COUNT`] bytes, followed in the second stage by the patches and the score. Cells in row order, each with
 /// eight gradients clockwise from the right, brightness, contrast.
@@ -101,7 +101,7 @@ fn frame(regressor: &LandmarkRegressor, landmarks: &LandmarkPoints) -> Frame {
     let wide = across[0] * across[0] + across[1] * across[1];
     let aside = (nasion[0] - origin[0]) * across[0] + (nasion[1] - origin[1]) * across[1];
     let turn = TURN_BY_ASIDE * aside / wide.max(f32::MIN_POSITIVE);
-    Frame::through([left, right], mouth, turn.clamp(-TURN_MOST, TURN_MOST))
+    Frame::through([left, right], mouth, turn.clamp(-TURN_MAX, TURN_MAX))
 }
 
 /// Maps a face's own coordinates to a picture's: the eyes are at (-1/2, 0) and (1/2, 0), the mouth at (0,
@@ -130,7 +130,7 @@ impl Frame {
     pub(super) fn through([left, right]: [[f32; 2]; 2], mouth: [f32; 2], turn: f32) -> Self {
         let origin = [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0];
         let across = [right[0] - left[0], right[1] - left[1]];
-        // In a turned face the middle of the mouth is beside the midpoint of the eyes.
+        // In a turned face the middle of the mouth is not below the midpoint of the eyes.
         let down = [0, 1].map(|i| (mouth[i] - origin[i] + turn / 4.0 * across[i]) / Self::MOUTH);
         Self { origin, across, down, turn }
     }

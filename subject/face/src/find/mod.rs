@@ -52,19 +52,20 @@ pub struct DetectedFace {
 
 /// Ratio of the outer interocular distance to that of the eye centres: 90 mm to 63 mm.
 const INTEROCULAR_PER_EYES: f64 = 1.43;
-/// Least outer interocular distance on photographs of up to a megapixel; it grows with the square root of the size
-/// beyond that.
+/// Minimum outer interocular distance on photographs of up to a megapixel; it grows with the square root of the
+/// size beyond that.
 pub const INTEROCULAR_MIN_PX: f32 = 32.0;
 const FULL_SEARCH_PX: f32 = 1e6;
-/// Least score of a face: the lowest threshold, in steps of half a unit of log odds, at which at most one in a thousand
-/// of 3932 held-out pictures without a face has a detection (pictures of apes excluded).
+/// Minimum score of a face: the lowest threshold, in steps of half a unit of log odds, at which at most one in a
+/// thousand of 3932 held-out pictures without a face has a detection (pictures of apes excluded).
 pub const SCORE_MIN: f64 = 0.73;
 
-/// Least first-stage score of a second-stage candidate. It is low, since the second stage is better and takes about 2
-/// ms per candidate; there are never more than the template's candidates.
+/// Minimum first-stage score of a second-stage candidate. It is low, since the second stage is better and takes about
+/// 2 ms per candidate; there are never more than the template's candidates.
 const FIRST_STAGE_MIN: f64 = 0.03;
 
-/// Least log odds of a refined candidate: a hundredth of the training faces and two fifths of all candidates have less.
+/// Minimum log odds of a refined candidate: a hundredth of the training faces and two fifths of all candidates have
+/// less.
 const REFINED_MIN: f32 = -1.5;
 
 /// A candidate face with its score.
@@ -163,9 +164,8 @@ fn on_photo(frame: &Frame, score: f64) -> DetectedFace {
     DetectedFace { eyes, mouth, roll_rad: dy.atan2(dx), interocular_px, score }
 }
 
-/// Least distance of a mouth below the eyes, in eye distances, and largest offset aside, unless the face is turned too
-/// far. A detected mouth may be the base of the nose, 0.8 eye distances below the eyes, often so by the published
-/// method.
+/// Minimum distance of a mouth below the eyes and its largest lateral offset, in eye distances. A detected mouth may
+/// be the base of the nose, 0.8 eye distances below the eyes, often so by the published method.
 const MOUTH_BELOW_MIN: f64 = 1.05;
 const MOUTH_ASIDE: f64 = 0.3;
 

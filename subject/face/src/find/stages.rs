@@ -106,7 +106,7 @@ pub(super) static STEPS: [AlignmentStep; 2] = [
 
 /// Unit of the weights: fractions of the eye distance per byte.
 const WEIGHT_UNIT: f32 = 1e-6;
-/// Largest displacement, in eye distances: a candidate that is farther off is no face.
+/// Largest displacement, in eye distances: a candidate that is farther off is not a face.
 const FAR: f32 = 0.6;
 
 impl AlignmentStep {
@@ -128,7 +128,7 @@ impl AlignmentStep {
         let other = [-bx, by, -ax, ay, -mx, my];
         let [ax, ay, bx, by, mx, my] =
             std::array::from_fn(|i| ((own[i] + other[i]) / 2.0).clamp(-FAR, FAR));
-        // In a turned face the middle of the mouth is beside the midpoint of the eyes.
+        // In a turned face the middle of the mouth is not below the midpoint of the eyes.
         let aside = frame.turn / (4.0 * Frame::MOUTH);
         let at = |x: f32, y: f32| {
             let x = x - aside * y;

@@ -14,7 +14,7 @@ pub(super) const CELL_PX: usize = 2;
 const AROUND_CELLS: f32 = 3.0;
 /// Noise floor of the contrast, in square roots of grey levels: added before the division.
 const CONTRAST_FLOOR: f32 = 0.25;
-/// Largest gradient in units of the contrast: a single edge is no face.
+/// Largest gradient in units of the contrast: a single edge is not a face.
 const SLOPE_MAX: f32 = 2.0;
 
 /// Eye distance of the template in pixels.

@@ -14,7 +14,7 @@ const FACE: Format = Format {
     // Six times the size of the generic model, and the most that a take holds.
     bytes_max: 1 << 20,
 };
-/// Most vertices, and most lines.
+/// Maximum number of vertices, and of lines.
 const PARTS_MAX: usize = 1 << 17;
 const NOTES_MAX: usize = 50;
 /// Larger than any pixel coordinate or millimetre of a head.

@@ -12,7 +12,7 @@ use crate::model::FeatureId;
 use crate::photo::Photo;
 use crate::plane::{Point, distance, extent};
 
-/// Least interocular distance: smaller pictures are enlarged first, or the lines would cover the face.
+/// Minimum interocular distance: smaller pictures are enlarged first, or the lines would cover the face.
 const EYES_MIN_PX: f64 = 160.0;
 const MAX_SIDE_PX: u32 = 3000;
 const DARK: [u8; 3] = [0x10, 0x18, 0x28];
@@ -21,7 +21,7 @@ const LIGHT: [u8; 3] = [0xff, 0xff, 0xff];
 const UNSURE: [u8; 3] = [0xff, 0xa0, 0x20];
 /// Confidence below which points are drawn hollow.
 const SURE: f64 = 0.5;
-/// Least legible height of digits.
+/// Minimum legible height of digits.
 const DIGIT_MIN_PX: f64 = 12.0;
 
 /// A photograph with faces drawn on it.
@@ -131,7 +131,7 @@ impl Overlay {
         })
     }
 
-    /// Draws each face's number beside it, as in tables and file names.
+    /// Draws each face's number next to it, as in tables and file names.
     fn number(&mut self, faces: &[FittedFace]) {
         let bounds: Vec<_> = faces.iter().map(|face| self.bounds(face)).collect();
         let side = f64::from(self.picture.width().max(self.picture.height()));
@@ -193,8 +193,8 @@ impl Number {
         [width + 0.9 * self.height_px, 1.8 * self.height_px]
     }
 
-    /// Draws the number beside the box `of`, where it covers no other box and stays within the picture if possible.
-    /// `colours` are the plate's and the digits'.
+    /// Draws the number next to the box `of`, where it covers no other box and stays within the picture if
+    /// possible. `colours` are the plate's and the digits'.
     fn draw(&self, picture: &mut RgbImage, boxes: &[PixelBox], of: usize, colours: [[u8; 3]; 2]) {
         let Some(&own) = boxes.get(of) else { return };
         let size = self.size();

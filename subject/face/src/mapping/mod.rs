@@ -13,7 +13,7 @@ use thiserror::Error;
 
 use crate::document::{DocumentError, Format};
 
-/// Fewest markers for an alignment: three fix a rigid body, a fourth shows whether they fit.
+/// Minimum number of markers for an alignment: three fix a rigid body, a fourth shows whether they fit.
 pub const MARKERS_MIN: usize = 4;
 /// Markers are collinear if their spread across is below this fraction of that along; the rotation about the line is
 /// then undetermined.

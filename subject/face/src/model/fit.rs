@@ -20,7 +20,7 @@ pub struct FitOptions {
     pub pitch_sd_deg: f64,
     /// Number of modes that are fitted, in order; the others stay 0. 0 fits the pose alone.
     pub modes: usize,
-    /// Most iterations from each start.
+    /// Maximum number of iterations from each start.
     pub steps: usize,
 }
 

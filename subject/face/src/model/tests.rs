@@ -177,7 +177,7 @@ fn a_few_wrong_points_are_corrected() {
     let fit = model.fit_shape(&points, &FitOptions::default()).unwrap();
     for (id, (p, q)) in FeatureId::all().zip(fit.points_px.iter().zip(&truth)) {
         let off = (p[0] - q[0]).hypot(p[1] - q[1]);
-        // In parts of the outer interocular distance of 117 px; the points were off by 54 px.
+        // As a fraction of the outer interocular distance of 117 px; the points were off by 54 px.
         let share = if id.is_contour() { 0.08 } else { 0.05 };
         assert!(off < share * 117.0, "{}: {off}", id.name());
     }
@@ -188,7 +188,7 @@ fn a_few_wrong_points_are_corrected() {
 }
 
 #[test]
-fn points_that_are_no_face_are_refused() {
+fn points_that_cannot_be_a_face_are_refused() {
     let model = Model::generic().unwrap();
     let options = FitOptions::default();
     let points = given(&seen(model, &camera(0.0, 0.0, 0.0), &[]));

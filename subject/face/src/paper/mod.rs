@@ -1,10 +1,10 @@
 //! Face detection of (Yang et al. 2004, sections 1 and 2) as printed: skin segmentation, a check of the holes in each
-//! block of skin, and a template. It is kept beside [`find`](super::find) for comparison on the same photographs.
+//! block of skin, and a template. It is kept for comparison with [`find`](super::find) on the same photographs.
 //!
 //! 1. Skin is a Gaussian of r and g chromaticity (equations 1 and 2), thresholded and opened; connected blocks are
 //!    candidates.
 //!
-//! 2. A block needs three holes at least: eyes, brows, nostrils, mouth. The mean axis of the holes (3) gives the roll.
+//! 2. A block needs at least three holes: eyes, brows, nostrils, mouth. The mean axis of the holes (3) gives the roll.
 //!
 //! 3. In the rotated rectangle of the block, the energy of the template (4) sums edges in its black zones and
 //!    brightness in its grey zone.
@@ -28,7 +28,7 @@ const SIDE_PX: f32 = 320.0;
 const OPENING_PX: usize = 1;
 /// Largest ratio of height to width of a face's rectangle; what is lower is neck.
 const HEIGHT_MAX: f32 = 1.45;
-/// Least ratio of height to width.
+/// Minimum ratio of height to width.
 const HEIGHT_MIN: f32 = 0.9;
 /// The paper's `T_E`: faces of the development photographs that form blocks have more.
 const ENERGY_MIN: f32 = -0.1;
@@ -43,7 +43,7 @@ const HOLE_SHARE_MIN: f64 = 0.001;
 /// The paper's limits on the number of holes.
 const HOLES_MIN: usize = 3;
 const HOLES_MAX: usize = 10;
-/// Least area of a block as a fraction of the photograph: smaller ones show no features.
+/// Minimum area of a block as a fraction of the photograph: smaller ones show no features.
 const BLOCK_SHARE_MIN: f64 = 0.004;
 /// Samples across and down: the paper's M x N.
 const ACROSS: usize = 24;
@@ -55,7 +55,7 @@ const BETA: f32 = -1.0;
 /// paper does not give its own.
 const MEAN: [f32; 2] = [0.4269, 0.3131];
 const COVARIANCE: [f32; 3] = [0.001_304, -0.000_211, 0.000_140];
-/// Least R + G + B: a darker pixel has no hue and is not skin.
+/// Minimum R + G + B: a darker pixel has no hue and is not skin.
 const DARK: f32 = 30.0;
 
 /// A zone of the template, in fractions of the face's rectangle.

@@ -53,7 +53,7 @@ fn a_drawn_face_is_found_with_its_roll() {
 }
 
 #[test]
-fn skin_without_holes_is_no_face() {
+fn skin_without_holes_is_not_a_face() {
     let pixels = (0..120 * 120)
         .map(|i: i32| {
             let inside = (i % 120 - 60).pow(2) + (i / 120 - 60).pow(2) < 45 * 45;

@@ -18,7 +18,7 @@ const CHROMA_DEVIATION_MIN: f64 = 1.5;
 const CAST_MIN: f64 = 0.08;
 /// Norm of the illuminant's estimate (shades of grey, Finlayson and Trezzi 2004).
 const NORM: i32 = 6;
-/// Most pixels that are sampled, evenly.
+/// Maximum number of pixels that are sampled, evenly.
 const SAMPLES_MAX: usize = 1 << 16;
 
 /// A photograph, upright, 8 bits per channel. Coordinates start at 0, x to the right, y down; integers are the centres

@@ -11,9 +11,9 @@ use super::{Note, Photo, PhotoError};
 
 /// Largest file: a JPEG of 40 megapixels at its best quality has about half of that.
 pub const BYTES_MAX: usize = 64 << 20;
-/// Most pixels: 120 MB as 8-bit RGB, 320 MB as 16-bit RGBA, which takes most.
+/// Maximum number of pixels: 120 MB as 8-bit RGB, 320 MB as 16-bit RGBA, which takes most.
 pub const PIXELS_MAX: u64 = 40_000_000;
-/// Least length of the shorter side.
+/// Minimum length of the shorter side.
 pub const SIDE_MIN_PX: u64 = 32;
 /// Memory limit of the decoder: the largest picture, and as much again for coefficients of progressive JPEG.
 const DECODER_BYTES_MAX: u64 = 8 * PIXELS_MAX * 2;
@@ -27,12 +27,12 @@ impl Photo {
     /// Reads a PNG, JPEG or PNM file.
     ///
     /// The result is upright by the EXIF orientation. 16 bits become 8, transparency becomes grey, grey becomes three
-    /// equal channels, CMYK becomes RGB without a profile, and of an animation the first picture is used;
+    /// equal channels, CMYK becomes RGB without a profile, and an animation is reduced to its first picture;
     /// [`Photo::notes`] lists what was done.
     ///
     /// # Errors
-    /// [`PhotoError`] if the bytes are not such a picture, are cut off, or exceed [`BYTES_MAX`], [`PIXELS_MAX`] or
-    /// [`SIDE_MIN_PX`].
+    /// [`PhotoError`] if the bytes are not a supported picture, are cut off, or exceed [`BYTES_MAX`],
+    /// [`PIXELS_MAX`] or [`SIDE_MIN_PX`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PhotoError> {
         if bytes.is_empty() {
             return Err(PhotoError::Empty);

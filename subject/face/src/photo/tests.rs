@@ -139,7 +139,7 @@ fn crc32(bytes: &[u8]) -> u32 {
 
 #[test]
 fn print_colours_are_detected_in_the_frame_header() {
-    // A frame of four components, and an end behind stuffing and a restart.
+    // A frame of four components, and an end after stuffing and a restart.
     let frame = [0xff, 0xd8, 0xff, 0xc0, 0, 20, 8, 0, 64, 0, 64, 4];
     let mut bytes = frame.to_vec();
     bytes.resize(frame.len() + 12, 0);

@@ -1,5 +1,5 @@
-//! An upright crop of a face at fixed size, so that lengths in this module's neighbours are pixels of the crop, and the
-//! channels in which features are searched.
+//! An upright crop of a face at a fixed size, and the channels in which features are searched. Lengths in `points` are
+//! pixels of the crop.
 
 use super::RoughFace;
 use crate::photo::Photo;
@@ -15,12 +15,12 @@ pub(crate) const EYES: [f64; 2] = [112.0, 92.0];
 pub(crate) const EYE_DISTANCE: f64 = 60.0;
 /// Outer interocular distance of a frontal face in the crop (pixels): 1.366 eye distances.
 pub(crate) const INTEROCULAR: f64 = EYE_DISTANCE * 1.366;
-/// Most samples per side of a [`BlockMeans`] block: larger blocks are sampled sparsely, which the smoothing that
-/// follows tolerates.
+/// Maximum number of samples per side of a [`BlockMeans`] block: larger blocks are sampled sparsely, which the
+/// smoothing that follows tolerates.
 const SAMPLES_MAX: usize = 4;
-/// Added to every channel before the logarithm (of 255): noise in the dark is no contrast.
+/// Added to every channel before the logarithm (of 255): noise in the dark is not contrast.
 const FLOOR: f32 = 12.0;
-/// Least standard deviations of brightness, ln(R/G) and ln(B/G): light varies more over a face than its colour does.
+/// Minimum standard deviations of brightness, ln(R/G) and ln(B/G): light varies more over a face than its colour does.
 const SKIN_FLOORS: [f32; 3] = [0.20, 0.05, 0.06];
 /// Distance from the eyes' midpoint to the mouth, in distances of the eye centres of a frontal face.
 const EYES_TO_MOUTH: f64 = 1.13;
@@ -159,7 +159,7 @@ impl BlockMeans {
     }
 }
 
-/// Logarithmic channels: the difference of two pixels is a contrast, whatever the light.
+/// Logarithmic channels: the difference of two pixels is a contrast, independent of the light.
 #[derive(Debug)]
 pub(crate) struct Maps {
     /// Brightness, smoothed by 1.2 px.

@@ -21,7 +21,7 @@ const OUTLINE_SD: f64 = 9.0;
 const CLEAR: f64 = 0.2;
 /// Contrast, including colour, at which a piece of the outline counts as clearly visible.
 const CLEAR_OUTLINE: f64 = 0.5;
-/// Least confidence: even an invisible point lies within the search range.
+/// Minimum confidence: even an invisible point lies within the search range.
 pub const FAINT: f64 = 0.2;
 
 /// Ratio of the head's yaw to that of the visible edge, which bulges on the far side: measured on the rendered faces of

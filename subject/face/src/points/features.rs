@@ -106,7 +106,7 @@ fn brow_score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
     sum / count + 0.08 * ends
 }
 
-/// Least distance of a brow above the upper lid (pixels).
+/// Minimum distance of a brow above the upper lid (pixels).
 const CLEARANCE: f64 = 8.0;
 
 /// Shortfall of that distance (pixels): an eyelid or the rim of glasses is a dark band too.

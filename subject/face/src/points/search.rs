@@ -24,7 +24,7 @@ impl<const N: usize> Motion<N> {
 const DEVIATION_COST: f64 = 0.012;
 /// Number of step halvings in the refinement.
 const HALVINGS: u32 = 4;
-/// Most steps of the coarse search to either side.
+/// Maximum number of steps of the coarse search to either side.
 const STEPS_MAX: f64 = 16.0;
 
 /// The best outline and its score.

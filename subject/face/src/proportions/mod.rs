@@ -138,7 +138,7 @@ struct Deviation {
     sd: f64,
 }
 
-/// Points by [`FeatureId::index`].
+/// Indices of points, by [`FeatureId::index`].
 const OUTLINE_CHIN: [usize; 2] = [5, 11];
 const BROWS: [Range<usize>; 2] = [12..17, 17..22];
 const NOSE: Range<usize> = 22..27;

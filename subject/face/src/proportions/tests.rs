@@ -83,7 +83,7 @@ fn displaced_features_are_named() {
 }
 
 #[test]
-fn coinciding_eyes_are_no_face() {
+fn coinciding_eyes_are_not_a_face() {
     let proportions = ProportionModel::of(Model::generic().unwrap());
     assert_eq!(proportions.contradictions(&[[7.0; 2]; FeatureId::COUNT]).len(), 1);
     assert_eq!(proportions.contradictions(&[[f64::NAN; 2]; FeatureId::COUNT]).len(), 1);

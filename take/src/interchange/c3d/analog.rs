@@ -1,4 +1,4 @@
-//! The ANALOG group: what the stored samples of each channel stand for.
+//! The ANALOG group: labels, units and scaling of the stored samples of each channel.
 
 use super::parameters::{Parameter, Parameters};
 use crate::interchange::counted;

@@ -10,7 +10,8 @@ use std::{io, ops::Range};
 use super::VERSION;
 use crate::foreign::content::{Content, ContentSlice};
 
-/// Maximum number of columns: four words for each of 65535 points, the most of a C3D frame. Analog channels are fewer.
+/// Maximum number of columns: four words for each of 65535 points, the maximum of a C3D frame. Analog channels are
+/// fewer.
 const COLUMNS_MAX: usize = 4 * u16::MAX as usize;
 
 /// The kinds of the foreign parts that are blocks of columns.

@@ -12,9 +12,9 @@ use crate::record::EventKind;
 const EVENT: &str = "EVENT";
 /// The context that carries no information.
 const GENERAL: &str = "General";
-/// Most events that an export writes: a dimension is at most 255.
+/// Maximum number of events that an export writes: a dimension is at most 255.
 pub(in crate::interchange) const EVENTS_MAX: usize = 255;
-/// Most bytes of all labels together: what one parameter holds.
+/// Maximum number of bytes of all labels together: what one parameter holds.
 const LABEL_BYTES_MAX: usize = 32_000;
 
 /// An event as the group stores it.

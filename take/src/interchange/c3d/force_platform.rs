@@ -11,7 +11,7 @@ use crate::{
 
 /// Name of the group.
 const FORCE_PLATFORM: &str = "FORCE_PLATFORM";
-/// Most plates of a file: the largest dimension of a parameter.
+/// Maximum number of plates of a file: the largest dimension of a parameter.
 const PLATES_MAX: usize = super::parameters::DIMENSION_MAX;
 
 /// Newtons in a pound-force.

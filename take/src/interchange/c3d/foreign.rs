@@ -30,7 +30,7 @@ use crate::{
 
 /// Size of the buffer for reading a part: for 64 channels of floats 4096 samples each, read in pieces of 4 kB.
 const BLOCK_BYTES: usize = 1 << 20;
-/// Most bytes of the parameters. A C3D file has at most 255 blocks of 512 bytes; a rotation adds little.
+/// Maximum number of bytes of the parameters. A C3D file has at most 255 blocks of 512 bytes; a rotation adds little.
 const PARAMETERS_BYTES_MAX: u64 = 1 << 20;
 
 pub(crate) const PARAMETERS: &str = "c3d/parameters";

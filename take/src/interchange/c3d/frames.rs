@@ -8,8 +8,8 @@ use crate::{interchange::source_file::SourceFile, motion::Marker, record::Channe
 /// Parameters of POINT that list model outputs: results that are stored as points without being positions.
 const MODEL_OUTPUTS: [&str; 6] = ["ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS"];
 
-/// Most parameters read as lists of model outputs. Texts of length 0 take no bytes, so a damaged file could claim any
-/// number of them.
+/// Maximum number of parameters read as lists of model outputs. Texts of length 0 take no bytes, so a damaged file
+/// could claim any number of them.
 const MAX_LISTS: usize = 64;
 
 /// The points of a file, sorted.
@@ -63,7 +63,7 @@ fn listed_outputs(parameters: &Parameters) -> HashSet<String> {
     let type_groups = parameters.texts("POINT", "TYPE_GROUPS");
     let named = type_groups.iter().step_by(2).map(String::as_str);
     let mut names: Vec<&str> = MODEL_OUTPUTS.into_iter().chain(named).collect();
-    // MODELED_MARKERS are positions, and the labels of all points are no list of model outputs.
+    // MODELED_MARKERS are positions, and the labels of all points are not a list of model outputs.
     names.retain(|name| {
         let name = name.to_ascii_uppercase();
         !name.is_empty() && !name.contains("MARKER") && !name.starts_with("LABELS")
@@ -78,11 +78,11 @@ fn listed_outputs(parameters: &Parameters) -> HashSet<String> {
         .collect()
 }
 
-/// Bytes of frames that are read at a time: with what is made of them they stay in the processor's cache, and a column of
-/// a scratch file is written in pieces of 1 kB if a frame has a thousand words.
+/// Bytes of frames that are read at a time: they stay in the processor's cache with the data derived from them, and a
+/// column of a scratch file is written in pieces of 1 kB if a frame has a thousand words.
 const BLOCK_BYTES: usize = 1 << 20;
-/// Fewest frames that are read at a time, unless they have more than [`LARGE_BLOCK_BYTES`]: with fewer, a frame of
-/// hundreds of thousands of words would cost as many writes to its columns.
+/// Minimum number of frames that are read at a time, unless they have more than [`LARGE_BLOCK_BYTES`]: with fewer, a
+/// frame of hundreds of thousands of words would cost as many writes to its columns.
 const BLOCK_FRAMES_MIN: usize = 64;
 const LARGE_BLOCK_BYTES: usize = 1 << 25;
 

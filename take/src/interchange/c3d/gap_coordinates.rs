@@ -549,7 +549,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_has_the_documented_bytes_whatever_the_batches() {
+    fn batches_do_not_change_the_documented_bytes() {
         // Marker 1 has a run across a batch and one after it.
         let n = BATCH_SAMPLES as u64 + 7;
         let samples: Vec<_> = (0..n).map(|i| sample((i + i / (n - 2)) as usize, 1)).collect();

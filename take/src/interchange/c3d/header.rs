@@ -4,7 +4,7 @@
 pub(super) const BLOCK: usize = 512;
 /// The value of header word 150 if event labels have four characters.
 const FOUR_CHARACTER_LABELS: u16 = 12345;
-/// Most events a header holds.
+/// Maximum number of events a header holds.
 pub(super) const MAX_EVENTS: usize = 18;
 
 /// An event of the header.

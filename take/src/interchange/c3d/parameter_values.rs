@@ -24,7 +24,7 @@ pub struct C3dParameter {
 /// The values of a parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub enum C3dValues {
-    /// Texts, without the spaces that fill them up.
+    /// Texts, without the trailing spaces that pad them.
     Texts(Vec<String>),
     /// Bytes.
     Bytes(Vec<u8>),

@@ -289,10 +289,10 @@ fn to_intel(data: &[u8], kind: i8, order: ByteOrder) -> Vec<u8> {
     }
 }
 
-/// Most elements of one dimension.
+/// Maximum number of elements of one dimension.
 pub(super) const DIMENSION_MAX: usize = 255;
-/// Most bytes of one parameter's data: with dimensions and description the record's offset fits a signed 16-bit
-/// integer.
+/// Maximum number of bytes of one parameter's data: with dimensions and description the record's offset fits a signed
+/// 16-bit integer.
 const PARAMETER_BYTES_MAX: usize = 32_000;
 
 /// Appends the records of all groups, each followed by its parameters, then parameters without a group, and the end

@@ -86,7 +86,7 @@ fn read_front(source: &mut SourceFile<'_>) -> Result<(Notes, ByteOrder, C3dHeade
     }
     let mut notes = Notes::default();
     let start = u64::from(parameter_block).saturating_sub(1) * BLOCK as u64;
-    // Its four leading bytes; those behind the end of the file count as 0.
+    // Its four leading bytes; those beyond the end of the file count as 0.
     let mut lead = [0; 4];
     source.read_some(start, &mut lead)?;
     let [_, _, n_blocks, processor] = lead;
@@ -112,7 +112,7 @@ struct FirstPass {
 #[derive(Debug)]
 pub(crate) struct C3dFrames {
     layout: Layout,
-    /// Of each marker, its index among the points.
+    /// The index of each marker among the points.
     points: Vec<usize>,
     /// The factor from stored coordinates to the file's unit.
     scale: f64,

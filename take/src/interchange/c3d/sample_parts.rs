@@ -6,7 +6,7 @@ use std::{
     ops::Range,
 };
 
-use mocapd_codec::sampled::{ChannelSurvey, SampleBound};
+use mocapd_codec::sampled::{ChannelProfile, SampleBound};
 
 use super::columns::{ColumnReader, ColumnWriter, MODEL_OUTPUTS, SampleHeader, value, word};
 use crate::{
@@ -87,8 +87,8 @@ impl<'a> SamplePart<'a> {
     }
 }
 
-/// A part with the frames of `sources` one after another: of each, a range of its own frames. `None` if they are too long
-/// for a take, or one is damaged.
+/// A part with a range of frames of each of the `sources`, one after another. `None` if they are too long for a take,
+/// or one is damaged.
 fn write(
     kind: &str,
     header: &SampleHeader,
@@ -196,7 +196,7 @@ pub(crate) fn n_signals(part: &Foreign) -> io::Result<usize> {
 }
 
 /// The part with the samples of columns replaced by others within a bound: `bound_of` gives it for a column, in stored
-/// samples; `None` and 0 stand for exact ones. `None` if no sample is replaced, or the part is damaged.
+/// samples; `None` and 0 mean exact ones. `None` if no sample is replaced, or the part is damaged.
 ///
 /// # Errors
 /// Those of reading the part, and of the scratch file.
@@ -204,7 +204,7 @@ pub(crate) fn bounded(
     part: &Foreign,
     is_unsigned: bool,
     store: &mut PartStore<'_>,
-    mut bound_of: impl FnMut(usize, &ChannelSurvey) -> Option<f64>,
+    mut bound_of: impl FnMut(usize, &ChannelProfile) -> Option<f64>,
 ) -> io::Result<Option<Foreign>> {
     let Some(samples) = SamplePart::parse(part)? else { return Ok(None) };
     let (width, length) = (samples.header.width, samples.header.samples().unwrap_or(0));
@@ -212,17 +212,17 @@ pub(crate) fn bounded(
     let front_bytes = part.data.len() - column_bytes * samples.n_columns as u64;
     let (mut bounds, mut data) = (vec![0.0_f64; samples.n_columns], None);
     for (column, stated) in bounds.iter_mut().enumerate() {
-        let mut survey = match (width, is_unsigned) {
-            (4, _) => ChannelSurvey::default(),
-            (_, false) => ChannelSurvey::of_integers([i16::MIN.into(), i16::MAX.into()]),
-            (_, true) => ChannelSurvey::of_integers([0.0, u16::MAX.into()]),
+        let mut profile = match (width, is_unsigned) {
+            (4, _) => ChannelProfile::default(),
+            (_, false) => ChannelProfile::of_integers([i16::MIN.into(), i16::MAX.into()]),
+            (_, true) => ChannelProfile::of_integers([0.0, u16::MAX.into()]),
         };
         samples.pieces(column, is_unsigned, |piece| {
-            survey.add(piece);
+            profile.add(piece);
             Ok(())
         })?;
-        let bound = bound_of(column, &survey).unwrap_or(0.0);
-        let Some(replacing) = SampleBound::new(&survey, bound) else { continue };
+        let bound = bound_of(column, &profile).unwrap_or(0.0);
+        let Some(replacing) = SampleBound::new(&profile, bound) else { continue };
         let data = match &mut data {
             Some(data) => data,
             none => none.insert(copy_of(part, store)?),

@@ -1,5 +1,5 @@
-//! What the parameters of a C3D file say about the sampled channels of its foreign parts: names, units, scales and
-//! offsets.
+//! What the parameters of a C3D file state about the sampled channels of its foreign parts: names, units, scales
+//! and offsets.
 
 use std::collections::HashMap;
 

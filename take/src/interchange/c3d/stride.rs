@@ -9,18 +9,19 @@ use std::{io, ops::Range};
 
 use super::header::{BLOCK, ByteOrder};
 
-/// Most analog samples in a frame: 255 channels with 4000 samples each, as of a microphone at one frame a second.
+/// Maximum number of analog samples in a frame: 255 channels with 4000 samples each, such as a microphone's at one
+/// frame per second.
 pub(crate) const ANALOG_MAX: u64 = 255 * 4000;
 use crate::interchange::source_file::SourceFile;
 
-/// Most candidates to compare. The stated values give at most 2 * 2 * 2 * 8; the size of the file adds some for short
-/// files, in which several strides leave less than a block.
+/// Maximum number of candidates to compare. The stated values give at most 2 * 2 * 2 * 8; the size of the file adds
+/// some for short files, in which several strides leave less than a block.
 pub(super) const CANDIDATES_MAX: usize = 256;
 /// Frames in a window for measuring roughness.
 const WINDOW_FRAMES: usize = 24;
 /// Number of windows, evenly spread over the file.
 const WINDOWS: usize = 4;
-/// Most points of a frame to measure, evenly spread.
+/// Maximum number of points of a frame to measure, evenly spread.
 const POINTS: usize = 48;
 /// Largest roughness of motion. Coordinates whose velocity changes by a seventh of their range in every frame are read
 /// with a wrong stride; human motion at 10 Hz stays below a tenth.

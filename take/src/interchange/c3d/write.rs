@@ -179,7 +179,7 @@ fn prefixes(markers: &[Marker]) -> Option<Vec<String>> {
 
 // The ANALOG group is completed, with the types that other readers expect. ezc3d reads past the end of lists shorter
 // than the number of channels, and computes the samples in a frame from the two rates, rounded down. py-c3d reads
-// OFFSET as 16-bit integers whatever its type.
+// OFFSET as 16-bit integers, whatever type it has.
 
 /// Completes the ANALOG group of a file without analog samples.
 fn set_no_analog(parameters: &mut Parameters) {

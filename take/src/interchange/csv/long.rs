@@ -94,7 +94,7 @@ pub(super) fn open(
     Ok((info, frames))
 }
 
-/// A marker by its label. A label such as `u012` is the number of an unlabelled marker, in whatever column it is here.
+/// A marker by its label. A label such as `u012` is the number of an unlabelled marker.
 fn marker(label: String) -> Marker {
     let number = label.strip_prefix('u').filter(|digits| digits.len() >= 3);
     let numbered = number.is_some_and(|digits| digits.bytes().all(|b| b.is_ascii_digit()));

@@ -121,8 +121,8 @@ pub fn quote(text: &str) -> Cow<'_, str> {
     text
 }
 
-/// What gives the lines commas between cells and points in numbers, which the readers expect; `None` if they have them
-/// already.
+/// A conversion of lines to commas between cells and points in numbers, as the readers expect; `None` if they have
+/// them already.
 ///
 /// # Errors
 /// Those of reading the file.

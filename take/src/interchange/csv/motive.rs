@@ -186,7 +186,7 @@ impl MotiveHeader {
                 && ["X", "Y", "Z"].iter().enumerate().all(|(i, axis)| is(&self.axes, at + i, axis));
             let owner = Owner::of(&cell(types, at));
             if !is_position || owner == Owner::Other {
-                // Above the times stands the name of the line.
+                // The line has its name above the column of times.
                 let is_time = at == 1 && cell(&self.axes, at).starts_with("Time");
                 left_out += usize::from(!is_time && !cell(types, at).is_empty());
                 at += 1;

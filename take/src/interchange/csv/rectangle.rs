@@ -1,4 +1,4 @@
-//! Samples in any order, put in their places.
+//! Sorts samples that come in any order into a rectangle of frames and markers.
 
 use std::io::{self, Read};
 
@@ -54,7 +54,7 @@ impl Rectangle {
         Ok(Self { content, held: Vec::new(), from: 0, n_positions })
     }
 
-    /// Puts samples in their places: frames count from `first`. Returns how many were in the place of another.
+    /// Stores samples; frames count from `first`. Returns how many replaced another sample.
     ///
     /// # Errors
     /// Those of the scratch file.

@@ -1,4 +1,5 @@
-//! The wide layout, one row a frame: the layout that `export` writes, and the `time,head_x,head_y,head_z,...` dialect.
+//! The wide layout, one row per frame: the layout that `export` writes, and the `time,head_x,head_y,head_z,...`
+//! dialect.
 
 use std::io::Write;
 

@@ -164,7 +164,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn field_names_are_identifiers_that_differ() {
+    fn field_names_are_unique_identifiers() {
         let names = ["Fz1", "fz_1", "EMG left", "1", "", "\u{e9}", "timestamp", "fz_1_2", "a.x"];
         let column = |name: &&str| SampledColumn {
             name: (*name).to_owned(),

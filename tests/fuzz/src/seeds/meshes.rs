@@ -6,7 +6,7 @@ use mocapd_body::{
 };
 use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
-/// An octahedron, of which a fuzzer can change a large part with few bytes, also with a hole, a duplicate vertex and
+/// An octahedron, small enough for a fuzzer to change much with few bytes, also with a hole, a duplicate vertex and
 /// a stray triangle; and a small body.
 fn meshes() -> Vec<Mesh> {
     let tip = |axis: usize, sign: f64| std::array::from_fn(|k| if k == axis { sign } else { 0.0 });

@@ -24,8 +24,7 @@ use crate::{
     simulator::Simulator,
 };
 
-/// Least throughput of the transport, as a fraction of a bare loop's, on a machine that does nothing else, and beside
-/// other work, which takes turns away from either.
+/// Minimum throughput of the transport, as a fraction of a bare loop's, on an idle machine and on a loaded one.
 const PART_MIN: f64 = 0.9;
 const PART_MIN_BESIDE_OTHERS: f64 = 0.6;
 
@@ -119,7 +118,7 @@ fn median(values: &mut [f64]) -> f64 {
 /// Markers and frames per second that must be recorded without a lost frame.
 const LEAST: (u32, u32) = (64, 240);
 
-/// Several times what rings (2 s) and the device's queue (1 s) can hold back.
+/// Several times the capacity of the rings (2 s) and of the device's queue (1 s).
 const STEADY: Duration = Duration::from_secs(20);
 const WHOLE: Duration = Duration::from_secs(60);
 

@@ -147,7 +147,7 @@ fn half_of_neighbours() -> impl Iterator<Item = ([isize; 3], f64)> {
     later.map(|[x, y, z]| ([x, y, z], ((x * x + y * y + z * z) as f64).sqrt()))
 }
 
-/// Most cells of a grid. A body has one to two million; a cell costs a byte and an index.
+/// Maximum number of cells of a grid. A body has one to two million; a cell costs a byte and an index.
 const CELL_COUNT_MAX: usize = 1 << 24;
 
 /// A voxel grid, and which voxels have their centre inside.

@@ -87,7 +87,7 @@ fn holes_are_closed_with_triangles_of_the_neighbours_size() {
 fn parts_that_do_not_belong_to_the_body_are_removed() {
     let mesh = clean();
     let mut more = mesh.clone();
-    // A small body floats beside it, another is attached to a vertex, and a fin to an edge.
+    // A small body floats nearby, another is attached to a vertex, and a fin to an edge.
     for (shift, joined) in [([3.0, 0.0, 0.0], false), ([0.0; 3], true)] {
         let n = more.positions.len() as u32;
         let small = mesh.positions.iter().map(|p| [0, 1, 2].map(|k| p[k] * 0.05 + shift[k]));

@@ -27,7 +27,7 @@ fn half_a_body_is_refused() {
         let error = repaired(half).unwrap_err();
         assert!(matches!(error, RepairError::Hole { .. }), "{error}");
     }
-    // A body without soles is accepted all the same.
+    // A body without soles is accepted.
     let mut mesh = upright();
     mesh.positions.iter_mut().for_each(|p| p[1] = -p[1]);
     mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));

@@ -7,14 +7,14 @@ use crate::plane::{Gradient, Plane, Point, extent};
 
 /// Radii of an iris (pixels): 0.07 to 0.15 of the eye distance. The paper gives none.
 const RADII: RangeInclusive<i32> = 4..=9;
-/// Least gradient of a voting pixel, as a fraction of the steepest in the box. The paper gives none.
+/// Minimum gradient of a voting pixel, as a fraction of the steepest in the box. The paper gives none.
 const VOTES: f64 = 0.25;
 /// Threshold of the white of the eye, as a fraction of the way from the iris' darkness to the seed. The paper gives
 /// none.
 const WHITE: f64 = 0.75;
 /// Threshold of the brow, as a fraction of the way from the seed to the box's median. The paper gives none.
 const DARK: f64 = 0.5;
-/// Least width of a brow (pixels); less is a mole or noise.
+/// Minimum width of a brow (pixels); less is a mole or noise.
 const BROW_WIDTH_MIN: i32 = 12;
 /// Threshold of the bridge's edges, as a fraction of the line's steepest gradient. The paper gives none.
 const BRIDGE_EDGE: f64 = 0.6;
@@ -24,7 +24,7 @@ const NOSE_POINTS: usize = 24;
 const JUMP: f64 = 0.35;
 /// Width of the sliding window (pixels). The paper gives none.
 const WINDOW: i32 = 7;
-/// Least width of the valley of an open mouth: the paper's 3 px.
+/// Minimum width of the valley of an open mouth: the paper's 3 px.
 const OPEN_PX: usize = 3;
 
 /// The points of a feature, and whether they were located or follow from its box.
@@ -112,7 +112,7 @@ pub(super) fn iris(slope: &Gradient, b: Bounds) -> Iris {
 fn corner(light: &Plane, bounds: Bounds, iris: &Iris, side: i32) -> (Point, bool) {
     let &Iris { x, y, radius: r } = iris;
     let dark = value(light, x, y);
-    // The seed: the brightest of a few pixels beside the iris.
+    // The seed: the brightest of a few pixels next to the iris.
     let seed = (r + 1..=r + 4)
         .flat_map(|d| (-2..=2).map(move |dy| (x + side * d, y + dy)))
         .filter(|(sx, sy)| bounds.contains(*sx, *sy))

@@ -164,12 +164,12 @@ fn value(plane: &Plane, x: i32, y: i32) -> f64 {
 /// Weights of continuity, curvature and image in equation (5). The paper gives none; these are of (Williams and Shah
 /// 1992).
 const WEIGHTS: [f64; 3] = [1.0, 1.0, 1.2];
-/// Most rounds.
+/// Maximum number of rounds.
 const ROUNDS_MAX: usize = 120;
 
 /// Moves of a point: to itself, the four adjacent pixels, or the four diagonal ones.
-const BESIDE: [(i32, i32); 5] = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
-const ACROSS: [(i32, i32); 5] = [(0, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)];
+const ADJACENT: [(i32, i32); 5] = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
+const DIAGONAL: [(i32, i32); 5] = [(0, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)];
 
 /// Fits a snake to the edges of `strength` (Yang et al. 2004, equation 5). An open snake keeps its ends.
 ///
@@ -183,7 +183,7 @@ fn fit_snake(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
     let mut still = 0;
     for round in 0..ROUNDS_MAX {
         let spacing = spacing(curve, closed);
-        let pattern = if round % 2 == 0 { BESIDE } else { ACROSS };
+        let pattern = if round % 2 == 0 { ADJACENT } else { DIAGONAL };
         let mut moved = 0;
         let range = if closed { 0..n } else { 1..n - 1 };
         for i in range {
@@ -225,7 +225,7 @@ fn fit_snake(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
     }
 }
 
-/// Scales energies to 0 to 1 over the neighbourhood; a range below `floor` is no difference.
+/// Scales energies to 0 to 1 over the neighbourhood; a range below `floor` counts as no difference.
 fn scaled(energy: [f64; 5], floor: f64) -> [f64; 5] {
     let (low, high) = plane::extent(energy);
     let range = (high - low).max(floor).max(1e-12);

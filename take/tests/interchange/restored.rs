@@ -44,7 +44,7 @@ fn full(order: Order, scale: f32) -> C3dFile {
 }
 
 #[test]
-fn everything_is_given_back_from_floats_and_integers_of_every_processor() {
+fn foreign_parts_are_restored_for_floats_and_integers_of_every_processor() {
     for order in [Order::Intel, Order::Dec, Order::Mips] {
         for scale in [-0.5f32, 0.25] {
             let source = Format::C3d.read(&full(order, scale).bytes()).expect("a usable file");
@@ -83,10 +83,10 @@ fn words_keep_their_positions() {
     assert!(written.len().is_multiple_of(512));
 }
 
-/// More frames than are read at a time, and more data beside the trajectories than stays in memory. All fourth words are
-/// zero up to the middle of the file, and coordinates under gaps are where one block of frames follows another.
+/// More frames than are read at a time, and more data besides the trajectories than fits in memory. All fourth words
+/// are zero up to the middle of the file, and coordinates under gaps are where one block of frames follows another.
 #[test]
-fn a_file_of_several_blocks_is_given_back() {
+fn a_file_of_several_blocks_is_restored() {
     const N_FRAMES: usize = 45_000;
     let frame = |frame: usize| {
         let mut words = Vec::with_capacity(140);
@@ -124,7 +124,7 @@ fn a_file_of_several_blocks_is_given_back() {
 }
 
 #[test]
-fn lengths_beside_the_points_follow_them_into_millimetres() {
+fn all_lengths_are_converted_to_millimetres() {
     let file = C3dFile { unit: "m", ..full(Order::Intel, -1.0) };
     let written = write(&Format::C3d.read(&file.bytes()).expect("a usable file"));
     let at =
