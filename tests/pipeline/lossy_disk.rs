@@ -134,14 +134,14 @@ impl Recorded {
 }
 
 #[test]
-fn what_was_synced_is_read_back_and_nothing_is_invented() {
+fn synced_data_is_read_back_and_nothing_is_invented() {
     let one = std::env::var("MOCAPD_SEED").ok().and_then(|seed| seed.parse::<u64>().ok());
     cut_power(one.map_or(SEEDS, |seed| seed..seed + 1));
 }
 
 #[test]
 #[ignore = "minutes: nineteen thousand power cuts"]
-fn what_was_synced_is_read_back_after_thousands_of_power_cuts() {
+fn synced_data_is_read_back_after_thousands_of_power_cuts() {
     cut_power(LONG_SEEDS);
 }
 

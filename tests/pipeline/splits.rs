@@ -365,7 +365,7 @@ fn frames_that_a_long_stall_costs_are_on_one_ledger_each() {
 }
 
 #[test]
-fn a_take_goes_on_when_the_next_cannot_begin() {
+fn a_take_continues_when_the_next_cannot_begin() {
     let motion = jump(48, 100.0, 10.0);
     // The second cannot be created at first; the header of the third cannot be written.
     let mut refusals = 2;

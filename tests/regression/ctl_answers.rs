@@ -64,7 +64,7 @@ impl Drop for Service<'_> {
 const ALONE: &str = "[http]\nsocket = 'rig.sock'\nlisten = ''\n";
 
 #[test]
-fn a_save_of_more_than_the_pre_roll_has_says_so_and_the_watch_shows_the_pre_roll() {
+fn a_save_longer_than_the_pre_roll_is_reported_and_the_watch_shows_the_pre_roll() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 3.0));
     let service = Service::run(&folder, "", &device.path, ALONE);

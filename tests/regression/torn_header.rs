@@ -25,7 +25,7 @@ fn with_long_stretches() -> Simulated {
 }
 
 #[test]
-fn the_service_removes_it_and_says_so() {
+fn the_service_removes_the_file_and_reports_it() {
     for device in [with_long_header(), with_long_stretches()] {
         let folder = Folder::new();
         let service = Service::start(&folder, &device, "lossless = true", SHORT_FILES);

@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn a_take_goes_on_until_just_enough_is_left_to_close_it() {
+    fn a_take_continues_until_just_enough_space_is_left_to_close_it() {
         for holds in [Ok(()), Err(io::ErrorKind::Unsupported)] {
             let (seconds, least, left) = run_until_full(holds);
             // 30 MiB less the last 4, and nothing of the 10 that stay free.

@@ -328,7 +328,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gaps_go_on_from_stretch_to_stretch() {
+    fn gaps_continue_from_stretch_to_stretch() {
         let counters = VisibilityCounters::new(1);
         counters.0[0].count(&[true, false, false]);
         counters.0[0].count(&[false, true, true, false]);

@@ -202,7 +202,7 @@ fn many_points_and_many_frames_fit_in_c3d() {
 }
 
 #[test]
-fn what_c3d_cannot_hold_is_refused_with_the_limit() {
+fn content_beyond_the_limits_of_c3d_is_refused_with_the_limit() {
     let source = motion(&["x".repeat(256)], vec![[0.0; 3]], 100.0, 1);
     let error = Format::C3d.write(&mut MotionFrames::new(&source), &mut Vec::new());
     assert!(

@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn after_an_outage_a_device_goes_on_or_starts_again() {
+    fn after_an_outage_a_device_continues_or_restarts() {
         let mut counter = FrameCounter::default();
         assert_eq!(counter.rejoin(7, 10), Some(0), "nothing came before");
         assert_eq!(counter.rejoin(20, 300), Some(12));

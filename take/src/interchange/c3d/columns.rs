@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repeated_sample_is_written_as_it_is() {
+    fn repeated_samples_are_written_like_others() {
         let samples = [7, 7, 7, 7, 9, 9];
         let [mut whole, mut repeated] = [(); 2].map(|()| Content::from(vec![0; 24]));
         ColumnWriter::new(4).write(&mut whole, 0, 6, samples.into_iter()).unwrap();

@@ -114,7 +114,7 @@ fn errors_state_what_is_wrong_and_where() {
 }
 
 #[test]
-fn files_that_are_no_mesh_and_meshes_without_faces_have_different_errors() {
+fn other_files_and_meshes_without_faces_have_different_errors() {
     assert_eq!(read(&[], "a.obj"), Err(ReadError::Empty));
     let unknown = |bytes: &[u8]| match read(bytes, "a") {
         Err(ReadError::Unknown { found }) => found,
