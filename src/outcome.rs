@@ -37,7 +37,7 @@ pub struct UsageError(pub String);
 #[error("{0}")]
 pub struct DataLostError(pub String);
 
-/// Exit codes: 0 done, 1 failed, 2 usage error or refused value, 3 done but data was lost.
+/// Exit codes: 0 done, 1 failed, 2 usage error or invalid value, 3 done but data was lost.
 #[must_use]
 pub fn exit_code(result: &anyhow::Result<Outcome>) -> ExitCode {
     ExitCode::from(match result {

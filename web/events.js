@@ -75,7 +75,7 @@ export class Events {
   #missed(n) {
     if (this.#n === 0) return;
     const text = n === null ? "the service was restarted: its earlier events are gone"
-      : `${plural(n, "event")} missed while this page was not connected: no longer stored`;
+      : `${plural(n, "event")} missed while this page was not connected, and no longer stored`;
     this.#prepend("▲", Date.now(), "warning", text);
   }
 
@@ -88,6 +88,6 @@ export class Events {
       h("span", { class: "message" }, message)));
     while (list.children.length > SHOWN) list.lastChild.remove();
     this.#n += 1;
-    setText(byId("events-count"), this.#n > SHOWN ? `the last ${SHOWN}` : "");
+    setText(byId("events-count"), this.#n > SHOWN ? `last ${SHOWN}` : "");
   }
 }

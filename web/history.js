@@ -135,7 +135,7 @@ export class History {
     ctx.fillStyle = this.colours.muted;
     ctx.textAlign = "left";
     ctx.textBaseline = "top";
-    ctx.fillText(maximum === 0 ? "no frame lost" : `lost frames per second, maximum ${count(maximum)}`, left, split + 2);
+    ctx.fillText(maximum === 0 ? "no frames lost" : `lost frames per second, maximum ${count(maximum)}`, left, split + 2);
     const sum = bins.reduce((a, b) => a + b, 0);
     setAttribute(this.#canvas, "aria-label",
       `Frame rate and lost frames of the last two minutes: ${count(sum)} frames lost`);

@@ -46,8 +46,8 @@ function rate({ input, device }) {
 
 /** The causes of lost frames from the ledger of a take, as texts. */
 export function causes(ledger) {
-  const names = { lost_on_link: "on the link", dropped_by_device: "by the device", lost_ring_full: "ring full",
-    lost_other: "other causes", unknown_after_disconnect: "while absent or silent" };
+  const names = { lost_on_link: "on the link", dropped_by_device: "by the device", lost_ring_full: "to a full ring",
+    lost_other: "to other causes", unknown_after_disconnect: "while absent or silent" };
   return Object.entries(names).filter(([key]) => ledger[key] > 0).map(([key, name]) => `${count(ledger[key])} ${name}`);
 }
 
@@ -117,7 +117,7 @@ function samples(take) {
 }
 
 function preRoll({ device, pre_roll: { wanted_s: wanted, held_s: held, held_bytes: size, is_cut: isCut } }) {
-  if (wanted === 0) return { note: "none configured" };
+  if (wanted === 0) return { note: "no pre-roll configured" };
   const metric = { ...value(held.toFixed(1), "s"), note: `of ${rounded(wanted)} s; ${bytes(size).join(" ")}` };
   if (device.outage) return { ...metric, ...watch("no data") };
   if (isCut) return { ...metric, ...watch("limited by memory") };
@@ -127,12 +127,12 @@ function preRoll({ device, pre_roll: { wanted_s: wanted, held_s: held, held_byte
 /** A delay of more than one frame period is marked. */
 function delay({ device }, us) {
   if (device.outage) return { note: "no data" };
-  const metric = { ...value(...microseconds(us)), note: "since the last byte" };
+  const metric = { ...value(...microseconds(us)), note: "after a frame's last byte" };
   return device.rate_hz > 0 && us > 1e6 / device.rate_hz ? { ...metric, ...watch("late") } : metric;
 }
 
 function jitter({ device, input }) {
-  if (input.jitter_p99_us === 0) return { note: "not known yet" };
+  if (input.jitter_p99_us === 0) return { note: "unknown so far" };
   const metric = delay({ device }, input.jitter_p99_us);
   if (device.outage) return metric;
   return { ...metric, note: `drift ${input.drift_ppm.toFixed(1)} ppm` };

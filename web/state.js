@@ -56,7 +56,7 @@ export function fileNotice({ take }) {
 /** The device, as one line. Pure. */
 export function deviceLine({ presence, model, serial, firmware, driver, uri, rate_hz: rateHz, markers }) {
   const parts = [model || "no device", serial, firmware && `firmware ${firmware}`, presence, driver, uri];
-  if (rateHz > 0) parts.push(`${markers} markers at ${Number(rateHz.toFixed(2))} Hz`);
+  if (rateHz > 0) parts.push(`${plural(markers, "marker")} at ${Number(rateHz.toFixed(2))} Hz`);
   return parts.filter(Boolean).join(" · ");
 }
 

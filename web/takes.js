@@ -64,7 +64,7 @@ export class Takes {
       this.#update(row, take);
       if (list.children[place] !== row.element) list.insertBefore(row.element, list.children[place] ?? null);
     });
-    setText(byId("takes-count"), takes.length === 0 ? "none yet" : `the last ${takes.length}`);
+    setText(byId("takes-count"), takes.length === 0 ? "none yet" : `last ${takes.length}`);
   }
 
   showDisconnected() {

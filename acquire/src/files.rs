@@ -81,7 +81,7 @@ pub fn read_bounded(path: &Path, len_max: usize) -> anyhow::Result<Vec<u8>> {
     file.read_to_end(&mut bytes).with_context(|| format!("cannot read {}", path.display()))?;
     ensure!(
         bytes.len() <= len_max,
-        "{} has more than {len_max} bytes, the limit for such a file: is it the right one?",
+        "{} has more than {len_max} bytes, the limit for such a file: check that it is the right one",
         path.display()
     );
     Ok(bytes)
@@ -201,7 +201,7 @@ fn unnamed() -> io::Result<(File, PathBuf)> {
 
 fn scratch_error(dir: &Path, error: &io::Error) -> io::Error {
     let message = format!(
-        "cannot keep a temporary file in {} ({error}): set TMPDIR to another folder",
+        "cannot create a temporary file in {} ({error}): set TMPDIR to another folder",
         dir.display()
     );
     io::Error::new(error.kind(), message)

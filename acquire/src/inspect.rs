@@ -141,12 +141,12 @@ impl Summary {
                 figures(found)
             ),
             None if stated.channels.len() != found.channels.len() => format!(
-                "the summary states figures of {} markers, but the take has {}",
+                "the summary has figures for {} markers, but the take has {}",
                 stated.channels.len(),
                 found.channels.len()
             ),
             None => format!(
-                "the summary states {} frames with samples, {} with kept samples, and {} samples in the latter, but the take holds {}, {} and {}",
+                "the summary states {} frames with samples, {} frames with kept samples and {} samples in those, but the take holds {}, {} and {}",
                 stated.rows_with_samples,
                 stated.key_rows,
                 stated.samples_in_key_rows,
@@ -358,7 +358,7 @@ impl ClaimChecker {
         let rows = u64::from(header.stretch_rows);
         if rows > ROWS_MAX {
             self.report(format!(
-                "the header states stretches of {rows} frames, but the longest have {ROWS_MAX}"
+                "the header states stretches of {rows} frames; the limit is {ROWS_MAX}"
             ));
         }
     }
@@ -368,7 +368,7 @@ impl ClaimChecker {
     fn summary(&mut self, summary: &SummaryRecord, header: &Header, channels: &[Channel]) {
         self.n_summaries += 1;
         if self.n_summaries == 2 {
-            self.report("there is a second summary, but a take has one".to_owned());
+            self.report("there is a second summary; a take has only one".to_owned());
         }
         // A part of an import was cut at a length, and one that was recovered had been cut off.
         let of_imports = [EndingKind::Length, EndingKind::CutOff, EndingKind::Truncated];

@@ -106,7 +106,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     // A take without a frame is useless.
     let remove_empty = |error: anyhow::Error| match id.remove(options.take) {
         Ok(()) => error,
-        Err(e) => error.context(format!("{name} is empty and cannot be removed ({e})")),
+        Err(e) => error.context(format!("cannot remove the empty file {name} ({e})")),
     };
     let is_empty = |failed: &TakeFailed| failed.error.is::<NothingRecorded>();
     match outcome {
@@ -135,7 +135,9 @@ pub(crate) fn nothing_recorded(ending: EndingKind) -> anyhow::Error {
     let why = match ending {
         EndingKind::DeviceGone => "the device was disconnected before its first frame",
         EndingKind::DiskFull => "the disk is full: free some space",
-        EndingKind::Stopped | EndingKind::Length => "it was stopped before the first frame arrived",
+        EndingKind::Stopped | EndingKind::Length => {
+            "the recording was stopped before the first frame arrived"
+        }
         _ => "the device sent no frame: check that it is capturing",
     };
     anyhow!("nothing was recorded: {why}")

@@ -213,7 +213,7 @@ impl Series {
             }
         }
         bail!(
-            "no free name for the next take, up to {}",
+            "no free name for the next take: all names up to {} exist already; move those files, or record under another name",
             self.names.path(self.next_number).display()
         )
     }

@@ -30,7 +30,7 @@ pub struct ManArgs {
 
 /// A command that the program does not have: a usage error.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{program}' has no command '{name}': it has {known}")]
+#[error("'{program}' has no command '{name}'; its commands: {known}")]
 pub struct UnknownCommand {
     program: String,
     name: String,
@@ -175,9 +175,9 @@ mod tests {
     #[test]
     fn an_unknown_command_is_refused_with_a_list_of_commands() {
         for (names, expected) in [
-            (&["frob"][..], "'rig' has no command 'frob': it has plot"),
-            (&["plot", "device"], "'rig plot' has no command 'device': it has pose"),
-            (&["plot", "pose", "x"], "'rig plot pose' has no command 'x': it has none"),
+            (&["frob"][..], "'rig' has no command 'frob'; its commands: plot"),
+            (&["plot", "device"], "'rig plot' has no command 'device'; its commands: pose"),
+            (&["plot", "pose", "x"], "'rig plot pose' has no command 'x'; its commands: none"),
         ] {
             let error = printed(names).unwrap_err();
             assert!(error.is::<UnknownCommand>());

@@ -134,10 +134,7 @@ pub enum OpenError {
         name: String,
     },
     /// No family claims the device.
-    #[error(
-        "no driver recognises {location}: name one with ?driver=NAME, one of {}",
-        family_names()
-    )]
+    #[error("no driver recognises {location}: choose one with ?driver=NAME: {}", family_names())]
     Unclaimed {
         /// Location of the device.
         location: String,

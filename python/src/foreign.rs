@@ -239,7 +239,7 @@ fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
 fn scratch_error(error: &io::Error) -> io::Error {
     let folder = std::env::temp_dir();
     let message = format!(
-        "cannot keep the analog samples of the take in a temporary file in {} ({error}): set TMPDIR to another folder",
+        "cannot write the analog samples of the take to a temporary file in {} ({error}): set TMPDIR to another folder",
         folder.display()
     );
     io::Error::new(error.kind(), message)

@@ -188,8 +188,7 @@ pub struct Stopped {
     pub take_id: String,
     /// Name of the take, without `.take`.
     pub name: String,
-    /// Path where its file is now: another program may have renamed it, or removed it, in which case the recording was
-    /// saved beside it.
+    /// Present path of its file, which another program may have renamed; if one removed it, the path of the saved copy.
     #[schema(value_type = String)]
     #[serde(serialize_with = "path_as_text")]
     pub path: PathBuf,

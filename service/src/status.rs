@@ -97,7 +97,7 @@ pub struct DeviceStatus {
     pub obstacle: Option<String>,
     /// How often it has disconnected and come back since it was armed.
     pub outages: u32,
-    /// Whether an absent device is waited for: as soon as it is back, it is armed or its take continues.
+    /// Whether the service waits for an absent device: once it is back, the service arms or the take continues.
     #[serde(default)]
     pub is_awaited: bool,
     /// The current time without frames, if the device is armed or recorded and is `absent` or `silent`.
@@ -171,7 +171,7 @@ pub struct TakeStatus {
     pub bytes: u64,
     /// Bytes of it that would survive a power cut.
     pub durable_bytes: u64,
-    /// Compression: 12 bytes per present sample, divided by the size of the file; 0 before there are samples.
+    /// Compression ratio: 12 bytes per present sample, divided by the size of the file; 0 before there are samples.
     pub ratio: f64,
     /// Largest error of any sample so far, in millimetres.
     pub max_error_mm: f64,
@@ -180,7 +180,7 @@ pub struct TakeStatus {
     /// What other programs did to its file.
     #[serde(default)]
     pub file: FileState,
-    /// The same as a message that says what to do; `None` while the file is in its place.
+    /// What happened to the file and what to do, as a message; `None` while the file is in its place.
     #[serde(default)]
     pub file_notice: Option<String>,
 }
@@ -204,7 +204,7 @@ pub struct TakeSummary {
     pub markers: usize,
     /// Id, 32 hexadecimal digits; empty while unknown.
     pub take_id: String,
-    /// Why it ended, in the words of `stop`; empty if the take does not say.
+    /// Why it ended, as in the reply to `stop`; empty if the take does not say.
     #[serde(default, with = "ending_word")]
     #[schema(value_type = String)]
     pub ending: Option<EndingKind>,

@@ -103,7 +103,7 @@ impl FromStr for Generated {
         if name != "jump" {
             return Err(format!("unknown motion '{name}', expected jump or jump:SEED"));
         }
-        let bad = |_| format!("bad seed '{seed}': expected 0 to {}", u64::MAX);
+        let bad = |_| format!("invalid seed '{seed}': expected 0 to {}", u64::MAX);
         Ok(Self { seed: seed.parse().map_err(bad)? })
     }
 }

@@ -104,7 +104,9 @@ impl ClockReport {
         let host_s = host_ns as f64 * 1e-9;
         let known = match self.bound_us {
             Some(us) => format!("within {us} us, by {}", count(self.probes, "round trip")),
-            None => "late by the shortest frame delay, unknown without round trips".to_owned(),
+            None => {
+                "late by the shortest frame delay, which is unknown without round trips".to_owned()
+            }
         };
         let offset = format!("device tick {device_ticks} is {host_s:.6} s of host time, {known}");
         line("offset", &offset);

@@ -23,7 +23,7 @@ use super::{
     take. An event marks the beginning of any other take."
 )]
 pub(crate) struct Args {
-    /// The takes, in order, or folders, whose takes are in the order of their names; they are not changed
+    /// The takes, in order, or folders, whose takes are joined in the order of their names; they are not changed
     #[arg(required = true, value_name = "TAKES")]
     takes: Vec<PathBuf>,
     /// With folders, also join the takes in their subfolders
@@ -93,7 +93,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         report.takes.iter().filter(|take| take.frames_missing_before > 0)
     {
         notify(&format!(
-            "{}: {} of the recording before {} are in none of the takes: they are gaps, as if the device had been away",
+            "{}: {} of the recording before {} are in none of the takes: they are gaps, as if the device had been disconnected",
             args.output.display(),
             count(*frames_missing_before, "frame"),
             take.display()

@@ -44,8 +44,8 @@ pub(crate) struct Args {
     /// Keep frames before this time
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     to: Option<Duration>,
-    /// Keep frames from A on and before B: 1200..2400, 1200.. or ..2400. They are counted from 0, whatever numbers the
-    /// imported file gives them
+    /// Keep frames from A on and before B: 1200..2400, 1200.. or ..2400. They are counted from 0, even if the
+    /// imported file numbers them otherwise
     #[arg(long, value_name = "A..B", conflicts_with_all = ["from", "to"])]
     frames: Option<FrameRange>,
     /// Extend the range to whole stretches, so that all frames are copied

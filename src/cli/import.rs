@@ -57,8 +57,9 @@ pub(crate) struct Args {
     #[command(flatten)]
     effort: EffortArgs,
     /// Largest error of analog channels of C3D files, which are exact otherwise: in steps of the converter (1count), in
-    /// the unit of the channel (0.5N, or 0.5 for whichever unit it has), or in % of the channel's range (0.1%); for some
-    /// channels with a pattern of * and ? before it (EMG*=0.1%, F?z*=0.5N). Can be repeated: the last match applies
+    /// the unit of the channel (0.5N, or 0.5 for whichever unit it has), or in % of the channel's range (0.1%); to limit
+    /// it to some channels, put a pattern with * and ? before it (EMG*=0.1%, F?z*=0.5N). Can be repeated: the last match
+    /// applies
     #[arg(long, value_name = "[PATTERN=]VALUE", value_parser = str::parse::<ChannelTolerance>, conflicts_with = "drop_foreign")]
     analog_tolerance: Vec<ChannelTolerance>,
     #[command(flatten)]

@@ -31,14 +31,14 @@ impl OutagesReport {
         let (away, frames) = (count(u64::from(self.count), "time"), count(self.frames, "frame"));
         let seconds = self.seconds;
         let text = format!(
-            "the device was away or silent {away}, for {seconds:.3} s of the take: {frames} missing"
+            "the device was absent or silent {away}, for {seconds:.3} s of the take: {frames} missing"
         );
         (self.frames > 0).then_some(text)
     }
 }
 
 /// Frames that the device may or may not have produced.
-const UNKNOWN: &str = "unknown: the device was away or silent";
+const UNKNOWN: &str = "unknown: the device was absent or silent";
 
 /// The ledger of a recording, one line per entry, with its balance.
 pub(crate) fn text(ledger: &LedgerDocument) -> String {

@@ -51,7 +51,7 @@ pub(crate) use output::notify;
 #[command(
     version,
     propagate_version = true,
-    after_help = "Exit codes: 0 done, 1 failed, 2 usage error or refused value, 3 done but data was lost"
+    after_help = "Exit codes: 0 done, 1 failed, 2 usage error or invalid value, 3 done but data was lost"
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]
@@ -70,7 +70,7 @@ enum Command {
     Run(run::Args),
     /// Convert a C3D, TRC, QTM TSV or CSV file to a take
     Import(import::Args),
-    /// Convert a take to a format of other tools: C3D, TRC, CSV, XDF, BIDS and more
+    /// Convert a take to the format of another tool: C3D, TRC, CSV, XDF, BIDS and more
     Export(export::Args),
     /// Show what is in a take: header, sizes and ledger; samples, gaps, kept samples and error of each marker
     Info(info::Args),
@@ -181,7 +181,7 @@ The Debian package installs the pages.";
 const EXIT_STATUS: [(u8, &str); 5] = [
     (0, "Done, and nothing was lost."),
     (1, "Failed, with a message; of several files, at least one failed."),
-    (2, "Wrong usage, or a value that is refused."),
+    (2, "Usage error, or an invalid value."),
     (
         3,
         "Done, but data was lost: the input or the result is damaged, incomplete or outside its bound.",

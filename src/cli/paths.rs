@@ -185,7 +185,7 @@ pub(super) fn check_stdout(json: bool) -> anyhow::Result<()> {
 /// If something exists there, or nothing can be created in its folder; a usage error for `-`.
 pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
     if is_dash(path) {
-        let message = "cannot write to standard output: name a file (./- for a file of the name -)";
+        let message = "cannot write to standard output: name a file (./- for a file named -)";
         return Err(UsageError(message.to_owned()).into());
     }
     let folder = folder_of(path);

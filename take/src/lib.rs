@@ -64,7 +64,7 @@ pub enum NotATake {
     #[error("its header is missing or damaged")]
     NoHeader,
     /// Another program changed the file during the read.
-    #[error("another program changed it during the read")]
+    #[error("another program changed it while it was being read")]
     Changed,
 }
 

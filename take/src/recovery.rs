@@ -388,5 +388,5 @@ fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> 
 }
 
 fn changed(offset: u64) -> TakeError {
-    TakeError::corrupt("chunk", offset, "the file changed while it was read")
+    TakeError::corrupt("chunk", offset, "another program changed the file while it was being read")
 }

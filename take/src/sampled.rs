@@ -78,10 +78,10 @@ impl SampleSpan {
         let head = cursor.byte().ok_or("it is empty")?;
         let mut number = || cursor.varint().ok_or("its numbers are incomplete");
         let (group, first, n) = (number()?, number()?, number()?);
-        let group = u32::try_from(group).map_err(|_| "its group cannot exist")?;
+        let group = u32::try_from(group).map_err(|_| "the number of its group is too large")?;
         let end = first.checked_add(n).filter(|end| *end <= crate::record::SAMPLES_MAX);
         if n == 0 || end.is_none() {
-            return Err("it has samples that cannot exist");
+            return Err("its range of samples is empty or too large");
         }
         let rest = cursor.rest();
         let (content, block) = match (head, rest) {

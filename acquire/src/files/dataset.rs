@@ -1,4 +1,4 @@
-//! Recordings that are added to a BIDS data set, whole or not at all.
+//! Recordings that are added to a BIDS dataset, whole or not at all.
 //!
 //! Files are written without names, so a killed program leaves none. They get their names within milliseconds, once all
 //! are complete: for a new data set in a hidden folder that is then renamed; in an existing one they are linked into
@@ -41,8 +41,8 @@ pub enum DatasetError {
         .0.display()
     )]
     Exists(PathBuf),
-    /// The folder is not a data set.
-    #[error("{} is no BIDS data set that a recording can be added to: {reason}", .path.display())]
+    /// The folder is not a dataset.
+    #[error("cannot add a recording to {}: {reason}; name a BIDS dataset of raw data, or a new folder", .path.display())]
     NotADataset {
         /// The folder.
         path: PathBuf,

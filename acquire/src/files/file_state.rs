@@ -64,7 +64,7 @@ impl DisplacedFile {
         let Self { created_as, open_at, bytes: (found, written), .. } = self;
         let (take, open_at) = (created_as.display(), open_at.display());
         match self.state {
-            FileState::InPlace => format!("the take {take} is back in its place"),
+            FileState::InPlace => format!("the take {take} is back at its path"),
             FileState::Removed => format!(
                 "the take {take} was removed during the recording, which continues in {open_at}; a copy is saved at the end, if its folder still exists. To save one now: cp {open_at} NEW.take"
             ),
@@ -110,7 +110,7 @@ impl SettledFile {
             ),
             (FileState::Removed, None, problem) => format!(
                 "the take {take} was removed during the recording, and could not be saved: {}",
-                problem.as_deref().unwrap_or("the reason is unknown")
+                problem.as_deref().unwrap_or("unknown reason")
             ),
             (FileState::Renamed, Some(path), _) => format!(
                 "the take {take} was renamed during the recording: it is now {}",

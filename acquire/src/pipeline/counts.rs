@@ -225,7 +225,7 @@ impl Counts {
         }
         if self.counter_jumps > 0 {
             contradictions.push(format!(
-                "the device's frame counter jumped {} in a way that no loss explains",
+                "the device's frame counter jumped {}, which lost frames do not explain",
                 count_text(self.counter_jumps)
             ));
         }
@@ -235,7 +235,8 @@ impl Counts {
         }
         let n = self.events_dropped;
         if n > 0 {
-            contradictions.push(format!("{n} events are missing from the take: the disk stalled"));
+            let events = if n == 1 { "1 event is".to_owned() } else { format!("{n} events are") };
+            contradictions.push(format!("{events} missing from the take: the disk stalled"));
         }
         let dropped_by_device = dropped.min(missing);
         Ledger {

@@ -162,8 +162,8 @@ impl Plan {
     pub(super) fn new(config: &PipelineConfig) -> anyhow::Result<Self> {
         ensure!(
             config.codec.kind.is_live(),
-            "the resampler {} needs whole takes: record with dense, fast or lossless, \
-             then export and import with it",
+            "the resampler {0} needs the whole take: record with dense, fast or lossless, \
+             then export the take and import it with {0}",
             config.codec.kind
         );
         ensure!(

@@ -195,7 +195,7 @@ impl Rig {
                             return Ok(EndingKind::DeviceGone);
                         }
                         Err(error) => {
-                            return Err(anyhow!(error).context("starting the device again"));
+                            return Err(anyhow!(error).context("restarting the device"));
                         }
                     }
                 }
@@ -526,8 +526,7 @@ impl Rig {
         options: &ReadOptions<'_>,
     ) -> Result<bool, TransportError> {
         if let Some(status) = reader.lost_end_status(now) {
-            let text =
-                "the end of the stream was lost on the line: the device says that it has ended";
+            let text = "the end-of-stream message was lost on the line: the device reports that its stream has ended";
             reader.intake.event(host_event(text));
             (options.notify)(text);
             reader.intake.status(status, true);
@@ -562,9 +561,9 @@ impl Rig {
         reader.restarts += 1;
         reader.reset_counters();
         if reader.restarts <= RESTARTS_REPORTED_MAX {
-            reader.intake.event(host_event("the device identified itself and was restarted"));
+            reader.intake.event(host_event("the device identified itself again and was restarted"));
             (options.notify)(
-                "the device identified itself, as after a reset, a power loss or a long silence: mocapd started it again",
+                "the device identified itself again, as after a reset, a power loss or a long silence: mocapd restarted it",
             );
         }
         if now.rate_millihertz != self.hello.rate_millihertz {

@@ -82,7 +82,7 @@ impl CollectedTakes {
     fn remove(&mut self, (path, id): (PathBuf, FileId)) {
         if let Err(error) = id.remove(&path) {
             let path = path.display();
-            self.problem = Some(format!("{path} is empty and cannot be removed ({error})"));
+            self.problem = Some(format!("cannot remove the empty file {path} ({error})"));
         }
     }
 

@@ -45,7 +45,7 @@ impl Effort {
         if (Self::MIN.0..=Self::MAX.0).contains(&level) {
             return Ok(Self(level));
         }
-        Err(CodecError::InvalidArgument(format!("an effort is 1 to 9, not {level}")))
+        Err(CodecError::InvalidArgument(format!("effort {level} is out of range: give 1 to 9")))
     }
 
     /// The level, 1 to 9.
@@ -89,7 +89,9 @@ impl FromStr for Effort {
 
     fn from_str(text: &str) -> Result<Self, CodecError> {
         let level = text.parse().map_err(|_| {
-            CodecError::InvalidArgument(format!("an effort is a number from 1 to 9, not {text:?}"))
+            CodecError::InvalidArgument(format!(
+                "'{text}' is not an effort: give a number from 1 to 9"
+            ))
         })?;
         Self::new(level)
     }

@@ -180,6 +180,6 @@ impl Cells {
             CellForm::Stored => true,
         };
         let is_valid = is_valid && self.decimals.is_none_or(|decimals| decimals <= DECIMALS_MAX);
-        crate::ensure(is_valid, "a representation of no values")
+        crate::ensure(is_valid, "an invalid representation of the samples")
     }
 }

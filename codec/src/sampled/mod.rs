@@ -309,8 +309,11 @@ impl SampledDecoder {
         let (&head, payload) =
             block.split_first().ok_or(CodecError::Truncated("the number of channels"))?;
         let n_channels = usize::from(head & !RAW);
-        ensure((1..=GROUP_CHANNELS).contains(&n_channels), "a number of channels")?;
-        ensure(key || n_channels == self.group.n_channels, "another number of channels")?;
+        ensure((1..=GROUP_CHANNELS).contains(&n_channels), "an impossible number of channels")?;
+        ensure(
+            key || n_channels == self.group.n_channels,
+            "a number of channels that differs from the key block's",
+        )?;
         self.group.begin(n_channels, n_rows, key)?;
         if head & RAW != 0 {
             let (samples, rest) = payload.as_chunks::<4>();

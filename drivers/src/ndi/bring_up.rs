@@ -237,7 +237,7 @@ impl NdiHost {
     fn finish_bring_up(&mut self) {
         if !self.bx2 && self.table.is_empty() {
             // BX carries frame numbers in its tool data: without a tool, frames have no number.
-            self.fail("no tool is plugged into the NDI system, whose firmware numbers frames only if there is one: plug one in".to_owned());
+            self.fail("no tool is plugged into the NDI system, and its firmware numbers frames only with a tool: plug one in".to_owned());
             return;
         }
         let hello = &mut self.hello;

@@ -21,7 +21,7 @@ class PlateLoads:
     """The loads of a force plate, in the laboratory's axes: arrays with a row for each analog sample, NaN where the file
     has no sample.
 
-    They are reactions, what the plate does to the subject: standing on a plate gives a force that points up.
+    They are the reactions of the plate on the subject: standing on a plate gives a force that points up.
     """
 
     time_s: Values
@@ -65,13 +65,13 @@ class ForcePlate:
         """Its corners in the laboratory, in millimetres: float64 [4, 3]. In the plate's own axes they are in the
         quadrants +x +y, -x +y, -x -y, +x -y."""
         self.origin_mm = origin_mm
-        """FORCE_PLATFORM:ORIGIN in the plate's own axes, in millimetres: float64 [3]. Of types 2 and 4 it leads from the
-        origin of the sensors to the centre of the surface; of type 3, x and y are half the distances of the sensors, and
+        """FORCE_PLATFORM:ORIGIN in the plate's own axes, in millimetres: float64 [3]. For types 2 and 4 it leads from the
+        origin of the sensors to the centre of the surface; for type 3, x and y are half the distances of the sensors, and
         z is the height of their origin above the surface."""
         self.channels: tuple[AnalogChannel, ...] = tuple(analog.channels[channel] for channel in channels)
-        """Its analog channels, in the order that its type defines: six, or eight of type 3."""
+        """Its analog channels, in the order that its type defines: six, or eight for type 3."""
         self.calibration = calibration
-        """Of type 4: the matrix that turns its channels into newtons and newton metres, float64 [6, 6]."""
+        """For type 4: the matrix that turns its channels into newtons and newton metres, float64 [6, 6]."""
 
     def __repr__(self) -> str:
         return f"<mocapd.ForcePlate {self.number} of {self._path!r}: type {self.type}>"

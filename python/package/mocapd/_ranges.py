@@ -11,7 +11,7 @@ SAMPLES_MAX = 1 << 30
 def index_at(time_s: float, rate_hz: float, n: int) -> int:
     """The first of ``n`` samples that is at or after a time; ``n`` if all are before it.
 
-    A time within rounding errors of a sample's is that sample's.
+    A time that differs from a sample's only by rounding selects that sample.
     """
     if not time_s >= 0:
         raise ValueError(f"time {time_s} s: times are seconds from the first frame, 0 or more")
@@ -28,7 +28,7 @@ def check_order(start: float | None, end: float | None) -> None:
 
 
 def index_range(start_s: float | None, stop_s: float | None, rate_hz: float, n: int) -> tuple[int, int]:
-    """The samples at or after ``start_s`` and before ``stop_s``, as first and one past the last."""
+    """The range of the samples at or after ``start_s`` and before ``stop_s``: the first, and one past the last."""
     check_order(start_s, stop_s)
     first = 0 if start_s is None else index_at(start_s, rate_hz, n)
     stop = n if stop_s is None else index_at(stop_s, rate_hz, n)
@@ -42,7 +42,7 @@ def check_size(n_samples: int, n_columns: int, what: str) -> None:
 
 
 def unique_names(names: list[str] | tuple[str, ...]) -> list[str]:
-    """The names, each once: a later one of the same name has its column appended, ``LKNE#7``."""
+    """The names, made unique: if several are the same, the later ones have their column appended, ``LKNE#7``."""
     found: dict[str, None] = {}
     for column, name in enumerate(names):
         while name in found:

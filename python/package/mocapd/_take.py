@@ -61,9 +61,10 @@ def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
 
 
 class Take:
-    """An open take: marker trajectories, frame times, events and the ledger; and what an import has besides.
+    """An open take: marker trajectories, frame times, events and the ledger; for an import also its analog channels,
+    force plates and parameters.
 
-    It holds the file open until it is closed: by :meth:`close`, at the end of a ``with`` block, or because nothing refers
+    It holds the file open until it is closed: by :meth:`close`, at the end of a ``with`` block, or when nothing refers
     to it any more.
 
     ``take[100:200]`` are the positions of frames 100 to 199, [frames, markers, 3]; ``take["LKNE"]`` is a marker;
@@ -181,10 +182,10 @@ class Take:
 
     @cached_property
     def metadata(self) -> Metadata:
-        """The groups of parameters of an imported C3D file: ``take.metadata["POINT"]["UNITS"]``. Empty for others.
+        """The groups of parameters of an imported C3D file: ``take.metadata["POINT"]["UNITS"]``. Empty for other takes.
 
-        Names are in upper case. A text is a str, a list of texts a list; a number is an int or a float, more are an
-        array with the dimensions of the C3D file (``CORNERS`` of two plates has the shape 3, 4, 2). Values are those
+        Names are in upper case. A text is a str, several are a list of str; a number is an int or a float, several are
+        an array with the dimensions of the C3D file (``CORNERS`` of two plates has the shape 3, 4, 2). Values are those
         of the file, in its units.
 
         Raises
@@ -419,7 +420,7 @@ class Take:
             One row per bone of the subject's skeleton, indexed by its name: ``parent``, ``child``, ``length_mm``,
             ``uncertainty_mm``, ``spread_mm``, ``scans``.
 
-        ``frame.attrs`` states units and axes. If the take does not have what was asked for, the frame is empty.
+        ``frame.attrs`` states units and axes. If the take lacks the requested content, the frame is empty.
 
         Raises
         ------
@@ -470,7 +471,7 @@ class Take:
     def _range(
         self, start_s: float | None, stop_s: float | None, start_frame: int | None = None, stop_frame: int | None = None
     ) -> tuple[int, int]:
-        """The range of frames, as first and one past the last."""
+        """The range of frames: the first, and one past the last."""
         first = self._frame(start_s, start_frame, 0)
         stop = self._frame(stop_s, stop_frame, self.n_frames)
         # Ends beyond the take are cut off to its length, so they are compared as given, too.

@@ -216,7 +216,7 @@ fn part(info: &MotionInfo, rows: (u64, u64)) -> MotionInfo {
 
 fn no_samples(what: &str) -> ReportError {
     ReportError::Nothing(format!(
-        "the take has no {what}: they are those of an imported C3D file (imported without --drop-foreign)"
+        "the take has no {what}: only takes imported from C3D files without --drop-foreign have them"
     ))
 }
 

@@ -347,7 +347,9 @@ impl ConfigValue for usize {
     fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
         raw.read(|value| {
             if matches!(value, DeValue::Float(_)) {
-                return Err(Some("a whole number needs no decimal point or exponent".to_owned()));
+                return Err(Some(
+                    "write a whole number without a decimal point or exponent".to_owned(),
+                ));
             }
             let number = whole(value).and_then(|number| u64::try_from(number).ok()).ok_or(None)?;
             let ValueType::Integer(range) = &raw.key.values else { return Err(None) };
@@ -454,13 +456,13 @@ pub(super) fn path(text: &str, bytes_max: usize) -> Result<PathBuf, String> {
 pub(super) fn address(text: &str) -> Result<SocketAddr, String> {
     text.parse().map_err(|_| match text.rsplit_once(':') {
         Some(("localhost", port)) => {
-            format!("names are not resolved: write 127.0.0.1:{} or [::1]:{0}", excerpt(port))
+            format!("host names are not resolved: write 127.0.0.1:{} or [::1]:{0}", excerpt(port))
         }
         Some((host, _)) if host.parse::<std::net::Ipv6Addr>().is_ok() => {
             "an IPv6 address needs brackets before the port, as in [::1]:7060".to_owned()
         }
         Some((host, _)) if host.contains(char::is_alphabetic) && !host.contains([':', '[']) => {
-            format!("names are not resolved: write the address of {}", excerpt(host))
+            format!("host names are not resolved: write the address of {}", excerpt(host))
         }
         _ if text.parse::<std::net::IpAddr>().is_ok() => "the port is missing".to_owned(),
         _ => "it is not an address with a port".to_owned(),

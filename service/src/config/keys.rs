@@ -274,7 +274,7 @@ fn resampler(text: &str) -> Read<ResamplerKind> {
     match text.parse::<ResamplerKind>() {
         Ok(kind) if kind.is_live() => Ok(kind),
         Ok(_) => Err(Some(
-            "it needs whole takes: record with dense, fast or lossless, then export and import with it"
+            "it needs the whole take: record with dense, fast or lossless, then export the take and import it with this resampler"
                 .to_owned(),
         )),
         Err(_) => Err(suggestion(text, ["dense", "fast", "lossless"].into_iter())),

@@ -73,8 +73,11 @@ fn space(free_bytes: u64, keep_free_bytes: u64) -> Finding {
     let mb = |bytes: u64| bytes as f64 / 1e6;
     let what = "disk space";
     let left = free_bytes.saturating_sub(keep_free_bytes);
-    let seen =
-        format!("{:.0} MB free, of which {:.0} are kept free", mb(free_bytes), mb(keep_free_bytes));
+    let seen = format!(
+        "{:.0} MB free, {:.0} MB of which are kept free",
+        mb(free_bytes),
+        mb(keep_free_bytes)
+    );
     if left < RESERVE_MIN_BYTES {
         Finding::failure(what, seen, "delete some files, or record to another disk")
     } else if left < HOUR_BYTES {
@@ -94,16 +97,16 @@ fn kind(f_type: u64) -> Finding {
         0x5846_5342 => Finding::good(what, "XFS"),
         0xf2f5_2010 => Finding::good(what, "F2FS"),
         0x2fc1_2fc1 => Finding::good(what, "ZFS"),
-        0x794c_7630 => Finding::note(what, "overlay: in a container, takes may be deleted with it"),
+        0x794c_7630 => Finding::note(what, "overlay: takes may be deleted with their container"),
         0x0102_1994 | 0x8584_58f6 => {
-            Finding::warning(what, "in memory: a power cut loses it", "record to a disk")
+            Finding::warning(what, "in memory: a power cut loses all takes", "record to a disk")
         }
         0x6969 => Finding::warning(what, "NFS: fails when the network fails", network),
         0xff53_4d42 | 0xfe53_4d42 | 0x517b => {
             Finding::warning(what, "SMB: fails when the network fails", network)
         }
         0x4d44 => {
-            let seen = "FAT: files are limited to 4 GB, and a power cut may damage all of them";
+            let seen = "FAT: files are limited to 4 GiB, and a power cut may damage all of them";
             Finding::warning(what, seen, "record to ext4, XFS or btrfs")
         }
         0x6573_5546 => Finding::note(what, "FUSE: its program decides whether a sync is effective"),
@@ -185,7 +188,7 @@ mod tests {
         assert_eq!(space(300 << 20, 256 << 20).verdict, Verdict::Warning);
         assert_eq!(space(257 << 20, 256 << 20).verdict, Verdict::Failure);
         assert_eq!(kind(0xef53).verdict, Verdict::Good);
-        assert!(kind(0x4d44).seen.contains("4 GB"));
+        assert!(kind(0x4d44).seen.contains("4 GiB"));
         assert!(kind(0x1234).seen.contains("0x1234"));
         assert_eq!(speed(1e6).verdict, Verdict::Warning);
         let mut syncs = LatencyHistogram::default();

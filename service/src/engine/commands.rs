@@ -73,7 +73,8 @@ impl Inner {
                 return Ok(());
             }
             if let Some(obstacle) = &core.device.obstacle {
-                let message = format!("{obstacle}; it is armed as soon as the device is available");
+                let message =
+                    format!("{obstacle}; the service arms as soon as the device is available");
                 return Err(Refusal::device(message));
             }
             if Instant::now() >= until {
@@ -177,7 +178,7 @@ impl Inner {
         match refused {
             // A frame arrived after all, a moment too late.
             Ok(stopped) => Refusal::device(format!(
-                "no frame was on disk within {} s: is the device capturing? The frames that came late are in {}",
+                "no frame was on disk within {} s: is the device capturing? Frames that arrived later are in {}",
                 FIRST_FRAME_TIMEOUT.as_secs(),
                 stopped.path.display()
             )),

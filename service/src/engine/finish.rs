@@ -187,7 +187,7 @@ impl Inner {
         let message = if error.is::<NothingRecorded>() {
             let left = match file.remove(path) {
                 Ok(()) => format!("there is no take {name}"),
-                Err(e) => format!("{} is empty and cannot be removed ({e})", path.display()),
+                Err(e) => format!("cannot remove the empty file {} ({e})", path.display()),
             };
             format!("{error:#}: {left}; check the disk, and try again")
         } else {

@@ -74,8 +74,7 @@ impl Inner {
             _ => {}
         }
         if exhausted {
-            let message =
-                "all reserve channels are used by markers that appeared: restarting the pre-roll";
+            let message = "new markers have used all reserve channels: restarting the pre-roll";
             self.publish(ServiceEventKind::Warning, message, None);
             if let Some(session) = &self.core().session {
                 session.stop.store(true, Ordering::Relaxed);

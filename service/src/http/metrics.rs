@@ -160,8 +160,12 @@ macro_rules! figures {
 impl StatusMetrics {
     fn service(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let status = &self.status;
-        let mut build =
-            out.0.encode_descriptor("build_info", "Program and rig", None, MetricType::Gauge)?;
+        let mut build = out.0.encode_descriptor(
+            "build_info",
+            "Software version and name of the rig; always 1",
+            None,
+            MetricType::Gauge,
+        )?;
         let labels = [("software", status.software.as_str()), ("rig", status.rig.as_str())];
         ConstGauge::new(1.0).encode(build.encode_family(&labels)?)?;
         figures! { out:
@@ -175,13 +179,18 @@ impl StatusMetrics {
             State::Failed => "failed",
         };
         let names = ["idle", "armed", "recording", "failed"];
-        out.one_of("state", "State of the service: 1 for the current state", &names, state)
+        out.one_of(
+            "state",
+            "State of the service: 1 for the current state, 0 for the others",
+            &names,
+            state,
+        )
     }
 
     fn device(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let device = &self.status.device;
         let names = ["absent", "present", "streaming", "silent"];
-        let help = "Presence of the device: 1 for the current one";
+        let help = "Presence of the device: 1 for the current presence, 0 for the others";
         out.one_of("device_presence", help, &names, &device.presence.to_string())?;
         let outage = device.outage.unwrap_or_default();
         figures! { out:
@@ -189,9 +198,9 @@ impl StatusMetrics {
             gauge device_rate in Hertz = device.rate_hz;
             /// Markers announced by the device, and those that appeared since
             gauge device_markers = device.markers as f64;
-            /// Times that the device disconnected and came back since it was armed
+            /// Number of times that the device disconnected and came back since it was armed
             counter device_outages = u64::from(device.outages);
-            /// 1 while the device is absent and waited for
+            /// 1 while the service waits for an absent device
             gauge device_is_awaited = flag(device.is_awaited);
             /// Time since the last frame while the device should stream but does not; otherwise 0
             gauge device_outage in Seconds = outage.seconds;
@@ -200,7 +209,7 @@ impl StatusMetrics {
         }
         if let Some(ends_in_s) = outage.ends_in_s {
             figures! { out:
-                /// Time until an absent device is given up and its take ends
+                /// Time until the service stops waiting for an absent device and ends the take
                 gauge device_outage_ends_in in Seconds = ends_in_s;
             }
         }
@@ -296,7 +305,7 @@ fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> fmt::Result {
         gauge take_size in Bytes = take.bytes as f64;
         /// Bytes of the take that would survive a power cut
         gauge take_durable in Bytes = take.durable_bytes as f64;
-        /// 12 bytes per present sample, divided by the size of the file; 0 before there are samples
+        /// Compression ratio: 12 bytes per present sample, divided by the size of the file; 0 before there are samples
         gauge take_compression in Ratio = take.ratio;
         /// Largest error of any sample of the take so far
         gauge take_max_error in Meters = take.max_error_mm / 1e3;
@@ -364,7 +373,7 @@ fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> fmt::Result {
         gauge last_take_markers = take.markers as f64;
     }
     let names = TakeHealth::ALL.map(TakeHealth::name);
-    let help = "Health of the previous take: 1 for the current one";
+    let help = "Health of the previous take: 1 for its health, 0 for the others";
     out.one_of("last_take_health", help, &names, take.health.name())
 }
 

@@ -259,7 +259,7 @@ fn remove_stale_socket(path: &Path) -> anyhow::Result<()> {
         found => found.with_context(|| format!("cannot read {}", path.display()))?,
     };
     if !found.file_type().is_socket() {
-        bail!("{} exists and is no socket: choose another path, or move it away", path.display());
+        bail!("{} exists and is not a socket: choose another path, or move it", path.display());
     }
     match std::os::unix::net::UnixStream::connect(path) {
         Ok(_) => bail!("another service is running on {}: stop it first", path.display()),

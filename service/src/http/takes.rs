@@ -300,7 +300,7 @@ pub struct TakeCheck {
     pub name: String,
     /// Health as in the list, or `damaged` if there is damage between header and end.
     pub health: TakeHealth,
-    /// Why it ended, as in the response to `stop`; empty if the take does not say.
+    /// Why it ended, as in the reply to `stop`; empty if the take does not say.
     #[serde(default)]
     pub ending: String,
     /// Size of the file in bytes.
@@ -319,10 +319,10 @@ pub struct TakeCheck {
     pub tolerance_mm: f64,
     /// Largest error stated in the take, in millimetres.
     pub max_error_mm: f64,
-    /// Whether the ledger does not close or disagrees with the samples, then what is missing or damaged: the first
-    /// hundred problems.
+    /// The first hundred problems: a ledger that does not close or disagrees with the samples, and what is missing or
+    /// damaged.
     pub problems: Vec<String>,
-    /// Statements of the take about itself that are wrong: the first hundred.
+    /// The first hundred contradictions: what the take states about itself and its data disproves.
     pub contradictions: Vec<String>,
     /// Its last ledger.
     pub ledger: Option<LedgerDocument>,

@@ -188,7 +188,7 @@ pub fn unused_part_notes(subject: Option<&Subject>, labels: &[String]) -> Vec<St
     let mut notes = Vec::new();
     if limbs_between(subject, labels).is_some_and(|limbs| limbs.is_empty()) {
         notes.push(
-            "no bone of the skeleton has markers at both ends according to the labels: it is stored in the take but has no effect".to_owned(),
+            "no bone of the skeleton has markers labelled as both of its ends: the skeleton is stored in the take but has no effect".to_owned(),
         );
     }
     if let Ok(Some(Mapping { markers })) = mapping(subject) {
@@ -201,7 +201,7 @@ pub fn unused_part_notes(subject: Option<&Subject>, labels: &[String]) -> Vec<St
             ));
         } else if n_here < n {
             notes.push(format!(
-                "only {n_here} of the {n} markers of the face are in the take: they alone place it"
+                "only {n_here} of the {n} markers of the face are in the take: the face is placed by these"
             ));
         }
     }

@@ -21,7 +21,7 @@ pub(crate) use output::notify;
     name = "mocapd-sim",
     version,
     propagate_version = true,
-    after_help = "Exit codes: 0 done, 1 failed, 2 usage error or refused value"
+    after_help = "Exit codes: 0 done, 1 failed, 2 usage error or invalid value"
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]
@@ -111,7 +111,7 @@ The Debian package installs the pages.";
 const EXIT_STATUS: [(u8, &str); 3] = [
     (0, "Done; for serve also: ended by Ctrl-C."),
     (1, "Failed, with a message."),
-    (2, "Wrong usage, or a value that is refused."),
+    (2, "Usage error, or an invalid value."),
 ];
 
 fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
@@ -164,7 +164,7 @@ mod tests {
         assert_eq!(failure.code, 2);
         assert_eq!(
             failure.error.to_string(),
-            "'mocapd-sim' has no command 'frob': it has serve, generate, completions, man"
+            "'mocapd-sim' has no command 'frob'; its commands: serve, generate, completions, man"
         );
     }
 }

@@ -142,7 +142,7 @@ pub enum GadgetError {
         found: String,
     },
     /// The serial number is malformed.
-    #[error("bad serial number '{found}': expected 1 to 32 letters, digits, '-', '_' or '.'")]
+    #[error("invalid serial number '{found}': expected 1 to 32 letters, digits, '-', '_' or '.'")]
     SerialNumber {
         /// The serial number.
         found: String,

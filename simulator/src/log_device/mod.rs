@@ -29,7 +29,7 @@ pub enum LogDeviceError {
     Log(#[from] RawLogError),
     /// The log is from a device of another protocol.
     #[error(
-        "this log is of driver '{driver}', but only logs of the link protocol (dvmc) can be replayed: an NDI \
+        "this log was recorded with the driver '{driver}', but only logs of the link protocol (dvmc) can be replayed: an NDI \
          system needs breaks and changes of line speed, which a pty does not carry"
     )]
     Driver {
@@ -40,7 +40,7 @@ pub enum LogDeviceError {
     #[error("nothing to replay: the log has no bytes from the device")]
     Silent,
     /// The log is damaged before the first bytes from the device.
-    #[error("nothing to replay before the log breaks off: {0}")]
+    #[error("nothing to replay: the log breaks off before the first bytes from the device: {0}")]
     Unreadable(RawLogError),
     /// The requested speed is out of range.
     #[error("speed {found} is out of range: expected 0.001 to 1000")]

@@ -219,7 +219,10 @@ impl ResponseStream<'_> {
             let body = self.response.body_mut();
             let frame = self.client.runtime.block_on(async { timeout(within, body.frame()).await });
             match frame {
-                Err(_) => bail!("received nothing for {} s", within.as_secs_f64()),
+                Err(_) => bail!(
+                    "received nothing for {} s: check that the service is still running",
+                    within.as_secs_f64()
+                ),
                 Ok(None) => return Ok(None),
                 Ok(Some(Err(error))) => return Err(connection_lost(&error).into()),
                 Ok(Some(Ok(frame))) => {

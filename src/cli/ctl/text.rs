@@ -127,9 +127,9 @@ fn without_device(status: &Status) -> Option<String> {
     if status.take.is_some() {
         let ends = outage.ends_in_s.map(|left_s| format!(" within {}", duration(left_s as u64)));
         let (missing, ends) = (count(outage.frames, "frame"), ends.unwrap_or_default());
-        out += &format!(", {missing} missing, recording resumes when it is back{ends}");
+        out += &format!(", {missing} missing, recording resumes when the device is back{ends}");
     } else {
-        out += ", nothing can be recorded until it is back";
+        out += ", nothing can be recorded until the device is back";
     }
     Some(out)
 }
@@ -157,7 +157,7 @@ pub(super) fn stopped(stopped: &Stopped) -> String {
     let path = stopped.path.display().to_string();
     let frames = frames_of(stopped.ledger.recorded, stopped.rows);
     let (size, ending) = (bytes(stopped.bytes), stopped.ending.map_or("", EndingKind::name));
-    format!("{}: {frames}, {:.1} s, {size}; it ended: {ending}\n", plain(&path), stopped.seconds)
+    format!("{}: {frames}, {:.1} s, {size}; ended: {ending}\n", plain(&path), stopped.seconds)
 }
 
 pub(super) fn takes(takes: &[TakeSummary]) -> String {

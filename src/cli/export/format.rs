@@ -27,8 +27,8 @@ pub(super) struct FormatArgs {
     /// For parquet: one row per frame, with three columns per marker, instead of one row per sample
     #[arg(long)]
     wide: bool,
-    /// For mot: subtract from each channel of a force plate its mean over the frames that the C3D file declares
-    /// unloaded (`FORCE_PLATFORM:ZERO`)
+    /// For mot: subtract the mean of each force plate channel over the frames that the C3D file declares unloaded
+    /// (`FORCE_PLATFORM:ZERO`)
     #[arg(long)]
     subtract_baseline: bool,
     /// For bids: label of the subject, letters and digits [default: 01]

@@ -50,7 +50,7 @@ pub(crate) struct Args {
     takes: Vec<PathBuf>,
     /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf, .mot (force plates) or, if built in, .parquet or
     /// .mcap. It must not exist. For several takes the folder to write into, with `--to FORMAT`; a file there that has
-    /// the same content is left as it is. With `--to bids` the data set to create or to add to. `-` writes to standard
+    /// the same content is left as it is. With `--to bids` the dataset to create or to add to. `-` writes to standard
     /// output [default: beside each take]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -94,7 +94,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             Destination::File(path.clone())
         }
         None if name == Some(FormatName::Bids) => {
-            bail!(UsageError("name the BIDS data set, a folder: give -o FOLDER".to_owned()));
+            bail!(UsageError("name the BIDS dataset, a folder: give -o FOLDER".to_owned()));
         }
         output => Destination::of(output.as_deref(), &inputs)?,
     };
@@ -109,7 +109,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         Destination::File(path) => paths::check_output(path)?,
         Destination::Stdout if format == Format::Bids => {
-            bail!(UsageError("a BIDS data set is a folder: give -o FOLDER".to_owned()));
+            bail!(UsageError("a BIDS dataset is a folder: give -o FOLDER".to_owned()));
         }
         Destination::Stdout => paths::check_stdout(args.json)?,
         Destination::Folder(_) | Destination::Beside => {}
@@ -273,7 +273,7 @@ impl ExportPlan<'_> {
         if paths::is_dash(output) && self.format.has_sampled_files() {
             let tables = self.format.sampled_tables(cropped.info())?;
             not_supported.extend(tables.iter().map(|table| {
-                format!("{} (a file of its own: give -o FILE)", table.kind().description())
+                format!("{} (needs a separate file: give -o FILE)", table.kind().description())
             }));
         }
         let mut not_rotated = Vec::new();

@@ -142,8 +142,8 @@ fn disk_left(left_s: u64) -> String {
     let (hours, minutes) = (left_s / 3600, left_s / 60 % 60);
     match left_s {
         u64::MAX => String::new(),
-        _ if hours >= LONG_H => format!(", room for more than {LONG_H} h"),
-        _ => format!(", room for {hours}:{minutes:02} h"),
+        _ if hours >= LONG_H => format!(", disk space for more than {LONG_H} h"),
+        _ => format!(", disk space for {hours}:{minutes:02} h"),
     }
 }
 

@@ -36,7 +36,7 @@ pub(crate) struct Args {
     /// Unit of the scans: m, cm, mm or in [default: as stated in the file, or inferred from the size of the body]
     #[arg(long, value_name = "UNIT", value_parser = unit)]
     unit: Option<Unit>,
-    /// Method to locate the joints: our default, or that of the paper (Yu et al. 2008)
+    /// Method to locate the joints: that of mocapd, or that of the paper (Yu et al. 2008)
     #[arg(long, value_enum, default_value_t = MethodArg::Default)]
     method: MethodArg,
     /// Write a picture of the joints in the first scan to this file, .svg or .png; it must not exist

@@ -39,7 +39,7 @@ pub(crate) struct Args {
     /// Write three views of the first wireframe to this file, .svg or .png; it must not exist
     #[arg(long, value_name = "FILE")]
     views: Option<PathBuf>,
-    /// Method to find faces and locate their points: our default, or that of the paper (Yang et al. 2004)
+    /// Method to find faces and locate their points: that of mocapd, or that of the paper (Yang et al. 2004)
     #[arg(long, value_enum, default_value_t = MethodArg::Default)]
     method: MethodArg,
     /// Use only the largest face

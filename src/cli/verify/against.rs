@@ -322,7 +322,7 @@ impl DerivativesReport {
         );
         if self.samples_left_out > 0 {
             out += &format!(
-                "left out: {} samples, in runs without a gap that are shorter than a period of the cutoff\n",
+                "left out: {} samples, in gap-free runs shorter than a period of the cutoff\n",
                 self.samples_left_out
             );
         }

@@ -164,7 +164,7 @@ impl LimbsReport {
         let unsteady = names(&|bone| self.outside.iter().any(|outside| outside.bone == bone.name));
         if !unsteady.is_empty() {
             found.push(format!(
-                "implausible lengths, but no swap of labels, {}: {}",
+                "implausible lengths without a swap of labels, {}: {}",
                 count(self.outside.len() as u64, "time"),
                 unsteady.join(", ")
             ));
@@ -210,11 +210,11 @@ impl LimbsReport {
         for OutsideReport { bone, when, extreme_mm } in self.outside.iter().take(OUTSIDE_SHOWN) {
             let (bone, when) = (plain(bone), when.text());
             out += &format!(
-                "implausible length, but no swap of labels: {bone}, {when}, extreme {extreme_mm:.0} mm\n"
+                "implausible length without a swap of labels: {bone}, {when}, extreme {extreme_mm:.0} mm\n"
             );
         }
         if let Some(more) = self.outside.len().checked_sub(OUTSIDE_SHOWN).filter(|&more| more > 0) {
-            out += &format!("and {} more: see --json\n", count(more as u64, "time"));
+            out += &format!("and {more} more: see --json\n");
         }
         out
     }

@@ -125,7 +125,7 @@ pub fn concat<R: Read + Seek, W: Write>(
     left_out.retain(|what| listed.insert(what.clone()));
     first.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
     if sources.iter().any(|source| source.map().subject != first.map().subject) {
-        left_out.push("the subjects of other takes, which are not that of the first".to_owned());
+        left_out.push("the subjects of later takes, which differ from the first take's".to_owned());
     }
     let frames_continue = plan.seams.iter().all(|seam| *seam == Seam::Continuous);
     let parts = foreign::join(sources, &mut open, frames_continue, context)?;
@@ -204,11 +204,12 @@ impl JoinPlan {
         let id = source.map().header.take_id_text();
         let text = match seam {
             Seam::Continuous => return None,
-            Seam::Missing(rows) => format!(
-                "the take {id} begins here; {rows} frames before it are in neither of the joined takes"
-            ),
+            Seam::Missing(rows) => {
+                let frames = if rows == 1 { "frame before it is" } else { "frames before it are" };
+                format!("the take {id} begins here; {rows} {frames} in none of the joined takes")
+            }
             Seam::Unknown => {
-                format!("the take {id} begins here; the time since the take before it is unknown")
+                format!("the take {id} begins here; the time since the previous take is unknown")
             }
         };
         Some(Event { row, ..Event::new(EventKind::Host, 0, text) })
@@ -327,7 +328,9 @@ impl<W: Write> Joiner<'_, W> {
         if found_rows == source.map().n_rows {
             return Ok(());
         }
-        Err(TakeError::InvalidArgument("another program changed a take during the read".into()))
+        Err(TakeError::InvalidArgument(
+            "another program changed a take while it was being read".into(),
+        ))
     }
 
     /// Writes the channels that appear up to entry `n_channels`.

@@ -95,7 +95,10 @@ impl<'a> AnalogSamples<'a> {
         let mut warnings = Vec::new();
         let defaults = Parameters::default();
         if parameters.is_none() {
-            warnings.push(format!("{} is missing: values are samples as stored.", c3d::PARAMETERS));
+            warnings.push(format!(
+                "{} is missing: the values are the stored samples.",
+                c3d::PARAMETERS
+            ));
         }
         let parameters = parameters.unwrap_or(&defaults);
         Ok(Some(Self {

@@ -132,7 +132,7 @@ impl<'a> PlateLoads<'a> {
 fn means(info: &MotionInfo, frames: Option<(u64, u64)>) -> Result<Vec<f64>, TakeError> {
     let Some((first, last)) = frames else {
         return Err(TakeError::InvalidArgument(
-            "FORCE_PLATFORM:ZERO states no frames without load: no baseline can be subtracted"
+            "FORCE_PLATFORM:ZERO states no frames without load: export without --subtract-baseline"
                 .to_owned(),
         ));
     };

@@ -393,7 +393,7 @@ fn motion_json(names: &BidsLabels, info: &MotionInfo) -> io::Result<Vec<u8>> {
 fn channels_json(info: &MotionInfo) -> io::Result<Vec<u8>> {
     let up = match info.up.name() {
         Some(axis) => format!("{axis} points up"),
-        None => "the axis that points up is not known".to_owned(),
+        None => "the up axis is unknown".to_owned(),
     };
     let axes = format!("The axes of the tracking system, right-handed; {up}");
     let frame = json!({

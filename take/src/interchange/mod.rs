@@ -133,7 +133,7 @@ pub enum InterchangeError {
     #[error("{0}")]
     Unsupported(String),
     /// Another program changed the file between two passes over it.
-    #[error("another program changed it during the read")]
+    #[error("another program changed it while it was being read")]
     Changed,
     /// Reading the source or writing the output failed.
     #[error(transparent)]
@@ -314,7 +314,7 @@ impl Format {
             #[cfg(feature = "full")]
             Self::Parquet | Self::ParquetWide => parquet::write_sampled(table, frames, out),
             _ => unsupported(
-                "analog channels and force plates are files of their own beside csv and parquet only",
+                "only csv and parquet have separate files for analog channels and force plates",
             ),
         }
     }

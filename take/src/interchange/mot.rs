@@ -131,8 +131,8 @@ impl LoadCounts {
         }
         if self.down > self.up {
             remarks.push(format!(
-                "Most forces of force plate {number} point down: the file may state what the subject does to the \
-                 plate; OpenSim needs the opposite."
+                "Most forces of force plate {number} point down: the file may state the forces of the subject on \
+                 the plate; OpenSim needs those of the plate on the subject."
             ));
         }
         remarks
@@ -169,8 +169,7 @@ fn no_plates(info: &MotionInfo) -> InterchangeError {
         .map(|plate| format!("force plate {}: {}", plate.number, plate.reason))
         .collect();
     InterchangeError::Unsupported(if reasons.is_empty() {
-        "the take has no force plates: .mot needs those of an imported C3D file with analog channels (imported without \
-         --drop-foreign)"
+        "the take has no force plates, which .mot needs: import a C3D file with force plates, without --drop-foreign"
             .to_owned()
     } else {
         format!("no force plate can be used: {}", reasons.join("; "))

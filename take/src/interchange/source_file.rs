@@ -256,7 +256,7 @@ mod tests {
             assert_eq!(read_all(&mut file).unwrap(), 3 * PAGE_BYTES as u64);
             change(&mut shared.borrow_mut());
             let error = read_all(&mut file).unwrap_err();
-            assert_eq!(error.to_string(), "another program changed it during the read");
+            assert_eq!(error.to_string(), "another program changed it while it was being read");
         }
     }
 }

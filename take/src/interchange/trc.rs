@@ -57,7 +57,7 @@ pub(super) fn open(
     let mut labels = header.labels;
     if header.separator == Separator::Spaces && !labels.is_empty() && labels.len() != n_labels {
         warnings.push(format!(
-            "{} labels between spaces for {n_labels} markers; the labels were ignored, as they cannot be matched.",
+            "{} labels separated by spaces for {n_labels} markers; the labels were ignored, as they cannot be matched.",
             labels.len()
         ));
         labels.clear();
@@ -320,8 +320,8 @@ fn exact_width(file: &mut TextFile<'_, '_>, header: &TrcHeader) -> Result<Option
     let Some(width) = preferred else { return Ok(None) };
     if n_rows > 0 && by_number.max(by_labels) == 0 {
         let message = format!(
-            "expected rows of {} cells (frame, time, and three for each of {width} markers), found none: cells between \
-             spaces cannot be empty, so missing markers cannot be identified; separate the cells with tabs",
+            "expected rows of {} cells (frame, time, and three for each of {width} markers), found none: cells \
+             separated by spaces cannot be empty, so missing markers cannot be identified; separate them with tabs",
             width.saturating_mul(3).saturating_add(LEAD_CELLS)
         );
         return Err(malformed("data", &message));

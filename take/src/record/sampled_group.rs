@@ -179,13 +179,13 @@ impl SampledGroup {
         } else if self.n_samples.is_some_and(|n| n > SAMPLES_MAX) {
             Err("it has more samples than a take can hold")
         } else if !matches!(self.bounds.0.len() as u64, n if n == 0 || n == n_channels) {
-            Err("it has not one bound for each channel")
+            Err("it does not have one bound for each channel")
         } else if !self.bounds.0.iter().all(|bound| bound.is_finite() && *bound >= 0.0) {
-            Err("a bound is no size of an error")
+            Err("a bound is negative or not finite")
         } else if self.form != SampleForm::Float32
             && self.bounds.0.iter().any(|bound| bound.fract() != 0.0)
         {
-            Err("a bound of integers is none")
+            Err("a bound of integer samples is not an integer")
         } else {
             Ok(())
         }

@@ -205,6 +205,10 @@ fn a_file_that_changes_between_passes_is_refused() {
     // Read for its separator, its decimal commas, its layout, its rows, and its hash.
     for passes in [1, 2, 4] {
         let error = read(passes * text.len() + (1 << 16)).unwrap_err();
-        assert_eq!(error.to_string(), "another program changed it during the read", "{passes}");
+        assert_eq!(
+            error.to_string(),
+            "another program changed it while it was being read",
+            "{passes}"
+        );
     }
 }

@@ -49,7 +49,7 @@ test("lost frames have a percentage and causes", () => {
   const ledger = { ...LEDGER, lost_on_link: 5, lost_ring_full: 2 };
   const found = metric("lost", { input: { lost: 120 }, take: { ...TAKE, ledger } });
   equal([found.level, found.word], ["bad", "1.0 %"]);
-  isTrue(found.note.endsWith("in the take: 5 on the link, 2 ring full"), found.note);
+  isTrue(found.note.endsWith("in the take: 5 on the link, 2 to a full ring"), found.note);
   equal(causes(LEDGER), []);
 });
 

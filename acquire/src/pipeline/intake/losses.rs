@@ -50,12 +50,12 @@ impl Intake {
         let (missing, causes, how, why) = match self.counter.rejoin(frame.seq, frame.device_ticks) {
             Some(missing) => {
                 let causes = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
-                (u64::from(missing), causes, "continues", "are missing according to its counter")
+                (u64::from(missing), causes, "continues", "are missing by its counter")
             }
             // The counter does not cover the time between; use the host's clock, so that the take keeps time.
             None => {
                 let due = self.frames_due(silent_s);
-                (due, LossCauses::DISCONNECTED, "started again", "were due by the host's clock")
+                (due, LossCauses::DISCONNECTED, "restarted", "are missing by the host's clock")
             }
         };
         let new = missing.saturating_sub(std::mem::take(&mut self.rows_away));

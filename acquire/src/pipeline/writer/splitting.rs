@@ -113,7 +113,7 @@ impl Writer {
         let (Some(split), Some(_), false) = (&mut self.split, &self.live, ends) else {
             return false;
         };
-        let goes_on = "the recording continues in the take before it";
+        let goes_on = "the recording continues in the previous take";
         let NextTake { mut take, name, ended, notice } = match split.takes.next_take(first_row) {
             Ok(next) => next,
             Err(error) => {
@@ -147,7 +147,7 @@ impl Writer {
         } else {
             // As for any write that fails.
             progress.failed.store(true, Ordering::Relaxed);
-            next.fail(anyhow!("the take before it could not be closed"));
+            next.fail(anyhow!("the previous take could not be closed"));
         }
         true
     }

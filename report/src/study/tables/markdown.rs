@@ -143,7 +143,7 @@ fn within(findings: &Findings) -> String {
         table.row([tolerance(mm)].into_iter().chain(phases.iter().map(cell)));
     }
     table.markdown()
-        + "\nPhases have no ends of their own here, which would limit the ratio of short ones.\n"
+        + "\nHere the first and the last sample of a phase need not be kept, which would limit the ratio of short phases.\n"
 }
 
 fn claims(findings: &Findings) -> String {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use mocapd_cli::stop::stop_on_signal;
+use mocapd_cli::{numbers::count, stop::stop_on_signal};
 use mocapd_drivers::link::FrameForm;
 use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice};
 use mocapd_simulator::faults::{FaultyDevice, Script};
@@ -68,7 +68,7 @@ pub(super) struct ServeArgs {
     /// `mocapd info` reports the same number as the clock's drift.
     #[arg(long, value_name = "PPM", default_value_t = 0.0, value_parser = number, allow_hyphen_values = true)]
     drift_ppm: f64,
-    /// Hand over waiting bytes at this interval only, up to 1s, as an FTDI adapter does with 16ms
+    /// Send bytes in batches at this interval, up to 1s, as an FTDI adapter does every 16ms
     #[arg(long, value_name = "TIME", default_value = "0s", value_parser = batch, allow_hyphen_values = true)]
     batch: Duration,
     /// The earlier spelling of --batch, in milliseconds
@@ -102,7 +102,7 @@ pub(super) struct ServeArgs {
     /// With --generate: fraction of samples that are occluded, 0 to 0.9 [default: 0]
     #[arg(long, value_name = "FRACTION", value_parser = number, allow_hyphen_values = true)]
     occlusion: Option<f64>,
-    /// Exit when the motion has ended or was stopped once, and the host has read everything
+    /// Exit once the motion has ended or the host has stopped it, and the host has read everything
     #[arg(long, conflicts_with = "looping")]
     once: bool,
     /// Print JSON: one document with the path to open, and at the end one with what was sent
@@ -219,7 +219,7 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     let sent = serve(&mut *line, device.as_mut(), options, &stop)?;
     if device.is_gone() {
         notify(
-            "the log has no end of stream, so the device is gone: serve it again to record again",
+            "the log has no end of stream, so the device has disconnected: run this command again for another recording",
         );
     }
     let report = SentReport::new(&sent, log.is_none());
@@ -272,7 +272,8 @@ fn device(
         }
     };
     let hz = f64::from(rate_millihertz) / 1000.0;
-    Ok((device, format!("{n_markers} markers at {hz} Hz, Ctrl-C to stop")))
+    let markers = count(n_markers as u64, "marker");
+    Ok((device, format!("{markers} at {hz} Hz, Ctrl-C to stop")))
 }
 
 fn settings(args: &ServeArgs) -> DeviceSettings {

@@ -86,7 +86,7 @@ impl PlateLists<'_> {
         warnings: &mut Vec<String>,
     ) -> Result<ForcePlate, String> {
         let number = index + 1;
-        let kind = self.types.get(index).ok_or("TYPE does not state its type")?;
+        let kind = self.types.get(index).ok_or("TYPE has no entry for it")?;
         let kind = PlateType::from_code(*kind)
             .ok_or_else(|| format!("it is of type {kind}, but types 1 to 4 are supported"))?;
         let corners_mm = self.corners_mm(index)?;
@@ -103,7 +103,7 @@ impl PlateLists<'_> {
 
     fn corners_mm(&self, index: usize) -> Result<[[f64; 3]; 4], String> {
         let corners = self.corners.as_chunks::<3>().0.as_chunks::<4>().0;
-        let corners = corners.get(index).ok_or("CORNERS does not have its four corners")?;
+        let corners = corners.get(index).ok_or("CORNERS does not state its four corners")?;
         Ok(corners.map(|corner| corner.map(|v| v * self.unit_mm)))
     }
 
@@ -120,7 +120,7 @@ impl PlateLists<'_> {
             (Some(origin), _) => *origin,
             // The channels already give the centre of pressure.
             (None, PlateType::Type1) => [0.0; 3],
-            (None, _) => return Err("ORIGIN does not have its origin".to_owned()),
+            (None, _) => return Err("ORIGIN has no entry for it".to_owned()),
         };
         let [x, y, z] = origin.map(|v| v * self.unit_mm);
         if !z.is_finite() || z <= 0.0 || kind == PlateType::Type1 {
@@ -147,7 +147,7 @@ impl PlateLists<'_> {
         let of_plate = numbers.get(index * per_plate..).unwrap_or(&[]);
         let of_plate = of_plate.get(..n_channels.min(per_plate)).unwrap_or(&[]);
         if of_plate.len() < n_channels {
-            return Err(format!("CHANNEL does not have its {n_channels} channels"));
+            return Err(format!("CHANNEL does not list its {n_channels} channels"));
         }
         let channel = |&number: &f64| {
             let channel = (number as usize).checked_sub(1).filter(|&channel| channel < n);
@@ -180,7 +180,7 @@ impl PlateLists<'_> {
             };
             let of_plate = numbers.get(index * rows * columns..).unwrap_or(&[]);
             if rows < 6 || columns < 6 || of_plate.len() < rows * columns {
-                return Err("CAL_MATRIX does not have its 6 x 6 numbers".to_owned());
+                return Err("CAL_MATRIX does not state its 6 x 6 numbers".to_owned());
             }
             for (i, row) in matrix.iter_mut().enumerate() {
                 for (j, cell) in row.iter_mut().enumerate() {

@@ -187,9 +187,8 @@ impl Data {
             let mut next = || cells.next().unwrap_or(Cow::Borrowed(&[]));
             let (frame, time, label) = (next(), next(), next());
             let position = [next(), next(), next()];
-            let frame = text::whole_number(&frame).ok_or_else(|| {
-                malformed(number, "expected the number of a frame in the first cell")
-            })?;
+            let frame = text::whole_number(&frame)
+                .ok_or_else(|| malformed(number, "expected a frame number in the first cell"))?;
             if let Some(seconds) = text::number(&time) {
                 let at = (frame, seconds);
                 timed.get_or_insert(TimedFrames { first: at, last: at }).add(frame, seconds);
