@@ -42,7 +42,7 @@ impl TakeStatistics {
     /// Samples present.
     #[must_use]
     pub fn samples(&self) -> u64 {
-        self.channels.iter().map(|channel| channel.samples).sum()
+        self.channels.iter().map(|channel| u64::from(channel.samples)).sum()
     }
 
     /// Gaps of all channels.
@@ -226,6 +226,11 @@ impl StretchTally {
     #[must_use]
     pub fn with_capacity(n_channels: usize) -> Self {
         Self { channels: Vec::with_capacity(n_channels), ..Self::default() }
+    }
+
+    /// Samples of all channels.
+    pub(crate) fn n_samples(&self) -> u64 {
+        self.channels.iter().map(|channel| u64::from(channel.samples)).sum()
     }
 
     /// The counts of all channels of a stretch.
