@@ -61,7 +61,7 @@ impl std::fmt::Debug for EditContext<'_> {
 /// The error for a take that is not whole.
 fn damaged(problem: &Problem) -> TakeError {
     TakeError::InvalidArgument(format!(
-        "only complete takes can be cut or joined: use the take that `mocapd recover` writes ({problem})"
+        "only complete takes can be cut, joined or repacked: use the take that `mocapd recover` writes ({problem})"
     ))
 }
 

@@ -42,7 +42,7 @@ impl TakeStatistics {
     /// Samples present.
     #[must_use]
     pub fn samples(&self) -> u64 {
-        self.channels.iter().map(|channel| u64::from(channel.samples)).sum()
+        self.channels.iter().map(|channel| channel.samples).sum()
     }
 
     /// Gaps of all channels.

@@ -258,9 +258,7 @@ impl<W: Write> Repacker<W> {
             && stretch.span.key
             && stretch.timeline.is_none()
             && stretch.span.n_rows > 0;
-        if can_join && !self.continues(stretch, rows, &tally) {
-            self.flush()?;
-        } else if !can_join {
+        if !can_join || !self.continues(stretch, rows, &tally) {
             self.flush()?;
         }
         self.grow(stretch.from_row())?;
@@ -276,7 +274,7 @@ impl<W: Write> Repacker<W> {
             tally,
         };
         if !can_join {
-            return self.copy(waiting, stretch.timeline.as_ref(), stretch.from_row());
+            return self.copy(&waiting, stretch.timeline.as_ref(), stretch.from_row());
         }
         self.wait(waiting, rows);
         Ok(())
@@ -375,15 +373,12 @@ impl<W: Write> Repacker<W> {
                 return self.push(span, &payload, &tally);
             }
         }
-        waiting.into_iter().try_for_each(|waiting| {
-            let from_row = waiting.span.first_row;
-            self.copy(waiting, None, from_row)
-        })
+        waiting.iter().try_for_each(|waiting| self.copy(waiting, None, waiting.span.first_row))
     }
 
     fn copy(
         &mut self,
-        waiting: Waiting,
+        waiting: &Waiting,
         timeline: Option<&Timeline>,
         from_row: u64,
     ) -> Result<(), TakeError> {
