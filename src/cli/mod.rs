@@ -27,6 +27,7 @@ mod paths;
 mod plot;
 mod record;
 mod recover;
+mod repack;
 mod run;
 mod study;
 mod subject;
@@ -84,6 +85,8 @@ enum Command {
     Cut(cut::Args),
     /// Join takes with the same markers one after another; samples stay unchanged
     Concat(concat::Args),
+    /// Write takes again in fewer bytes; samples stay unchanged
+    Repack(repack::Args),
     /// Show how two takes differ: markers, frames, gaps, samples, times, events, ledger, header and settings
     Diff(diff::Args),
     /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, analog channels, force plates, marker quality
@@ -148,6 +151,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Recover(args) => recover::run(&args),
         Command::Cut(args) => cut::run(&args),
         Command::Concat(args) => concat::run(&args),
+        Command::Repack(args) => repack::run(&args),
         Command::Diff(args) => diff::run(&args),
         Command::Plot(plot) => plot::run(&plot),
         Command::Study(args) => study::run(&args),

@@ -5,7 +5,6 @@ use std::{
     io::Write,
     path::Path,
     sync::{Arc, atomic::AtomicU64},
-    time::Duration,
 };
 
 use anyhow::{Context, ensure};
@@ -22,7 +21,7 @@ use mocapd_take::{
     foreign::tolerance::AnalogTolerance,
     interchange::{Format, MotionReader, ReadOptions, ReaderSettings},
     motion::{FrameSource, Motion, MotionInfo},
-    record::{Header, ImportSource, Subject},
+    record::{Header, ImportSource, KeyDistance, Subject},
 };
 
 use super::{
@@ -148,7 +147,7 @@ pub(super) struct ImportSettings {
     /// Effort of the encoder.
     pub(super) effort: Effort,
     /// Distance of key stretches, where it was chosen.
-    pub(super) key_distance: Option<Duration>,
+    pub(super) key_distance: Option<KeyDistance>,
     /// Tolerances of analog channels.
     pub(super) analog: AnalogTolerance,
     /// Unit and up axis.
@@ -212,7 +211,10 @@ impl<'a> Import<'a> {
         let name = &self.input.name;
         let mut header = header_of(self.reader.info(), name, codec);
         header.set_effort(self.settings.effort);
-        self.settings.key_distance.into_iter().for_each(|time| header.set_key_distance(time));
+        let n_frames = self.reader.info().n_frames;
+        if let Some(distance) = self.settings.key_distance {
+            header.set_key_distance(distance, n_frames);
+        }
         let tolerances = self.settings.analog.0.iter().map(ToString::to_string);
         header.set_analog_tolerances(tolerances);
         header.settings.extend(options.settings());

@@ -14,6 +14,7 @@ use mocapd_acquire::{
 };
 use mocapd_codec::{Effort, ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
+use mocapd_take::record::KeyDistance;
 use serde::Serialize;
 
 pub(crate) use mocapd_cli::numbers::{bytes, count, count_of, thousands};
@@ -50,16 +51,15 @@ pub(super) fn stretch(text: &str) -> Result<Duration, String> {
 ///
 /// # Errors
 /// What is wrong, and what to type instead.
-pub(super) fn key_distance(text: &str) -> Result<Duration, String> {
-    let limit = "takes of this version have key stretches at most 10s apart: give 50ms to 10s";
+pub(super) fn key_distance(text: &str) -> Result<KeyDistance, String> {
     if text == "none" {
-        return Err(limit.to_owned());
+        return Ok(KeyDistance::FirstOnly);
     }
     let distance = length(text)?;
-    if STRETCH_LENGTHS.contains(&distance) {
-        return Ok(distance);
+    if distance >= *STRETCH_LENGTHS.start() {
+        return Ok(KeyDistance::Every(distance));
     }
-    Err(format!("a distance of '{text}' is out of range; {limit}"))
+    Err(format!("a distance of '{text}' is out of range: give 50ms or more, or none"))
 }
 
 /// Parses the time between syncs; 0 syncs after each stretch.
@@ -209,6 +209,14 @@ pub(crate) struct CodecArgs {
 /// The default effort of an import: the highest that takes at most four times as long as the lowest.
 const DEFAULT_EFFORT: u8 = 3;
 
+/// The effort of an encoder of whole takes, where none is given.
+///
+/// # Errors
+/// Never: the level is a valid one.
+pub(crate) fn default_effort() -> anyhow::Result<Effort> {
+    Ok(Effort::new(DEFAULT_EFFORT)?)
+}
+
 /// The effort of encoding a whole take, and the distance of its key stretches.
 #[derive(Debug, Args)]
 pub(crate) struct EffortArgs {
@@ -216,10 +224,11 @@ pub(crate) struct EffortArgs {
     /// [default: 3]
     #[arg(long, value_name = "N", value_parser = str::parse::<Effort>)]
     effort: Option<Effort>,
-    /// Longest time from one key stretch to the next; reading can start at each, and damage ends at the next: 50ms to
-    /// 10s [default: 10s; with an effort of 2 or more, up to 5min where nothing moves]
+    /// Longest time from one key stretch to the next, 50ms or more, or `none` for the first one only. Reading can start at
+    /// each, and damage ends at the next. Takes longer than 10s with keys further apart than 10s are of format version 7,
+    /// which earlier versions of mocapd refuse [default: 10s; with an effort of 2 or more, up to 5min where nothing moves]
     #[arg(long, value_name = "TIME", value_parser = key_distance, allow_hyphen_values = true)]
-    keys: Option<Duration>,
+    keys: Option<KeyDistance>,
 }
 
 impl EffortArgs {
@@ -227,7 +236,7 @@ impl EffortArgs {
     ///
     /// # Errors
     /// A usage error if one is given for a resampler that encodes a take as one stretch.
-    pub(crate) fn key_distance(&self, codec: &Settings) -> anyhow::Result<Option<Duration>> {
+    pub(crate) fn key_distance(&self, codec: &Settings) -> anyhow::Result<Option<KeyDistance>> {
         if self.keys.is_some() && !codec.kind.is_live() {
             let kind = codec.kind;
             bail!(UsageError(format!(
@@ -244,7 +253,7 @@ impl EffortArgs {
     pub(crate) fn effort(&self, codec: &Settings) -> anyhow::Result<Effort> {
         match (codec.kind, self.effort) {
             (ResamplerKind::Dense, Some(effort)) => Ok(effort),
-            (ResamplerKind::Dense, None) => Ok(Effort::new(DEFAULT_EFFORT)?),
+            (ResamplerKind::Dense, None) => default_effort(),
             (_, None) => Ok(Effort::MIN),
             (kind, Some(_)) => {
                 bail!(UsageError(format!(

@@ -1,13 +1,15 @@
-//! Editing takes: [`cut`] copies a range of frames into a new take, [`concat()`] joins takes. No sample changes.
+//! Editing takes: [`cut`] copies a range of frames into a new take, [`concat()`] joins takes, [`repack()`] writes a take in
+//! fewer bytes. No sample changes.
 //!
 //! Stretches are copied wherever they do not depend on one that is left out. The rows of a stretch that is only partly
-//! kept, or that continues one that is not kept, are stored as the floats that they decode to: the resamplers cannot
-//! encode them again to the same floats otherwise
+//! kept, or that continues one that is not kept, are encoded again where that gives the same floats, as for whole spans
+//! behind a key and rows in which nothing moves; else they are stored as the floats that they decode to
 //! (`docs/decisions/0012-the-ends-of-a-cut-are-stored-exactly.md`).
 
 mod concat;
 mod cut;
 mod foreign;
+mod repack;
 mod seam;
 #[cfg(test)]
 mod tests;
@@ -30,6 +32,7 @@ use crate::{
 pub use self::{
     concat::{ConcatReport, Mismatch, check_joinable, concat},
     cut::{CutReport, cut},
+    repack::{REPACK, RepackReport, RepackSettings, check_repacked, repack},
     seam::Seam,
 };
 
@@ -58,7 +61,7 @@ impl std::fmt::Debug for EditContext<'_> {
 /// The error for a take that is not whole.
 fn damaged(problem: &Problem) -> TakeError {
     TakeError::InvalidArgument(format!(
-        "only complete takes can be cut or joined: use the take that `mocapd recover` writes ({problem})"
+        "only complete takes can be cut, joined or repacked: use the take that `mocapd recover` writes ({problem})"
     ))
 }
 
@@ -79,6 +82,7 @@ pub struct SourceTake {
     ends: Option<[(u64, RowTime); 2]>,
     /// Types of chunks that this version does not know.
     unknown_chunks: Vec<u8>,
+    n_stretches: u64,
 }
 
 impl SourceTake {
@@ -112,6 +116,7 @@ impl SourceTake {
                 .push(TableSize { row: progress.end_row(), n_channels: progress.channels().len() }),
             TakeEvent::Clock(clock) => self.clocks.push((**clock).clone()),
             TakeEvent::Stretch(stretch) => {
+                self.n_stretches += 1;
                 let Some(timeline) = &stretch.timeline else { return };
                 let (first, last) = (timeline.recorded().next(), timeline.recorded().last());
                 if let Some((first, last)) = first.zip(last) {

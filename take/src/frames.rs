@@ -125,7 +125,7 @@ impl<R: Read + Seek> TakeFrames<R> {
     }
 
     /// Skips to frame `row`. Stretches before the last key stretch, which begins at most ten seconds before `row` (five
-    /// minutes in an import where nothing moves), are not decoded. Frames that were read are not repeated.
+    /// minutes in an import where nothing moves) unless keys are further apart, are not decoded. Frames that were read are not repeated.
     ///
     /// # Errors
     /// `Unsupported`, `Io`.

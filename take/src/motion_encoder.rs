@@ -1,8 +1,9 @@
 //! Encodes frames as a take: the second half of an import.
 //!
 //! Every stretch is a key stretch, so each group of channels in each stretch is encoded independently, on any thread,
-//! and the bytes do not depend on the number of threads. One stretch is read at a time, except for a resampler that
-//! needs the whole take.
+//! and the bytes do not depend on the number of threads. Where keys are chosen to be more than ten seconds apart,
+//! stretches continue those before them, and one encoder has them all, in order. One stretch is read at a time, except
+//! for a resampler that needs the whole take.
 
 mod parts;
 
@@ -70,6 +71,8 @@ pub struct EncodePlan {
     effort: Effort,
     /// Most rows of a part.
     part_rows: usize,
+    /// Stretches from one key to the next.
+    key_every: usize,
     shared: Vec<u8>,
 }
 
@@ -94,7 +97,10 @@ impl EncodePlan {
             )));
         }
         let stretch_rows = stretch_rows(&codec, header.rate_hz, n_rows, n_markers);
-        let stretch_rows = header.key_rows().map_or(stretch_rows, |rows| stretch_rows.min(rows));
+        let stretch_rows = match header.key_rows() {
+            Some(_) if header.has_long_keys() => header.stretch_rows.max(1) as usize,
+            key_rows => key_rows.map_or(stretch_rows, |rows| stretch_rows.min(rows)),
+        };
         if stretch_rows as u64 > ROWS_MAX || (stretch_rows * n_markers) as u64 > SAMPLES_MAX {
             return Err(TakeError::InvalidArgument(format!(
                 "{n_rows} frames of {n_markers} markers are too many for {}, which encodes them \
@@ -104,13 +110,21 @@ impl EncodePlan {
         }
         let still = StillSpans::of(header, &codec, n_markers);
         let part_rows = still.as_ref().map_or(0, StillSpans::rows_max).max(stretch_rows);
-        let mut parts = EncodeParts::new(frames, n_rows, stretch_rows, still);
+        let key_rows = header.key_rows().filter(|_| header.has_long_keys() && codec.kind.is_live());
+        let key_every = key_rows.map_or(1, |rows| rows / stretch_rows).max(1);
+        let mut parts = EncodeParts::new(frames, n_rows, stretch_rows, still, key_every);
         let mut shared = Vec::new();
         if !codec.kind.is_live() {
             shared = codec.plan(&parts.first_stretch()?)?;
         }
         let effort = header.effort();
-        Ok((Self { n_rows, n_markers, codec, effort, part_rows, shared }, parts))
+        Ok((Self { n_rows, n_markers, codec, effort, part_rows, key_every, shared }, parts))
+    }
+
+    /// Whether parts depend on those before them, so that [one encoder](Self::encoder) must encode them all, in order.
+    #[must_use]
+    pub fn is_sequential(&self) -> bool {
+        self.key_every > 1
     }
 
     /// Memory that the samples of a part take, in bytes.
@@ -123,19 +137,20 @@ impl EncodePlan {
     /// An encoder of parts. Each thread needs its own.
     #[must_use]
     pub fn encoder(&self) -> PartEncoder<'_> {
-        PartEncoder { plan: self, encoder: self.codec.encoder_with(self.effort) }
+        PartEncoder { plan: self, encoders: Vec::new() }
     }
 }
 
-/// Encodes parts, in any order.
+/// Encodes parts, in any order unless the plan [is sequential](EncodePlan::is_sequential).
 #[derive(Debug)]
 pub struct PartEncoder<'a> {
     plan: &'a EncodePlan,
-    encoder: Box<dyn BlockEncoder>,
+    /// One for each group of channels if parts continue those before them; else one for all.
+    encoders: Vec<Box<dyn BlockEncoder>>,
 }
 
 impl PartEncoder<'_> {
-    /// Encodes a part as a key block.
+    /// Encodes a part as a block, a key block unless it continues a part before it.
     ///
     /// # Errors
     /// `Codec`.
@@ -145,8 +160,15 @@ impl PartEncoder<'_> {
             coded.reports.resize(part.n_markers, BlockReport::default());
             let channels = part.rows()?;
             let EncodedPart { block, tally, reports } = &mut coded;
-            self.encoder.encode(&channels, &self.plan.shared, true, block, reports)?;
-            *tally = BlockTally::of_encoded(block, &channels, reports, self.encoder.kept_rows());
+            let plan = self.plan;
+            let group = if plan.is_sequential() { part.first_marker / GROUP_CHANNELS } else { 0 };
+            let new = || plan.codec.encoder_with(plan.effort);
+            if self.encoders.len() <= group {
+                self.encoders.resize_with(group + 1, new);
+            }
+            let Some(encoder) = self.encoders.get_mut(group) else { return Ok(coded) };
+            encoder.encode(&channels, &plan.shared, part.key, block, reports)?;
+            *tally = BlockTally::of_encoded(block, &channels, reports, encoder.kept_rows());
         }
         Ok(coded)
     }
@@ -192,9 +214,19 @@ impl<'a, W: Write> MotionWriter<'a, W> {
     ) -> Result<Self, TakeError> {
         let mut take = TakeWriter::new(out, header)?;
         info.subject.iter().try_for_each(|subject| take.subject(subject))?;
+        Ok(Self::continuing(plan, header, take))
+    }
+
+    /// Continues a take of which everything that precedes its stretches is written.
+    pub(crate) fn continuing(plan: &'a EncodePlan, header: &Header, take: TakeWriter<W>) -> Self {
         let front = StretchHeaderWriter::new(header.stretch_rows);
         let (payload, tally) = (Vec::new(), BlockTally::default());
-        Ok(Self { plan, take, front, payload, tally, n_samples: 0 })
+        Self { plan, take, front, payload, tally, n_samples: 0 }
+    }
+
+    /// The take, to write what follows its stretches.
+    pub(crate) fn into_take(self) -> TakeWriter<W> {
+        self.take
     }
 
     /// Writes a foreign part. Of one with samples it writes the description, and returns what is to be encoded: the
@@ -242,7 +274,7 @@ impl<'a, W: Write> MotionWriter<'a, W> {
         let alone = n_markers <= GROUP_CHANNELS;
         let number = (part.stretch % usize::from(NUMBERS)) as u8;
         let (first_row, n_rows) = (part.first_row as u64, part.n_rows as u32);
-        let span = Span { first_row, n_rows, key: true, number };
+        let span = Span { first_row, n_rows, key: part.key, number };
         if part.first_marker == 0 {
             self.payload.clear();
             self.tally.restart(part.n_rows);

@@ -228,6 +228,11 @@ impl StretchTally {
         Self { channels: Vec::with_capacity(n_channels), ..Self::default() }
     }
 
+    /// Samples of all channels.
+    pub(crate) fn n_samples(&self) -> u64 {
+        self.channels.iter().map(|channel| u64::from(channel.samples)).sum()
+    }
+
     /// The counts of all channels of a stretch.
     #[must_use]
     pub fn of(all: &BlockTally) -> Self {

@@ -9,7 +9,7 @@ mod tests;
 pub use self::header::{StretchHeaderWriter, put_renumbered};
 pub(crate) use self::{
     chain::{Placement, StretchChain},
-    header::{CopiedStretch, may_begin_with},
+    header::{CopiedStretch, is_alone, may_begin_with},
 };
 
 use std::iter;

@@ -422,7 +422,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
 
     /// Continues at the last key stretch that begins at or before `row`, and skips the stretches before it. Does
     /// nothing if that key lies before the current position. At most ten seconds of the take are then decoded before
-    /// `row`, or five minutes of an import where nothing moves.
+    /// `row`, or five minutes of an import where nothing moves, unless its keys are further apart.
     ///
     /// Problems of skipped stretches are not reported.
     ///

@@ -2,16 +2,21 @@
 
 #![expect(clippy::unwrap_used, reason = "a test stops there")]
 
-use std::{io::Cursor, time::Duration};
+use std::{io, io::Cursor, ops::Range, time::Duration};
 
 use mocapd_codec::{Effort, ResamplerKind, Settings, Tolerance};
 use mocapd_take::{
-    TakeEvent,
+    TakeError, TakeEvent,
+    edit::{
+        CutReport, EditContext, RepackReport, RepackSettings, SourceTake, check_repacked, concat,
+        cut, repack,
+    },
     frames::read_motion,
     motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, is_gap},
     motion_encoder::{EncodePlan, MotionWriter, channels, stretch_rows},
     reader::read_events,
-    record::{CODEC_VERSION, Header, ImportSource},
+    record::{CODEC_VERSION, Header, ImportSource, KeyDistance, LONG_KEYS_VERSION},
+    recovery::RecoveryScan,
     stretch::Span,
 };
 use mocapd_testkit::random::Random;
@@ -66,8 +71,19 @@ fn near_still() -> Motion {
 
 /// The take of an import with `dense`.
 fn imported(motion: &Motion, tolerance_mm: f64, effort: u8, keys: Option<Duration>) -> Vec<u8> {
+    imported_with(motion, tolerance_mm, effort, keys.map(KeyDistance::Every))
+}
+
+fn imported_with(
+    motion: &Motion,
+    tolerance_mm: f64,
+    effort: u8,
+    keys: Option<KeyDistance>,
+) -> Vec<u8> {
+    let kind = if tolerance_mm > 0.0 { ResamplerKind::Dense } else { ResamplerKind::Lossless };
+    let tolerance_mm = if tolerance_mm > 0.0 { tolerance_mm } else { 1.0 };
     let tolerance = Tolerance::from_mm(tolerance_mm).unwrap();
-    let codec = Settings { kind: ResamplerKind::Dense, tolerance };
+    let codec = Settings { kind, tolerance };
     let mut header = Header {
         software: "mocapd".to_owned(),
         codec_version: CODEC_VERSION,
@@ -80,7 +96,9 @@ fn imported(motion: &Motion, tolerance_mm: f64, effort: u8, keys: Option<Duratio
     header.set_effort(Effort::new(effort).unwrap());
     header.stretch_rows =
         stretch_rows(&codec, RATE_HZ, motion.n_frames(), header.channels.len()) as u32;
-    keys.into_iter().for_each(|distance| header.set_key_distance(distance));
+    keys.into_iter().for_each(|distance| {
+        header.set_key_distance(distance, motion.n_frames() as u64);
+    });
     let mut frames = MotionFrames::new(motion);
     let (plan, parts) = EncodePlan::new(&mut frames, &header).unwrap();
     let mut writer = MotionWriter::new(&plan, &motion.info, &header, Vec::new()).unwrap();
@@ -181,4 +199,175 @@ fn a_stated_distance_of_keys_is_kept() {
     assert_eq!(lengths(&spans(&take, &still, 0.5)), [1_000, 30]);
     let take = imported(&still, 0.5, 3, None);
     assert_eq!(lengths(&spans(&take, &still, 0.5)), [1_030]);
+}
+
+/// The keys of a take, and its version.
+fn keys_of(take: &[u8]) -> (Vec<u64>, u16) {
+    let source = SourceTake::read(&mut Cursor::new(take)).unwrap();
+    let map = source.map();
+    (map.keys.iter().map(|key| key.first_row).collect(), map.header.codec_version)
+}
+
+#[test]
+fn keys_further_apart_than_ten_seconds_are_of_the_later_version_and_save_bytes() {
+    let near = near_still();
+    let every = |s| Some(KeyDistance::Every(Duration::from_secs(s)));
+    for tolerance_mm in [0.0, 0.5, 20.0] {
+        let with = |keys| imported_with(&near, tolerance_mm, 1, keys);
+        let ten = with(every(10));
+        assert_eq!(keys_of(&ten), ((0..24_000).step_by(1_000).collect(), CODEC_VERSION));
+        let minute = with(every(60));
+        assert_eq!(keys_of(&minute), (vec![0, 6_000, 12_000, 18_000], LONG_KEYS_VERSION));
+        let none = with(Some(KeyDistance::FirstOnly));
+        assert_eq!(keys_of(&none), (vec![0], LONG_KEYS_VERSION));
+        let sizes = [&ten, &minute, &none].map(Vec::len);
+        assert!(sizes[0] > sizes[1] && sizes[1] > sizes[2], "{tolerance_mm} mm: {sizes:?}");
+        for take in [&ten, &minute, &none] {
+            spans(take, &near, tolerance_mm.max(1e-9));
+        }
+    }
+    // A take that ends before the second key would come is as it was.
+    let short = motion(3, 900, |_, _| Some([0.0; 3]));
+    let take = imported_with(&short, 0.5, 1, Some(KeyDistance::FirstOnly));
+    assert_eq!(keys_of(&take), (vec![0], CODEC_VERSION));
+}
+
+#[test]
+fn stretches_that_continue_others_are_lost_with_them_and_recovered_before() {
+    // 40 markers: stretches of at most 26 214 rows.
+    let moving = motion(40, 60_000, |frame, _| Some([frame as f32 / 7.0, 0.0, 0.0]));
+    let take = imported_with(&moving, 5.0, 1, Some(KeyDistance::FirstOnly));
+    assert_eq!(
+        lengths_of(&spans(&take, &moving, 5.0)),
+        [(20_000, true), (20_000, false), (20_000, false)]
+    );
+    let mut damaged = take.clone();
+    let mut offsets = Vec::new();
+    let mut at = mocapd_take::chunk::MAGIC.len();
+    while let mocapd_take::chunk::ChunkParse::Whole { kind, len, .. } =
+        mocapd_take::chunk::parse(&take[at..])
+    {
+        if kind == 3 {
+            offsets.push(at + len / 2);
+        }
+        at += len;
+    }
+    damaged[offsets[1]] ^= 0x55;
+    let mut input = Cursor::new(&damaged);
+    let scan = RecoveryScan::read(&mut input).unwrap();
+    let mut recovered = Vec::new();
+    scan.write(&mut input, &mut recovered, "test").unwrap();
+    let (found, _) = read_motion(Cursor::new(&recovered)).unwrap();
+    let seen = found.positions_mm.chunks(40).take_while(|row| !is_gap(row[0])).count();
+    assert_eq!(seen, 20_000, "all rows before the damage");
+    assert_eq!(found.positions_mm.iter().filter(|at| !is_gap(**at)).count(), 20_000 * 40);
+}
+
+/// Numbers of rows of the stretches, and whether they are keys.
+fn lengths_of(spans: &[Span]) -> Vec<(u32, bool)> {
+    spans.iter().map(|span| (span.n_rows, span.key)).collect()
+}
+
+fn context() -> EditContext<'static> {
+    EditContext {
+        software: "test",
+        new_scratch: &|| Err(io::ErrorKind::Unsupported.into()),
+        on_rows: &|_| {},
+    }
+}
+
+fn part(take: &[u8], rows: Range<u64>) -> (Vec<u8>, CutReport) {
+    let source = SourceTake::read(&mut Cursor::new(take)).unwrap();
+    let mut out = Vec::new();
+    let report = cut(&source, Cursor::new(take), rows.clone(), &mut out, &context()).unwrap();
+    let (whole, _) = read_motion(Cursor::new(take)).unwrap();
+    let (found, problems) = read_motion(Cursor::new(&out)).unwrap();
+    assert_eq!(problems, []);
+    let n = whole.info.markers.len();
+    let bits = |at: &[[f32; 3]]| -> Vec<_> { at.iter().map(|at| at.map(f32::to_bits)).collect() };
+    let of_whole = &whole.positions_mm[rows.start as usize * n..rows.end as usize * n];
+    assert!(bits(&found.positions_mm) == bits(of_whole), "{rows:?}");
+    (out, report)
+}
+
+/// A part takes the bytes of its content, not of its floats.
+#[test]
+fn parts_of_still_stretches_stay_small() {
+    let mut random = Random::new(9);
+    let still = motion(N_MARKERS, 90_000, |_, _| {
+        Some(std::array::from_fn(|_| random.between(-0.02, 0.02) as f32))
+    });
+    let take = imported(&still, 0.5, 3, None);
+    assert!(take.len() < 1_000, "{} bytes", take.len());
+    for rows in [10..80_000, 45_000..45_500, 0..70_001, 29_999..60_001, 12_345..90_000] {
+        let (bytes, report) = part(&take, rows.clone());
+        assert_eq!(report.rows_exact, 0, "{rows:?}");
+        assert!(bytes.len() < 1_400, "{rows:?}: {} bytes", bytes.len());
+    }
+}
+
+#[test]
+fn whole_spans_of_a_part_are_encoded_again_and_the_parts_join_to_as_many_bytes() {
+    let moving = motion(N_MARKERS, 2_000, |frame, marker| {
+        let t = frame as f32 / 40.0 + marker as f32;
+        Some([150.0 * t.sin(), 90.0 * (0.7 * t).cos(), 40.0 * (1.3 * t).sin()])
+    });
+    let take = imported(&moving, 1.0, 3, None);
+    let (head, report) = part(&take, 0..720);
+    assert_eq!((report.rows_copied, report.rows_exact), (704, 16));
+    let (tail, report) = part(&take, 720..2_000);
+    assert_eq!((report.rows_copied, report.rows_exact), (1_000, 280));
+    let parts = [&head, &tail];
+    let sources = parts.map(|take| SourceTake::read(&mut Cursor::new(take)).unwrap());
+    let mut joined = Vec::new();
+    concat(&sources, |i| Ok(Cursor::new(parts[i])), &mut joined, &context()).unwrap();
+    let (again, report) = repacked(&joined, None).unwrap();
+    assert_eq!(report.stretches, [4, 2]);
+    assert!(again.len() < take.len() + 250, "{} of {} bytes", again.len(), take.len());
+    assert!(again.len() + 20_000 < joined.len(), "{} of {} bytes", again.len(), joined.len());
+    // A take that was only imported has nothing to join.
+    let (again, report) = repacked(&take, None).unwrap();
+    assert_eq!((again.len(), report.stretches), (take.len(), [2, 2]));
+}
+
+fn repacked(
+    take: &[u8],
+    settings: Option<&RepackSettings>,
+) -> Result<(Vec<u8>, RepackReport), TakeError> {
+    let source = SourceTake::read(&mut Cursor::new(take))?;
+    let mut out = Vec::new();
+    let report = repack(&source, Cursor::new(take), settings, &mut out, &context())?;
+    let found = check_repacked(Cursor::new(take), Cursor::new(&out), settings, &context())?;
+    assert_eq!(found, None);
+    assert_eq!(report.bytes, out.len() as u64);
+    Ok((out, report))
+}
+
+#[test]
+fn a_lossless_take_is_encoded_like_its_source_and_another_is_refused() {
+    let near = near_still();
+    let lossless = imported(&near, 0.0, 1, None);
+    let settings = |kind, tolerance_mm, keys| RepackSettings {
+        codec: Settings { kind, tolerance: Tolerance::from_mm(tolerance_mm).unwrap() },
+        effort: Effort::new(if kind == ResamplerKind::Dense { 2 } else { 1 }).unwrap(),
+        keys,
+    };
+    let predictive = settings(ResamplerKind::LosslessPredictive, 1.0, None);
+    let (smaller, _) = repacked(&lossless, Some(&predictive)).unwrap();
+    assert!(smaller.len() * 100 < lossless.len() * 95, "{} of {}", smaller.len(), lossless.len());
+    let none = Some(KeyDistance::FirstOnly);
+    let (long, _) = repacked(&smaller, Some(&RepackSettings { keys: none, ..predictive })).unwrap();
+    assert_eq!(keys_of(&long), (vec![0], LONG_KEYS_VERSION));
+    assert!(long.len() < smaller.len());
+    for tolerance_mm in [0.5, 5.0] {
+        let dense = settings(ResamplerKind::Dense, tolerance_mm, None);
+        let (take, report) = repacked(&smaller, Some(&dense)).unwrap();
+        let imported = imported(&near, tolerance_mm, 2, None);
+        spans(&take, &near, tolerance_mm);
+        // The setting that names the old take is all that an import lacks.
+        assert!(take.len() - imported.len() < 150, "{} and {}", take.len(), imported.len());
+        assert_eq!(report.header.tolerance_mm, tolerance_mm);
+        let refused = repacked(&take, Some(&predictive)).unwrap_err().to_string();
+        assert!(refused.contains("need the source or a lossless take"), "{refused}");
+    }
 }

@@ -301,6 +301,13 @@ fn cut_concat_and_diff() {
         ],
     );
 
+    folder.run(&["import", csv, "-o", "exact.take", "--resampler", "lossless"]).with_code(0);
+    let repack = |take: &str, to: &str| run(&["repack", take, "-o", to, "--json"], 0);
+    check(
+        "`mocapd repack`",
+        &[repack("exact.take", "smaller.take"), repack("smaller.take", "smallest.take")],
+    );
+
     folder.write("other.csv", folder.text(csv).replace("head", "crown"));
     for (file, to, options) in [
         (csv, "again.take", &["--tolerance", "1mm"][..]),

@@ -301,3 +301,97 @@ fn differences_are_named_and_decide_the_exit_code() {
     let line = folder.refuses(&["diff", "jump.take", "jump.xyz"], 2);
     assert_mentions(&line, &["jump.xyz", ".c3d"]);
 }
+
+#[test]
+fn a_lossless_take_is_repacked_and_another_needs_its_source() {
+    let folder = Folder::new();
+    folder.run(&["demo", "--seconds", "2s", "--out", "demo"]).with_code(0);
+    let import = ["import", "demo/jump-001.csv", "-o", "exact.take", "--resampler", "lossless"];
+    folder.run(&import).with_code(0);
+    let ran = folder.run(&["repack", "exact.take", "-o", "smaller.take"]).with_code(0);
+    assert_mentions(&ran.stdout, &["smaller.take", "in place of", "compared with the old take"]);
+    assert!(folder.read("smaller.take").len() < folder.read("exact.take").len());
+    folder.run(&["diff", "exact.take", "smaller.take", "--motion"]).with_code(0);
+    // Within a tolerance, and verified against the file.
+    let within =
+        ["repack", "smaller.take", "-o", "within.take", "--tolerance", "1mm", "--effort", "2"];
+    folder.run(&within).with_code(0);
+    folder.run(&["verify", "within.take", "--against", "demo/jump-001.csv"]).with_code(0);
+    let info = folder.run(&["info", "within.take", "--json"]).with_code(0).json();
+    assert_eq!((&info["tolerance_mm"], &info["resampler"]), (&1.0.into(), &"dense".into()));
+    // What has been quantised is not quantised again.
+    for option in [["--tolerance", "2mm"], ["--keys", "2s"], ["--resampler", "lossless"]] {
+        let again = [&["repack", "within.take", "-o", "again.take"][..], &option].concat();
+        let refused = folder.run(&again).with_code(1);
+        assert_mentions(&refused.stderr, &["within.take", "the source or a lossless take"]);
+        assert!(!folder.path("again.take").exists());
+    }
+    for (options, fact) in [
+        (&["--tolerance", "1mm", "--resampler", "lossless"][..], "omit --tolerance"),
+        (&["--resampler", "fast"], "give --tolerance"),
+        (&["--effort", "5"], "--effort is for the resampler dense"),
+        (&["--resampler", "spline", "--tolerance", "1mm"], "needs the whole take"),
+    ] {
+        let args = [&["repack", "exact.take", "-o", "again.take"][..], options].concat();
+        assert_mentions(&folder.run(&args).with_code(2).stderr, &[fact]);
+    }
+}
+
+#[test]
+fn a_take_that_cannot_be_smaller_is_written_only_on_request() {
+    let folder = Folder::new();
+    folder.run(&["demo", "--seconds", "2s", "--out", "demo"]).with_code(0);
+    folder.run(&["import", "demo/jump-001.csv", "-o", "a.take"]).with_code(0);
+    let ran = folder.run(&["repack", "a.take", "-o", "b.take"]).with_code(0);
+    assert_mentions(&ran.stdout, &["a.take", "cannot be made smaller", "--copy"]);
+    assert!(!folder.path("b.take").exists());
+    let copied = folder.run(&["repack", "a.take", "-o", "b.take", "--copy", "--json"]);
+    let report = copied.with_code(0).json();
+    assert_eq!((&report["written"], &report["repacked"]), (&true.into(), &false.into()));
+    assert_eq!(folder.read("a.take"), folder.read("b.take"));
+    // Nothing is overwritten, and damaged takes are refused.
+    folder.run(&["repack", "a.take", "-o", "b.take", "--copy"]).with_code(1);
+    let bytes = folder.read("a.take");
+    folder.write("short.take", &bytes[..bytes.len() - 9]);
+    let refused = folder.run(&["repack", "short.take", "-o", "c.take"]).with_code(1);
+    assert_mentions(&refused.stderr, &["short.take", "mocapd recover"]);
+}
+
+#[test]
+fn joined_parts_return_to_the_bytes_of_the_whole_and_folders_are_repacked() {
+    let folder = Folder::new();
+    folder.run(&["demo", "--seconds", "3s", "--out", "demo"]).with_code(0);
+    let import = ["import", "demo/jump-001.csv", "-o", "whole.take", "--tolerance", "1mm"];
+    folder.run(&import).with_code(0);
+    for (name, range) in [("a.take", "..100"), ("b.take", "100..")] {
+        folder.run(&["cut", "whole.take", "-o", name, "--frames", range]).with_code(0);
+    }
+    std::fs::create_dir(folder.path("joined")).unwrap();
+    folder.run(&["concat", "a.take", "b.take", "-o", "joined/one.take"]).with_code(0);
+    let ran = folder.run(&["repack", "joined", "-o", "out"]).with_code(0);
+    assert_mentions(&ran.stdout, &["out/one.take", "1 in place of 3 stretches"]);
+    folder.run(&["diff", "joined/one.take", "out/one.take"]).with_code(0);
+    let (whole, joined) = (folder.read("whole.take").len(), folder.read("joined/one.take").len());
+    let repacked = folder.read("out/one.take").len();
+    assert!(repacked < whole + 200 && repacked * 2 < joined, "{repacked} {whole} {joined}");
+}
+
+#[test]
+fn keys_that_are_far_apart_are_a_version_of_their_own() {
+    let folder = Folder::new();
+    let motion = jump(3, 60.0, 25.0);
+    folder.write_motion("jump.csv", &motion);
+    let import = |name: &str, keys: &str| {
+        folder.run(&["import", "jump.csv", "-o", name, "--keys", keys]).with_code(0);
+        folder.read(name).len()
+    };
+    let (ten, none) = (import("ten.take", "10s"), import("none.take", "none"));
+    assert!(none < ten, "{none} and {ten} bytes");
+    let info = folder.run(&["info", "none.take"]).with_code(0).stdout;
+    assert_mentions(&info, &["the first stretch only", "format version 7"]);
+    for take in ["ten.take", "none.take"] {
+        folder.run(&["verify", take, "--against", "jump.csv"]).with_code(0);
+    }
+    let export = ["export", "none.take", "-o", "part.csv", "--from", "20s", "--to", "21s"];
+    folder.run(&export).with_code(0);
+}

@@ -31,11 +31,11 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from take.container import CODEC_VERSION
+from take.container import VERSIONS
 from take.samples import parts
 from take.stretch import read_take
 
-GOLDENS = Path(__file__).parents[2] / "take" / "tests" / "golden" / f"v{CODEC_VERSION}"
+GOLDENS = Path(__file__).parents[2] / "take" / "tests" / "golden"
 SUFFIXES = {".c3d", ".trc", ".tsv", ".csv"}
 TOLERANCES_MM = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0]
 LIVE = ["dense", "fast", "lossless"]
@@ -160,7 +160,7 @@ def check_golden(path, words):
     """Checks one golden take and returns its output line and whether it passed."""
     passed_over = ("stretch ", "event ", "ledger ")
     expected = [line for line in words.splitlines() if line and not line.startswith(passed_over)]
-    name = f"golden {path.name} of version {CODEC_VERSION}"
+    name = f"golden {path.name} of version {path.parent.name[1:]}"
     try:
         found = list(golden_words(read_take(path.read_bytes())))
     except Exception as problem:  # any failure belongs to this file, and the others still count
@@ -173,9 +173,12 @@ def check_golden(path, words):
 
 def plan_goldens():
     """(file, expected contents)"""
-    sections = (GOLDENS / "expected.txt").read_text(encoding="utf-8").split("\ntake ")[1:]
-    pairs = (section.split("\n", 1) for section in sections)
-    return [(GOLDENS / name, words) for name, words in pairs]
+    goldens = []
+    for folder in (GOLDENS / f"v{version}" for version in VERSIONS):
+        sections = (folder / "expected.txt").read_text(encoding="utf-8").split("\ntake ")[1:]
+        pairs = (section.split("\n", 1) for section in sections)
+        goldens += [(folder / name, words) for name, words in pairs]
+    return goldens
 
 
 def plan(files, arguments):

@@ -83,6 +83,8 @@ pub fn write_frames<W: Write>(
     };
     let mut failed = None;
     let parts = parts.map_while(|part| part.map_err(|error| failed = Some(error)).ok());
+    // Parts that continue each other are encoded by one worker.
+    let n_workers = if plan.is_sequential() { 1 } else { n_workers };
     let queued_max = queued_parts_max(n_workers, plan.part_bytes());
     in_order_within(queued_max, parts, n_workers, worker, |part, coded: EncodedPart| {
         coded.reports.iter().for_each(|channel| report.add_channel(channel));

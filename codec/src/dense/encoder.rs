@@ -3,9 +3,10 @@
 #[cfg(feature = "training")]
 use super::tally::Tally;
 use super::{
-    Dense, P_CODED,
+    Dense, P_CODED, SPAN,
     effort::{Effort, SearchDepth},
     planner::Planner,
+    points::Fineness,
     row_encoder::RowEncoder,
 };
 #[cfg(feature = "training")]
@@ -29,6 +30,12 @@ fn largest(rows: Rows<'_>) -> Option<f32> {
     some.then(|| f32::from_bits(bits))
 }
 
+/// Whether a sample has the coordinate -0.0, to which no point decodes.
+fn has_negative_zero(rows: Rows<'_>) -> bool {
+    let samples = (0..rows.len()).filter_map(|row| rows.get(row));
+    samples.flatten().any(|coordinate| coordinate.to_bits() == (-0.0_f32).to_bits())
+}
+
 impl PayloadEncoder for Dense {
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
         // A block stored as a whole: its samples, and the end of the range coder.
@@ -44,7 +51,7 @@ impl PayloadEncoder for Dense {
         kept_rows: &mut [bool],
     ) -> Result<()> {
         if exact {
-            self.store_all(channels, out, reports, kept_rows);
+            self.encode_exactly(channels, out, reports, kept_rows);
         } else {
             self.encode_planned(channels, out, (reports, kept_rows), None);
         }
@@ -52,7 +59,70 @@ impl PayloadEncoder for Dense {
     }
 }
 
+/// Work on a block of decoded samples, in times that its rows are coded: each time, one more channel may be found that
+/// can only be stored.
+const EXACT_PASSES: usize = 4;
+
 impl Dense {
+    /// Codes samples that were decoded from other blocks as a key block that decodes to the same floats. Points that lie
+    /// on the lattices, as all of the first rows of a key block do and those of a marker that never moves, take few
+    /// bytes; channels with others are stored.
+    fn encode_exactly(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) {
+        let (start, n_rows) = (out.len(), channels.first().map_or(0, Rows::len));
+        let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
+        let mut fineness: Vec<Option<Fineness>> = channels
+            .iter()
+            .map(|rows| self.grid.fineness(largest(*rows)?).filter(|_| !has_negative_zero(*rows)))
+            .collect();
+        let mut rows_left = EXACT_PASSES * n_rows + GROUP_CHANNELS * SPAN;
+        while fineness.iter().any(Option::is_some) {
+            self.reset();
+            kept_rows.fill(false);
+            reports.iter_mut().for_each(|report| report.kept = 0);
+            let coder = RangeEncoder::new(out, limit);
+            let codec = RowEncoder::new(channels, self.grid, coder, (reports, kept_rows), None);
+            let mut codec = codec.exactly(self.grid);
+            let coded = self.encode_stored(&mut codec, channels, &fineness);
+            let (missed, rows) = (codec.first_miss(), codec.rows_begun());
+            if codec.finish() && coded.is_ok() {
+                return;
+            }
+            out.truncate(start);
+            let (Some(missed), Some(left)) = (missed, rows_left.checked_sub(rows)) else { break };
+            (fineness[missed], rows_left) = (None, left);
+        }
+        kept_rows.fill(false);
+        self.store_all(channels, out, reports, kept_rows);
+    }
+
+    /// Codes a block of which the channels with a fineness are coded in rows, and the others stored.
+    fn encode_stored(
+        &mut self,
+        codec: &mut RowEncoder<'_, '_>,
+        channels: &[Rows<'_>],
+        fineness: &[Option<Fineness>],
+    ) -> Result<()> {
+        let n_rows = channels.first().map_or(0, Rows::len);
+        codec.coder.split(P_CODED, false);
+        let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
+        for (channel, rows) in channels.iter().enumerate() {
+            let is_sampled = rows.present().contains(&true);
+            if !is_sampled || self.storage(&mut codec.coder, channel, fineness[channel]).is_some() {
+                present[channel] = Some(rows.present());
+            } else {
+                store(&mut codec.coder, *rows);
+                codec.reports[channel].keep_all(*rows, codec.kept_rows);
+            }
+        }
+        self.block(codec, n_rows, &present[..channels.len()])
+    }
+
     /// Appends a payload like [`PayloadEncoder::encode`], with the points of a planner, if there is one.
     fn encode_planned(
         &mut self,
@@ -64,25 +134,12 @@ impl Dense {
         let start = out.len();
         // A larger block is stored as a whole.
         let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
-        let n_rows = channels.first().map_or(0, Rows::len);
         let coder = RangeEncoder::new(out, limit);
         let mut codec = RowEncoder::new(channels, self.grid, coder, (reports, kept_rows), planner);
-        codec.coder.split(P_CODED, false);
-        let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
-        for (channel, rows) in channels.iter().enumerate() {
-            let Some(max_mm) = largest(*rows) else {
-                present[channel] = Some(rows.present());
-                continue;
-            };
-            let fineness = self.grid.fineness(max_mm);
-            if self.storage(&mut codec.coder, channel, fineness).is_some() {
-                present[channel] = Some(rows.present());
-            } else {
-                store(&mut codec.coder, *rows);
-                codec.reports[channel].keep_all(*rows, codec.kept_rows);
-            }
-        }
-        let coded = self.block(&mut codec, n_rows, &present[..channels.len()]);
+        let fineness = |rows: &Rows<'_>| self.grid.fineness(largest(*rows)?);
+        let mut all = [None; GROUP_CHANNELS];
+        all.iter_mut().zip(channels).for_each(|(one, rows)| *one = fineness(rows));
+        let coded = self.encode_stored(&mut codec, channels, &all);
         if !codec.finish() || coded.is_err() {
             out.truncate(start);
             self.store_all(channels, out, reports, kept_rows);

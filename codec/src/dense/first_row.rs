@@ -24,8 +24,14 @@ pub(super) struct FirstRow {
 }
 
 /// Chooses the origin of a first row with this position, and its steps from there; `step` is the size of a step in
-/// units.
-pub(super) fn choose(grid: Grid, position: Position, step: i64, origins: &[Point]) -> FirstRow {
+/// units. If `is_exact`, origins from which the steps lead to the position itself come first.
+pub(super) fn choose(
+    grid: Grid,
+    position: Position,
+    step: i64,
+    is_exact: bool,
+    origins: &[Point],
+) -> FirstRow {
     let units = grid.units(position);
     let steps_from = |from: &Point| -> Point {
         std::array::from_fn(|axis| ((units[axis] - from[axis] as f64) / step as f64).round() as i64)
@@ -41,9 +47,12 @@ pub(super) fn choose(grid: Grid, position: Position, step: i64, origins: &[Point
     let ranked = origins.iter().enumerate().map(|(rank, from)| {
         let start = FirstRow { candidate: rank, steps: steps_from(from) };
         let rank_cost = if rank == 0 { 2 + origins.len() as u64 } else { rank as u64 };
-        (cost(&start.steps) + rank_cost, start)
+        let point = std::array::from_fn(|axis| (from[axis] + start.steps[axis] * step) as f64);
+        let misses = is_exact && grid.position(point) != position;
+        (misses, cost(&start.steps) + rank_cost, start)
     });
-    ranked.min_by_key(|&(cost, start)| (cost, start.candidate)).unwrap_or_default().1
+    let best = ranked.min_by_key(|&(misses, cost, start)| (misses, cost, start.candidate));
+    best.map(|(_, _, start)| start).unwrap_or_default()
 }
 
 /// Ends of other channels' runs are candidates for fewer rows than this.

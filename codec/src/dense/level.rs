@@ -56,6 +56,11 @@ pub(super) trait RowCodec {
         None
     }
 
+    /// Whether the samples are to be met exactly.
+    fn is_exact(&self) -> bool {
+        false
+    }
+
     /// Begins the rows of a level.
     #[inline(always)]
     fn begin(&mut self, _layout: &LevelLayout) {}

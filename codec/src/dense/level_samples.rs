@@ -51,9 +51,18 @@ pub(super) struct LevelSamples {
 
 impl LevelSamples {
     pub(super) fn new(grid: Grid) -> Self {
+        Self::within(grid, largest_square(grid.tolerance_mm()))
+    }
+
+    /// Samples that must be met exactly.
+    pub(super) fn exact(grid: Grid) -> Self {
+        Self::within(grid, 0.0)
+    }
+
+    fn within(grid: Grid, max_square: f64) -> Self {
         Self {
             grid,
-            max_square: largest_square(grid.tolerance_mm()),
+            max_square,
             samples: [[0.0; PADDED_ROWS]; 3],
             predicted_squares: [0.0; BATCH_ROWS],
             off: [[0.0; PADDED_ROWS]; 3],

@@ -8,7 +8,9 @@ use super::{
     points::{Grid, Point, Points},
     walk::{Dense, SpanCodec, SpanPresence},
 };
-use crate::{BlockReport, GROUP_CHANNELS, Position, Result, Rows, coding::range::RangeEncoder};
+use crate::{
+    BlockReport, GROUP_CHANNELS, Position, Result, Rows, coding::range::RangeEncoder, ensure,
+};
 
 /// The encoder of one block.
 pub(super) struct RowEncoder<'a, 'r> {
@@ -24,6 +26,8 @@ pub(super) struct RowEncoder<'a, 'r> {
     /// The largest squared error so far by channel, in mm^2.
     squares: [f64; GROUP_CHANNELS],
     samples: LevelSamples,
+    /// Rows of the spans that were begun.
+    rows_begun: usize,
 }
 
 impl<'a, 'r> RowEncoder<'a, 'r> {
@@ -44,16 +48,32 @@ impl<'a, 'r> RowEncoder<'a, 'r> {
             slot: 0,
             squares: [0.0; GROUP_CHANNELS],
             samples: LevelSamples::new(grid),
+            rows_begun: 0,
         }
+    }
+
+    /// Codes samples that were decoded from another block, to exactly the same floats.
+    pub(super) fn exactly(self, grid: Grid) -> Self {
+        Self { samples: LevelSamples::exact(grid), ..self }
+    }
+
+    /// The first channel that misses a sample by more than it may: later ones are predicted from it.
+    pub(super) fn first_miss(&self) -> Option<usize> {
+        self.squares.iter().position(|&squares| squares > self.samples.max_square)
+    }
+
+    /// Rows that were coded, or begun.
+    pub(super) fn rows_begun(&self) -> usize {
+        self.rows_begun
     }
 
     /// Ends the block and reports the errors; `false` when it exceeds its limit of bytes or the tolerance.
     pub(super) fn finish(self) -> bool {
+        let is_within = self.first_miss().is_none();
         for (report, squares) in self.reports.iter_mut().zip(self.squares) {
             report.max_error_mm = squares.sqrt();
         }
-        self.coder.finish()
-            && self.squares.iter().all(|&squares| squares <= self.samples.max_square)
+        self.coder.finish() && is_within
     }
 
     /// The planned steps of a row if they lead into the tolerance ball; else its prediction, if that is inside.
@@ -82,6 +102,10 @@ impl<'a> RowCodec for RowEncoder<'a, '_> {
 
     fn position(&self, channel: usize, row: usize) -> Option<Position> {
         Some(self.channels[channel].positions()[row])
+    }
+
+    fn is_exact(&self) -> bool {
+        self.samples.max_square == 0.0
     }
 
     #[inline(always)]
@@ -123,6 +147,11 @@ impl<'a> RowCodec for RowEncoder<'a, '_> {
 
 impl SpanCodec for RowEncoder<'_, '_> {
     fn begin_span(&mut self, group: &Dense, span: SpanPresence<'_>) -> Result<()> {
+        self.rows_begun += span.last - span.before;
+        if self.samples.max_square == 0.0 {
+            // Samples that cannot be met will not be met by what follows either.
+            ensure(self.first_miss().is_none(), "a sample that no lattice point meets")?;
+        }
         match &mut self.planner {
             Some(planner) => planner.plan_span(group, self.channels, span),
             None => Ok(()),

@@ -257,7 +257,7 @@ impl Dense {
         let step = tracks[channel].fineness.step(Lattice::Cubic);
         let FirstRow { candidate, steps } =
             codec.position(channel, at - PAST_ROWS).map_or_else(FirstRow::default, |position| {
-                first_row::choose(self.grid, position, step, origins.points())
+                first_row::choose(self.grid, position, step, codec.is_exact(), origins.points())
             });
         let candidate = origins.code(codec.coder(), model, candidate);
         if let Some(end) = origins.taken(candidate).and_then(|k| tracks[k].end.as_mut()) {

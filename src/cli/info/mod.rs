@@ -116,6 +116,8 @@ struct InfoReport {
     created_unix_ms: Option<i64>,
     resampler: String,
     tolerance_mm: f64,
+    format_version: u16,
+    keys: Option<String>,
     up_axis: Option<&'static str>,
     device: Option<Device>,
     source: Option<ImportSourceReport>,
@@ -223,6 +225,8 @@ impl InfoReport {
             created_unix_ms: created_unix_ms(header),
             resampler: header.resampler.clone(),
             tolerance_mm: header.tolerance_mm,
+            format_version: header.codec_version,
+            keys: header.key_distance().map(str::to_owned),
             up_axis: header.up_axis.name(),
             device: header.device.clone(),
             source: header.source.clone().map(|file| ImportSourceReport {

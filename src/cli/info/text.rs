@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use mocapd_service::units;
+use mocapd_take::record::CODEC_VERSION;
 
 use super::{ForeignReport, InfoReport, sampled};
 use crate::cli::{
@@ -163,6 +164,14 @@ fn resampler(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
         "every bit kept".to_owned()
     };
     line("resampler", &format!("{}, {bound}", report.resampler));
+    if report.keys.is_some() || report.format_version != CODEC_VERSION {
+        let keys = match report.keys.as_deref() {
+            None => "more than 10 s apart".to_owned(),
+            Some("none") => "the first stretch only".to_owned(),
+            Some(distance) => format!("at most {distance} apart"),
+        };
+        line("keys", &format!("{keys}; format version {}", report.format_version));
+    }
 }
 
 /// The kinds of foreign parts that hold samples, in place of descriptions. Takes of earlier versions have them deflated.

@@ -243,6 +243,9 @@ fn header_of_joined(
     let headers: Vec<&Header> = sources.iter().map(|source| &source.map().header).collect();
     let ids: Vec<String> = headers.iter().map(|header| header.take_id_text()).collect();
     let mut header = headers.first().map_or_else(Header::default, |&header| header.clone());
+    // Keys that are far apart in one take are so in the joined one.
+    let versions = headers.iter().map(|header| header.codec_version);
+    header.codec_version = versions.max().unwrap_or(header.codec_version);
     // The rows are no longer those that it states.
     header.settings.retain(|(key, _)| key != CUT);
     let note = format!("by {}: the takes {}", context.software, ids.join(", "));

@@ -6,7 +6,9 @@ use std::{
     ops::Range,
 };
 
-use mocapd_codec::{BlockEncoder, BlockReport, DecodedRows, GROUP_CHANNELS, Position, Rows};
+use mocapd_codec::{
+    BlockEncoder, BlockReport, DecodedRows, GROUP_CHANNELS, Position, ResamplerKind, Rows, Settings,
+};
 
 use super::{CUT, EditContext, SourceTake, damaged, foreign, seam::CutOrigin};
 use crate::{
@@ -26,7 +28,7 @@ pub struct CutReport {
     pub rows: u64,
     /// Entries of the channel table of the new take.
     pub n_channels: usize,
-    /// Rows whose blocks were copied.
+    /// Rows whose blocks were copied, or could be encoded again to the same floats.
     pub rows_copied: u64,
     /// Rows whose samples were stored as floats.
     pub rows_exact: u64,
@@ -180,7 +182,7 @@ impl<'a, W: Write> Cutter<'a, W> {
             in_step: false,
             untimed: StretchHeaderWriter::new(header.stretch_rows),
             timed: StretchHeaderWriter::with_times(header.stretch_rows, times),
-            exact: ExactBlocks { encoder: header.codec()?.encoder(), reports: Vec::new() },
+            exact: ExactBlocks::new(&header.codec()?),
             payload: Vec::new(),
             tally: LedgerTally::default(),
             report: CutReport::default(),
@@ -210,7 +212,6 @@ impl<'a, W: Write> Cutter<'a, W> {
             self.take.channels(more)?;
             self.n_channels = n_channels;
         }
-        self.payload.clear();
         let timeline =
             stretch.timeline.as_ref().map(|timeline| self.moved(timeline.part(self.rows.clone())));
         let rows = stretch.span.first_row.max(self.rows.start)..end_row.min(self.rows.end);
@@ -219,33 +220,63 @@ impl<'a, W: Write> Cutter<'a, W> {
         let first_row = rows.start - self.rows.start;
         let first_here = (rows.start - stretch.span.first_row.min(rows.start)) as usize;
         let here = first_here..first_here + n_rows as usize;
-        let key = stretch.span.key || !can_copy;
-        let span = Span { first_row, n_rows, key, number: self.number };
         let recorded = [RowRun { rows: n_rows.into(), lost: None }];
         let runs = timeline.as_ref().map_or(&recorded[..], |timeline| &timeline.runs);
         // A stretch without rows leaves the rows of the one before decoded.
         let decoded = progress.rows().take(if n_rows > 0 { n_channels } else { 0 });
         let channels: Vec<_> = decoded.collect();
         self.tally.add_runs(runs, n_channels, samples_in(&channels, &here));
-        let tally = if can_copy {
+        if can_copy {
             let from_row = timeline.as_ref().map_or(first_row, |timeline| timeline.first_row);
             let stretch_rows = [self.source.map().header.stretch_rows; 2];
             let runs = timeline.map(|timeline| timeline.runs);
+            let span = Span { first_row, n_rows, key: stretch.span.key, number: self.number };
+            self.payload.clear();
             CopiedStretch { span, from_row, runs, stretch_rows }
                 .put(stretch.payload, &mut self.payload)?;
             self.report.rows_copied += u64::from(n_rows);
-            StretchTally::of_decoded(stretch, channels.iter().copied())
+            let tally = StretchTally::of_decoded(stretch, channels.iter().copied());
+            self.push(span, &tally)?;
         } else {
-            let alone = n_channels <= GROUP_CHANNELS;
-            let front = if timeline.is_some() { &mut self.timed } else { &mut self.untimed };
-            front.put(span, &timeline.unwrap_or_default(), &[], alone, &mut self.payload);
-            self.report.rows_exact += u64::from(n_rows);
-            self.exact.put(&channels, &here, alone, &mut self.payload)?
-        };
-        self.take.stretch(span, &self.payload, &tally)?;
-        self.number = (self.number + 1) % NUMBERS;
+            let pieces = match &timeline {
+                Some(_) => vec![here],
+                None => self.exact.pieces(&channels, here, stretch.span.key)?,
+            };
+            for piece in pieces {
+                let first_row = first_row + (piece.start - first_here) as u64;
+                self.encode(&channels, piece, first_row, timeline.clone())?;
+            }
+        }
         // A stretch without rows changes nothing for the blocks after it.
         self.in_step = can_copy && (n_rows > 0 || self.in_step);
+        Ok(())
+    }
+
+    /// Writes the rows `here` of decoded channels as a key stretch of its own.
+    fn encode(
+        &mut self,
+        channels: &[Option<&DecodedRows>],
+        here: Range<usize>,
+        first_row: u64,
+        timeline: Option<Timeline>,
+    ) -> Result<(), TakeError> {
+        let alone = channels.len() <= GROUP_CHANNELS;
+        let n_rows = here.len() as u32;
+        let span = Span { first_row, n_rows, key: true, number: self.number };
+        let front = if timeline.is_some() { &mut self.timed } else { &mut self.untimed };
+        self.payload.clear();
+        front.put(span, &timeline.unwrap_or_default(), &[], alone, &mut self.payload);
+        let (tally, is_stored) = self.exact.put(channels, &here, alone, &mut self.payload)?;
+        let rows =
+            if is_stored { &mut self.report.rows_exact } else { &mut self.report.rows_copied };
+        *rows += u64::from(n_rows);
+        self.push(span, &tally)
+    }
+
+    /// Writes the payload as the next stretch.
+    fn push(&mut self, span: Span, tally: &StretchTally) -> Result<(), TakeError> {
+        self.take.stretch(span, &self.payload, tally)?;
+        self.number = (self.number + 1) % NUMBERS;
         self.report.rows = span.end_row();
         Ok(())
     }
@@ -290,23 +321,71 @@ fn samples_in(channels: &[Option<&DecodedRows>], here: &Range<usize>) -> u64 {
     channels.iter().flatten().map(|rows| present(rows)).sum()
 }
 
-/// Encodes decoded samples as key blocks that store them exactly.
-struct ExactBlocks {
+/// Rows of a span of `dense`: a key block has the same points in as many whole spans as are kept of it.
+const SPAN_ROWS: usize = 64;
+
+/// Shortest run of rows in which nothing moves that becomes a stretch of its own.
+const STILL_ROWS_MIN: usize = 16;
+
+/// Encodes decoded samples as key blocks that decode to the same floats.
+pub(super) struct ExactBlocks {
     encoder: Box<dyn BlockEncoder>,
     reports: Vec<BlockReport>,
+    /// Some samples can be encoded again, and need not be stored.
+    is_dense: bool,
 }
 
 impl ExactBlocks {
-    /// Appends the blocks of the rows `here` of decoded channels, and counts their samples.
-    fn put(
+    pub(super) fn new(codec: &Settings) -> Self {
+        let is_dense = codec.kind == ResamplerKind::Dense;
+        Self { encoder: codec.encoder(), reports: Vec::new(), is_dense }
+    }
+
+    /// Divides the rows `here` of a decoded stretch into stretches that take few bytes: whole spans behind its key, if
+    /// the rows begin with it, and rows in which nothing moves can be encoded again; others are stored.
+    fn pieces(
+        &mut self,
+        channels: &[Option<&DecodedRows>],
+        here: Range<usize>,
+        is_key: bool,
+    ) -> Result<Vec<Range<usize>>, TakeError> {
+        if !self.is_dense || here.len() < STILL_ROWS_MIN {
+            return Ok(vec![here]);
+        }
+        if !self.put(channels, &here, true, &mut Vec::new())?.1 {
+            return Ok(vec![here]);
+        }
+        let mut pieces = Vec::new();
+        let mut at = here.start;
+        if is_key && at == 0 && here.end > SPAN_ROWS {
+            at = here.end - here.end % SPAN_ROWS;
+            pieces.push(0..at);
+        }
+        for still in still_runs(channels, at..here.end) {
+            if at < still.start {
+                pieces.push(at..still.start);
+            }
+            at = still.end;
+            pieces.push(still);
+        }
+        if at < here.end {
+            pieces.push(at..here.end);
+        }
+        Ok(pieces)
+    }
+
+    /// Appends the blocks of the rows `here` of decoded channels, and counts their samples. Also returns whether samples
+    /// of a channel are stored.
+    pub(super) fn put(
         &mut self,
         channels: &[Option<&DecodedRows>],
         here: &Range<usize>,
         alone: bool,
         out: &mut Vec<u8>,
-    ) -> Result<StretchTally, TakeError> {
+    ) -> Result<(StretchTally, bool), TakeError> {
         let mut tally = BlockTally::default();
         tally.restart(here.len());
+        let mut is_stored = false;
         // A channel without samples, in the stretch or at all.
         let (absent, nowhere) = (vec![false; here.len()], vec![[0.0; 3]; here.len()]);
         for group in channels.chunks(GROUP_CHANNELS).filter(|_| !here.is_empty()) {
@@ -327,9 +406,37 @@ impl ExactBlocks {
             let mut block = Vec::new();
             self.encoder.encode_exact(&rows, stated_mm, &mut block, &mut self.reports)?;
             put_block(&block, alone, out);
+            let mut reports = self.reports.iter();
+            is_stored |= reports.any(|report| report.samples > 1 && report.kept == report.samples);
             let kept_rows = self.encoder.kept_rows();
             tally.append(&BlockTally::of_encoded(&block, &rows, &self.reports, kept_rows));
         }
-        Ok(StretchTally::of(&tally))
+        Ok((StretchTally::of(&tally), is_stored))
     }
+}
+
+/// The longest runs of the rows `here` in which every marker has one position, of those that are long enough.
+fn still_runs(channels: &[Option<&DecodedRows>], here: Range<usize>) -> Vec<Range<usize>> {
+    let mut is_moved = vec![false; here.len()];
+    for decoded in channels.iter().flatten() {
+        let mut last = None;
+        for (row, is_moved) in here.clone().zip(&mut is_moved) {
+            if !decoded.present.get(row).copied().unwrap_or_default() {
+                continue;
+            }
+            let at = decoded.positions.get(row).map(|position| position.map(f32::to_bits));
+            *is_moved |= last.is_some_and(|last| last != at);
+            last = Some(at);
+        }
+    }
+    let mut runs = Vec::new();
+    let mut start = here.start;
+    let moves = here.clone().zip(is_moved).filter(|(_, is_moved)| *is_moved).map(|(row, _)| row);
+    for end in moves.chain([here.end]) {
+        if end - start >= STILL_ROWS_MIN {
+            runs.push(start..end);
+        }
+        start = end;
+    }
+    runs
 }

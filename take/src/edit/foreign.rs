@@ -76,6 +76,21 @@ pub(super) fn cut(
     }))
 }
 
+/// Reads a part whole, to write it again.
+pub(super) fn read_whole(
+    part: &ForeignPart,
+    input: &mut (impl Read + Seek),
+    context: &EditContext<'_>,
+) -> Result<EditedPart, TakeError> {
+    if relation_of(&part.kind).is_none() {
+        return Err(TakeError::InvalidArgument(format!(
+            "it has the part `{}`, which this version cannot keep: use a newer mocapd",
+            part.kind
+        )));
+    }
+    read(part, input, &mut Spool::new(context.new_scratch))
+}
+
 /// Reads a foreign part; damage is an error.
 fn read(
     part: &ForeignPart,

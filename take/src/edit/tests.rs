@@ -5,7 +5,7 @@ use std::{
     ops::Range,
 };
 
-use mocapd_codec::{BlockReport, GROUP_CHANNELS, Rows, Settings, Tolerance};
+use mocapd_codec::{BlockReport, Effort, GROUP_CHANNELS, Rows, Settings, Tolerance};
 use mocapd_testkit::random::Random;
 
 use super::{seam::CutOrigin, *};
@@ -20,8 +20,8 @@ use crate::{
     motion_encoder::{EncodePlan, MotionWriter, channels, stretch_rows},
     record::{
         CODEC_VERSION, Channel, Clock, ClockLine, ClockPoint, Device, EndingKind, Event, EventKind,
-        FIRST_FRAME_SETTING, Header, ImportSource, Ledger, PART_SETTING, SERIES_SETTING,
-        SPLIT_SETTING, SampleForm, TakeEnding,
+        FIRST_FRAME_SETTING, Header, ImportSource, KeyDistance, Ledger, PART_SETTING,
+        SERIES_SETTING, SPLIT_SETTING, SampleForm, TakeEnding,
     },
     recovery::RecoveryScan,
     sampled::LostSamples,
@@ -417,6 +417,39 @@ fn only_rows_before_the_first_key_and_of_the_last_stretch_are_stored_as_floats()
     assert!(rows.start == a && (b - 60..b).contains(&rows.end), "{rows:?}");
     assert_eq!(check_part(&take, &whole, rows).rows_exact, 0);
     assert_eq!(source(&take).whole_stretches(Cursor::new(&take), &(0..900)).unwrap(), 0..900);
+}
+
+#[test]
+fn recordings_are_repacked_with_their_times_and_losses() {
+    let settings = |kind: &str| RepackSettings {
+        codec: settings(kind),
+        effort: Effort::new(if kind == "dense" { 2 } else { 1 }).unwrap(),
+        keys: None,
+    };
+    let repacked = |take: &[u8], settings: Option<&RepackSettings>| {
+        let source = source(take);
+        let mut out = Vec::new();
+        repack(&source, Cursor::new(take), settings, &mut out, &context())?;
+        let old = Cursor::new(take);
+        let found = check_repacked(old, Cursor::new(&out), settings, &context())?;
+        assert_eq!(found, None);
+        check_statistics(&out);
+        Ok::<_, TakeError>(out)
+    };
+    for kind in ["dense", "fast"] {
+        let take = recording(kind, 900);
+        assert!(repacked(&take, None).unwrap().len() <= take.len(), "{kind}");
+        let refused = repacked(&take, Some(&settings(kind))).unwrap_err();
+        assert!(refused.to_string().contains("the source or a lossless take"), "{refused}");
+    }
+    let take = recording("lossless", 900);
+    let smaller = repacked(&take, Some(&settings("lossless:predictive"))).unwrap();
+    assert!(smaller.len() < take.len(), "{} of {} bytes", smaller.len(), take.len());
+    let dense = repacked(&smaller, Some(&settings("dense"))).unwrap();
+    assert!(dense.len() < smaller.len());
+    let keys = Some(KeyDistance::FirstOnly);
+    let refused = repacked(&take, Some(&RepackSettings { keys, ..settings("dense") }));
+    assert!(refused.unwrap_err().to_string().contains("hold its clocks"));
 }
 
 #[test]

@@ -7,8 +7,7 @@ use mocapd_codec::{CodecError, Effort, GROUP_CHANNELS, Position, ResamplerKind, 
 use crate::{
     TakeError,
     motion::{FrameSource, GAP, MotionInfo, is_gap},
-    record::Header,
-    stretch::LIVE_ROWS_MAX,
+    record::{Header, long_stretch_rows},
 };
 
 /// One group of channels over one stretch, with its samples: the unit that is encoded independently.
@@ -16,6 +15,8 @@ use crate::{
 pub struct EncodePart {
     /// Number of its stretch in the take, from 0.
     pub(super) stretch: usize,
+    /// It is encoded without state from earlier stretches.
+    pub(super) key: bool,
     /// First row.
     pub first_row: usize,
     /// Number of rows.
@@ -41,6 +42,8 @@ pub struct EncodeParts<'f> {
     stretch_rows: usize,
     /// Which stretches are joined, where any are.
     still: Option<StillSpans>,
+    /// Stretches from one key to the next.
+    key_every: usize,
     /// First row that was not read yet.
     next_row: usize,
     /// Number of the next stretch.
@@ -57,11 +60,22 @@ impl<'f> EncodeParts<'f> {
         n_rows: usize,
         stretch_rows: usize,
         still: Option<StillSpans>,
+        key_every: usize,
     ) -> Self {
         let n_groups = frames.info().markers.len().div_ceil(GROUP_CHANNELS).max(1);
         let ready = VecDeque::with_capacity(n_groups);
         let (next_row, next_stretch, ahead) = (0, 0, None);
-        Self { frames, n_rows, stretch_rows, still, next_row, next_stretch, ahead, ready }
+        Self {
+            frames,
+            n_rows,
+            stretch_rows,
+            still,
+            key_every,
+            next_row,
+            next_stretch,
+            ahead,
+            ready,
+        }
     }
 
     /// The description of the motion.
@@ -100,9 +114,11 @@ impl<'f> EncodeParts<'f> {
         }
         let StretchRows { first_row, n_rows, groups } = stretch;
         let number = self.next_stretch;
+        let key = number.is_multiple_of(self.key_every);
         self.next_stretch += 1;
         self.ready.extend(groups.into_iter().enumerate().map(|(group, columns)| EncodePart {
             stretch: number,
+            key,
             first_row,
             n_rows,
             first_marker: group * GROUP_CHANNELS,
@@ -179,15 +195,6 @@ pub(super) struct StillSpans {
 /// tolerance of its middle.
 const STILL_TOLERANCES: f64 = 2.0;
 
-/// Longest joined stretch, in seconds: what one damaged byte can cost, and what a part that is cut out of its middle
-/// stores as floats. The twelve stretches of an hour of seven still markers take 0.9 kB, beside 0.3 kB of the header and
-/// the end of the take.
-const JOINED_S_MAX: f64 = 300.0;
-
-/// Most samples of a joined stretch: a reader that goes to a row decodes the stretch around it, this many in a tenth of
-/// a second, and needs 48 MB for them.
-const JOINED_SAMPLES_MAX: usize = 1 << 20;
-
 impl StillSpans {
     /// What is joined in an import with this header: nothing where the distance between keys is stated, and nothing at
     /// the least effort, whose stretches are those of the live encoder.
@@ -195,9 +202,7 @@ impl StillSpans {
         let is_joined = codec.kind == ResamplerKind::Dense
             && header.effort() > Effort::MIN
             && header.key_rows().is_none();
-        let rows_max = ((JOINED_S_MAX * header.rate_hz) as usize)
-            .min(JOINED_SAMPLES_MAX / n_markers.max(1))
-            .min(LIVE_ROWS_MAX as usize);
+        let rows_max = long_stretch_rows(header.rate_hz, n_markers);
         let diagonal_mm = STILL_TOLERANCES * codec.tolerance.mm();
         is_joined.then_some(Self { rows_max, diagonal_mm })
     }

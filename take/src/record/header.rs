@@ -1,6 +1,7 @@
 //! HEADER and CHANNELS: everything that a reader needs before the first stretch.
 
 use std::{
+    fmt,
     io::{ErrorKind, Read},
     ops::RangeInclusive,
     time::Duration,
@@ -16,7 +17,7 @@ use crate::{
     TakeError,
     chunk::{self, ChunkParse, types},
     quantity,
-    stretch::CHANNELS_MAX,
+    stretch::{CHANNELS_MAX, LIVE_ROWS_MAX},
     up_axis::UpAxis,
     varint::{self, Cursor},
 };
@@ -113,8 +114,53 @@ pub struct Header {
     pub settings: Vec<(String, String)>,
 }
 
-/// The version of stretches and blocks that this build writes and reads. Versions 1 to 5 belong to development builds.
+/// The version of stretches and blocks that this build writes, unless keys are [further apart](LONG_KEYS_VERSION).
+/// Versions 1 to 5 belong to development builds.
 pub const CODEC_VERSION: u16 = 6;
+
+/// The version of takes whose key stretches may be further apart than [`KEYS_APART_S_MAX`]: all else is as in
+/// [`CODEC_VERSION`].
+pub const LONG_KEYS_VERSION: u16 = 7;
+
+/// Longest time from one key stretch to the next in takes of [`CODEC_VERSION`], in seconds.
+pub const KEYS_APART_S_MAX: f64 = 10.0;
+
+/// Longest stretch of an import in which nothing moves, or whose keys are further apart than ten seconds, in seconds:
+/// what one damaged byte can cost. The twelve stretches of an hour of seven still markers take 0.9 kB, beside 0.3 kB of
+/// the header and the end of the take.
+const LONG_STRETCH_S: f64 = 300.0;
+
+/// Most samples of such a stretch: a reader that goes to a row decodes the stretch around it, this many in a tenth of a
+/// second, and needs 48 MB for them.
+const LONG_STRETCH_SAMPLES: usize = 1 << 20;
+
+/// Most rows of a stretch of an import in which nothing moves, or whose keys are further apart than ten seconds.
+pub(crate) fn long_stretch_rows(rate_hz: f64, n_channels: usize) -> usize {
+    ((LONG_STRETCH_S * rate_hz) as usize)
+        .min(LONG_STRETCH_SAMPLES / n_channels.max(1))
+        .min(LIVE_ROWS_MAX as usize)
+}
+
+/// The chosen distance of the key stretches of an import.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum KeyDistance {
+    /// At most this time from one to the next.
+    Every(Duration),
+    /// The first stretch is the only one.
+    FirstOnly,
+}
+
+impl fmt::Display for KeyDistance {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Every(distance) => write!(f, "{distance:?}"),
+            Self::FirstOnly => f.write_str(NO_KEYS),
+        }
+    }
+}
+
+/// How the settings name [`KeyDistance::FirstOnly`].
+const NO_KEYS: &str = "none";
 
 // Blocks are part of takes, so a new block version needs a new version here.
 const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);
@@ -159,22 +205,53 @@ impl Header {
         stated.and_then(|(_, level)| level.parse().ok()).unwrap_or_default()
     }
 
-    /// Sets the distance of the key stretches of an import, and the rows of its full stretches, which are at most those
-    /// set before.
-    pub fn set_key_distance(&mut self, distance: Duration) {
+    /// Sets the distance of the key stretches of an import of `n_rows` rows, and the rows of its full stretches. These
+    /// are at most those set before; but a take that has keys further apart than ten seconds is of a later version, and
+    /// has longer stretches.
+    pub fn set_key_distance(&mut self, distance: KeyDistance, n_rows: u64) {
         self.settings.retain(|(key, _)| key != KEYS);
-        self.settings.push((KEYS.to_owned(), format!("{distance:?}")));
-        if let Some(rows) = self.key_rows() {
-            self.stretch_rows = self.stretch_rows.min(rows as u32);
+        self.settings.push((KEYS.to_owned(), distance.to_string()));
+        let Some(rows) = self.key_rows() else { return };
+        let rows_max = (KEYS_APART_S_MAX * self.rate_hz) as usize;
+        if rows > rows_max.max(1) && n_rows > rows_max as u64 {
+            self.codec_version = LONG_KEYS_VERSION;
+            let longest = long_stretch_rows(self.rate_hz, self.channels.len());
+            let longest = longest.max(self.stretch_rows as usize).max(1);
+            // Stretches of one length fill the distance.
+            let rows = rows.min(usize::try_from(n_rows).unwrap_or(usize::MAX)).max(1);
+            self.stretch_rows = rows.div_ceil(rows.div_ceil(longest)) as u32;
+        } else {
+            self.stretch_rows = self.stretch_rows.min(u32::try_from(rows).unwrap_or(u32::MAX));
         }
+    }
+
+    /// Removes the distance of key stretches.
+    pub(crate) fn unset_key_distance(&mut self) {
+        self.settings.retain(|(key, _)| key != KEYS);
+    }
+
+    /// The distance of the key stretches of an import as it is stated, if it was chosen.
+    #[must_use]
+    pub fn key_distance(&self) -> Option<&str> {
+        let stated = self.settings.iter().find(|(key, _)| key == KEYS);
+        stated.map(|(_, distance)| distance.as_str())
     }
 
     /// The rows between the key stretches of an import, at least one, if their distance was chosen.
     #[must_use]
     pub fn key_rows(&self) -> Option<usize> {
-        let (_, distance) = self.settings.iter().find(|(key, _)| key == KEYS)?;
+        let distance = self.key_distance()?;
+        if distance == NO_KEYS {
+            return Some(usize::MAX);
+        }
         let distance = quantity::duration_above_zero(distance).ok()?;
         Some(((distance.as_secs_f64() * self.rate_hz) as usize).max(1))
+    }
+
+    /// Whether key stretches may be further apart than ten seconds.
+    #[must_use]
+    pub fn has_long_keys(&self) -> bool {
+        self.codec_version == LONG_KEYS_VERSION
     }
 
     /// Sets the tolerances of analog channels that the take was imported with, in the order in which they were given.
@@ -213,8 +290,9 @@ impl Header {
     /// # Errors
     /// `UnknownResampler`; `Codec` for a tolerance out of range, `Unsupported` for another block format.
     pub fn codec(&self) -> Result<Settings, TakeError> {
-        let (found, supported) = (self.codec_version, CODEC_VERSION);
-        if found != supported {
+        let found = self.codec_version;
+        if !(CODEC_VERSION..=LONG_KEYS_VERSION).contains(&found) {
+            let supported = found.clamp(CODEC_VERSION, LONG_KEYS_VERSION);
             return Err(TakeError::Unsupported { what: "block format", found, supported });
         }
         let unknown = |_| TakeError::UnknownResampler(self.resampler.clone());
@@ -493,7 +571,7 @@ mod tests {
             id(&header(), b""),
             id(&Header { software: "mocapd 0.2.0".to_owned(), ..header() }, b"a"),
             id(&Header { resampler: "fast".to_owned(), ..header() }, b"a"),
-            id(&Header { codec_version: CODEC_VERSION + 1, ..header() }, b"a"),
+            id(&Header { codec_version: LONG_KEYS_VERSION, ..header() }, b"a"),
             id(&Header { tolerance_mm: 1.0, ..header() }, b"a"),
             id(&Header { source: None, ..header() }, b"a"),
             id(&Header { settings: vec![(String::new(), String::new())], ..header() }, b"a"),

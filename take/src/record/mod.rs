@@ -27,7 +27,11 @@ pub use clock::{
     CLOCK_ENTRIES_MAX, Clock, ClockBound, ClockJitter, ClockLine, ClockPoint, ClockProbe,
 };
 pub(crate) use header::MoreChannels;
-pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource, RATES_HZ};
+pub(crate) use header::long_stretch_rows;
+pub use header::{
+    CODEC_VERSION, Channel, Device, Header, ImportSource, KEYS_APART_S_MAX, KeyDistance,
+    LONG_KEYS_VERSION, RATES_HZ,
+};
 pub(crate) use sampled_group::SAMPLES_MAX;
 pub use sampled_group::{SampleBounds, SampleForm, SampledChannel, SampledGroup};
 pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};

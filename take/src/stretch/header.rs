@@ -106,6 +106,11 @@ impl StretchFront<'_> {
     }
 }
 
+/// Whether at most one block follows the header of this payload.
+pub(crate) fn is_alone(payload: &[u8]) -> bool {
+    payload.first().is_some_and(|head| head & ALONE != 0)
+}
+
 fn flag(set: bool, bit: u8) -> u8 {
     if set { bit } else { 0 }
 }

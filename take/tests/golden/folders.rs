@@ -7,24 +7,25 @@ use std::{
     sync::Once,
 };
 
-use mocapd_take::record::CODEC_VERSION;
+use mocapd_take::record::{CODEC_VERSION, LONG_KEYS_VERSION};
 
 use super::{
     decoded::Decoded,
-    takes::{GOLDENS, Golden},
+    takes::{GOLDENS, Golden, LONG_KEYS},
     text::PREFACE,
 };
 
-/// Environment variable that makes the test rewrite the folder of the current version.
+/// Environment variable that makes the test rewrite the folders of the versions that this build writes.
 pub(crate) const WRITE: &str = "MOCAPD_WRITE_GOLDEN";
 
-/// The folder of all versions; the current version is rewritten on request.
+/// The folder of all versions; those that this build writes are rewritten on request.
 pub(crate) fn goldens() -> PathBuf {
     static WRITTEN: Once = Once::new();
     let goldens = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
     WRITTEN.call_once(|| {
         if std::env::var_os(WRITE).is_some() {
-            write(&folder(&goldens, CODEC_VERSION));
+            write(&folder(&goldens, CODEC_VERSION), &GOLDENS);
+            write(&folder(&goldens, LONG_KEYS_VERSION), &[LONG_KEYS]);
         }
     });
     goldens
@@ -34,13 +35,13 @@ pub(crate) fn folder(goldens: &Path, version: u16) -> PathBuf {
     goldens.join(format!("v{version}"))
 }
 
-fn write(folder: &Path) {
+fn write(folder: &Path, takes: &[Golden]) {
     if folder.exists() {
         fs::remove_dir_all(folder).unwrap();
     }
     fs::create_dir(folder).unwrap();
     let mut expected = PREFACE.to_owned();
-    for golden in GOLDENS {
+    for golden in takes {
         let take = golden.write().bytes;
         let text = Decoded::read(&take).unwrap().to_text();
         expected += &format!("\ntake {}\n{text}", golden.file());
@@ -49,9 +50,9 @@ fn write(folder: &Path) {
     fs::write(folder.join("expected.txt"), expected).unwrap();
 }
 
-/// The stored bytes of a golden take of the current version.
+/// The stored bytes of a golden take that this build writes.
 pub(crate) fn stored(golden: &Golden) -> Vec<u8> {
-    let path = folder(&goldens(), CODEC_VERSION).join(golden.file());
+    let path = folder(&goldens(), golden.version()).join(golden.file());
     fs::read(&path).unwrap_or_else(|error| {
         panic!(
             "{}: {error}: for a new version, or a new golden take, write them with {WRITE}=1",

@@ -1,11 +1,11 @@
 //! Takes written by each version of the format, kept so that every later build that reads the version decodes them bit
 //! for bit.
 //!
-//! They are in a folder named by [`CODEC_VERSION`], with their content in `expected.txt`. Their motion is seeded and
+//! They are in folders named by [`CODEC_VERSION`], or [`LONG_KEYS_VERSION`] where keys are far apart, with their content in `expected.txt`. Their motion is seeded and
 //! generated here, never recorded. They belong to this crate because a take holds blocks and times with everything that
 //! a decoder needs for both, so one file serves the codec, the take format and the reference decoder.
 //!
-//! This command writes the folder of the current version:
+//! This command writes the folders of the versions that this build writes:
 //!
 //! ```text
 //! MOCAPD_WRITE_GOLDEN=1 cargo test -p mocapd-take --test golden
@@ -26,18 +26,18 @@ use std::{collections::HashSet, io::Cursor};
 
 use mocapd_take::{
     TakeError, TakeFrames, chunk,
-    record::{CODEC_VERSION, Header, Record},
+    record::{CODEC_VERSION, Header, LONG_KEYS_VERSION, Record},
     timeline::Timeline,
 };
 
 use self::{
     decoded::Decoded,
     folders::{WRITE, expected, folder, goldens, stored, versions},
-    takes::GOLDENS,
+    takes::{GOLDENS, all},
 };
 
-/// Older versions that this build reads besides its own. Removing one is a breaking change.
-const ALSO_READ: [u16; 0] = [];
+/// Other versions that this build reads. Removing one is a breaking change.
+const ALSO_READ: [u16; 1] = [LONG_KEYS_VERSION];
 
 #[test]
 fn takes_of_every_version_that_is_read_decode_as_when_they_were_written() {
@@ -79,7 +79,7 @@ fn assert_same(found: &str, expected: &str, version: u16, name: &str) {
 
 #[test]
 fn another_version_is_refused_with_its_number() {
-    for golden in GOLDENS {
+    for golden in all() {
         let take = stored(&golden);
         let behind_magic = chunk::MAGIC.len();
         let chunk::ChunkParse::Whole { kind: Header::KIND, payload, len } =
@@ -89,7 +89,8 @@ fn another_version_is_refused_with_its_number() {
         };
         let header = Header::from_payload(payload, 0).unwrap();
         let mut advice = HashSet::new();
-        for codec_version in [CODEC_VERSION + 1, CODEC_VERSION - 1] {
+        for codec_version in [LONG_KEYS_VERSION + 1, CODEC_VERSION - 1] {
+            let read = codec_version.clamp(CODEC_VERSION, LONG_KEYS_VERSION);
             let changed = Header { codec_version, ..header.clone() }.to_payload().unwrap();
             let mut other = chunk::MAGIC.to_vec();
             chunk::put(&mut other, Header::KIND, &changed).unwrap();
@@ -103,7 +104,7 @@ fn another_version_is_refused_with_its_number() {
                 advice.insert(message.rsplit(": ").next().unwrap().to_owned());
                 assert!(
                     matches!(error, TakeError::Unsupported { what: "block format", found, supported }
-                        if found == codec_version && supported == CODEC_VERSION),
+                        if found == codec_version && supported == read),
                     "{error}"
                 );
             }
@@ -114,7 +115,7 @@ fn another_version_is_refused_with_its_number() {
 
 #[test]
 fn the_same_motion_gives_the_same_bytes() {
-    for golden in GOLDENS {
+    for golden in all() {
         let (stored, written) = (stored(&golden), golden.write().bytes);
         let differs = stored.iter().zip(&written).position(|(a, b)| a != b);
         assert!(
@@ -152,7 +153,7 @@ fn takes_without_statistics_decode_alike() {
 /// Keeps a wrong take from becoming a golden one.
 #[test]
 fn the_takes_hold_their_motion() {
-    for golden in GOLDENS {
+    for golden in all() {
         let written = golden.write();
         let decoded = Decoded::read(&written.bytes).unwrap();
         let mut n_samples = 0;

@@ -3,7 +3,7 @@
 use mocapd_codec::{BlockEncoder, BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeWriter,
-    record::{CODEC_VERSION, Channel, Header, ImportSource, Ledger},
+    record::{CODEC_VERSION, Channel, Header, ImportSource, LONG_KEYS_VERSION, Ledger},
     statistics::{BlockTally, StretchTally},
     stretch::{Span, StretchHeaderWriter, put_block},
     timeline::Timeline,
@@ -111,7 +111,26 @@ pub(crate) const GOLDENS: [Golden; 10] = [
     },
 ];
 
+/// An import whose first stretch is its only key, of the version for that.
+pub(crate) const LONG_KEYS: Golden = Golden {
+    name: "long-keys-1mm",
+    resampler: "dense",
+    tolerance_mm: 1.0,
+    n_markers: 9,
+    has_samples: false,
+};
+
+/// The golden takes of both versions.
+pub(crate) fn all() -> impl Iterator<Item = Golden> {
+    GOLDENS.into_iter().chain([LONG_KEYS])
+}
+
 impl Golden {
+    /// The version of the take.
+    pub(crate) fn version(&self) -> u16 {
+        if self.name == LONG_KEYS.name { LONG_KEYS_VERSION } else { CODEC_VERSION }
+    }
+
     pub(crate) fn file(&self) -> String {
         // Not .take: git ignores that extension, because recordings never belong here.
         format!("{}.mtake", self.name)
@@ -125,7 +144,8 @@ impl Golden {
 
     /// Writes the take; the bytes are the same on every machine, at any time.
     pub(crate) fn write(&self) -> Written {
-        if self.settings().kind.is_live() { self.record() } else { self.import() }
+        let is_recording = self.settings().kind.is_live() && self.version() == CODEC_VERSION;
+        if is_recording { self.record() } else { self.import() }
     }
 
     pub(crate) fn header(&self) -> Header {
@@ -160,7 +180,11 @@ impl Golden {
         };
         let drops_foreign = ("drop_foreign".to_owned(), "true".to_owned());
         let settings = if self.has_samples { Vec::new() } else { vec![drops_foreign] };
-        let header = Header { source: Some(source), settings, ..self.header() };
+        let mut header = Header { source: Some(source), settings, ..self.header() };
+        if self.version() == LONG_KEYS_VERSION {
+            header.codec_version = LONG_KEYS_VERSION;
+            header.settings.push(("keys".to_owned(), "none".to_owned()));
+        }
         let mut columns = markers(n_rows());
         columns.truncate(self.n_markers);
         blank(&mut columns, self.n_markers, &timelines());
@@ -186,12 +210,12 @@ impl Golden {
             let span = Span {
                 first_row: first as u64,
                 n_rows: (end - first) as u32,
-                key: true,
+                key: number == 0 || self.version() == CODEC_VERSION,
                 number: number as u8,
             };
             let rows: Vec<_> = columns.iter().map(|column| column.part(first..end)).collect();
             let shared = settings.plan(&rows).unwrap();
-            let (block, tally, n) = encode(encoder.as_mut(), &rows, &shared, true);
+            let (block, tally, n) = encode(encoder.as_mut(), &rows, &shared, span.key);
             let mut payload = Vec::new();
             front.put(span, &Timeline::default(), &shared, true, &mut payload);
             put_block(&block, true, &mut payload);

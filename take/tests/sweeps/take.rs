@@ -3,7 +3,10 @@
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, Clock, ClockPoint, Device, Event, EventKind, Header, Ledger, Subject},
+    record::{
+        Channel, Clock, ClockPoint, Device, Event, EventKind, Header, LONG_KEYS_VERSION, Ledger,
+        Subject,
+    },
     statistics::{BlockTally, StretchTally},
     stretch::{NUMBERS, Span, StretchHeaderWriter, put_block},
     timeline::{LossCauses, RowTime, Timeline, TimelineEncoder},
@@ -57,6 +60,9 @@ pub(crate) fn subject() -> Subject {
     subject
 }
 
+/// Behind the name of a resampler: only the first stretch is a key.
+pub(crate) const ONE_KEY: &str = ", one key";
+
 /// The bytes of the take, encoded with `kind`.
 pub(crate) fn take(kind: &str) -> Vec<u8> {
     begun(kind, STRETCHES)
@@ -65,8 +71,14 @@ pub(crate) fn take(kind: &str) -> Vec<u8> {
 /// The bytes of the take, cut off after `n_stretches`.
 pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
     let tolerance = Tolerance::from_mm(0.5).unwrap();
-    let settings = Settings { kind: kind.parse().unwrap(), tolerance };
-    let mut writer = TakeWriter::new(Vec::new(), &header(&settings)).unwrap();
+    let has_one_key = kind.ends_with(ONE_KEY);
+    let kind = kind.trim_end_matches(ONE_KEY).parse().unwrap();
+    let settings = Settings { kind, tolerance };
+    let mut header = header(&settings);
+    if has_one_key {
+        header.codec_version = LONG_KEYS_VERSION;
+    }
+    let mut writer = TakeWriter::new(Vec::new(), &header).unwrap();
     writer.subject(&subject()).unwrap();
     let times = TimelineEncoder::new(1_000_000, 60.0);
     let mut front = StretchHeaderWriter::with_times(ROWS as u32, times);
@@ -78,7 +90,7 @@ pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
             writer.channels(&[channel(CHANNELS)]).unwrap();
         }
         let n_channels = CHANNELS + usize::from(stretch >= APPEARS_AT);
-        let key = stretch.is_multiple_of(KEY_EVERY);
+        let key = if has_one_key { stretch == 0 } else { stretch.is_multiple_of(KEY_EVERY) };
         let mut timeline = Timeline::default();
         timeline.restart(first_row);
         if stretch % 7 == 3 {

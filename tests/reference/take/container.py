@@ -10,7 +10,7 @@ from .errors import Corrupt
 MAGIC = b"\x89TAK\r\n\x1a\n"
 HEADER, CHANNELS, STRETCH, FOOTER, SUMMARY = 0x01, 0x02, 0x03, 0x8B, 0x8D
 SAMPLED_GROUP, SAMPLES = 0x8E, 0x8F
-CODEC_VERSION = 6
+VERSIONS = (6, 7)  # 7: key stretches may be further apart
 
 
 def chunks(data):
@@ -119,8 +119,8 @@ def read_header(payload):
         r.list(lambda: (r.string(), r.string())),
     )  # fmt: skip
     r.finish()
-    if header.codec_version != CODEC_VERSION:
-        raise Corrupt(f"blocks of version {header.codec_version}, not {CODEC_VERSION}")
+    if header.codec_version not in VERSIONS:
+        raise Corrupt(f"blocks of version {header.codec_version}, not {' or '.join(map(str, VERSIONS))}")
     return header
 
 
