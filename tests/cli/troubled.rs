@@ -318,7 +318,7 @@ fn a_stream_ends_even_if_its_end_is_lost() {
                 assert_eq!(event["kind"], "host", "{info}");
                 // The recorder is notified as well.
                 let event = event["text"].as_str().unwrap();
-                assert_mentions(event, &["end of the stream"]);
+                assert_mentions(event, &["end-of-stream message was lost"]);
                 assert_mentions(&ran.stderr, &[event]);
             });
         }

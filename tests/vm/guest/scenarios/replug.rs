@@ -142,7 +142,7 @@ fn cut_power(plug_in: impl Fn() -> anyhow::Result<Simulator>, take: &str) -> Mea
         "{ledger:?}: away for {away_s} s"
     );
     let info = mocapd(User::Dialout, &["info", take])?;
-    ensure!(info.stdout.contains("started again"), "{}", info.stdout);
+    ensure!(info.stdout.contains("restarted"), "{}", info.stdout);
     let sent = simulator.stop()?;
     ensure!(ledger.recorded > sent.produced, "{ledger:?}: no frame of before the cut");
     let off_ms = (ledger.away_s - away_s) * 1e3;
