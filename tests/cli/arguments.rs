@@ -58,7 +58,7 @@ fn tolerances() {
 fn distances_of_keys() {
     let folder = folder();
     let import = ["import", "jump.csv", "-o", "new.take"];
-    for distance in ["49ms", "1us"] {
+    for distance in ["49ms", "1ms"] {
         value_refused(&folder, &import, "--keys", distance, &["50ms or more", "none"]);
     }
     for distance in ["0", "-1s", "soon", "3mm"] {
