@@ -19,6 +19,7 @@ use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
     TakeEnds,
     foreign::tolerance::{AnalogTolerance, ChannelTolerance},
+    import::ImportSettings,
     interchange::{Direction, LengthUnit, ReadOptions},
     motion::{Ambiguity, MotionInfo},
     record::Header,
@@ -30,7 +31,7 @@ use super::{
         self, Batch, Destination, Figures, FileKinds, FileReport, Input, InputArgs, Job,
         outputs::{self, SeekWrite},
     },
-    original::{Import, ImportSettings},
+    original::Import,
     output::{plain, plain_path},
     paths::{self, InputFormatName},
     subject::SubjectArgs,

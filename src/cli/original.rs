@@ -7,30 +7,27 @@ use std::{
     sync::{Arc, atomic::AtomicU64},
 };
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use mocapd_acquire::{
     files::{self, SparseFile},
-    header,
+    header::SOFTWARE,
     pipeline::{
         TakeAccount,
         offline::{self, SourceFailed},
     },
 };
-use mocapd_codec::{Effort, Settings};
+use mocapd_codec::Settings;
 use mocapd_take::{
-    foreign::tolerance::AnalogTolerance,
+    import::{self, ImportSettings},
     interchange::{Format, MotionReader, ReadOptions, ReaderSettings},
     motion::{FrameSource, Motion, MotionInfo},
-    record::{Header, ImportSource, KeyDistance, Subject},
+    record::Header,
 };
 
 use super::{
     batch::Input,
     paths::{self, InputFormat},
 };
-
-/// Plausible frame rates, Hz: from time lapse to ballistics.
-const RATE_HZ: std::ops::RangeInclusive<f64> = 0.001..=1e6;
 
 /// Reads a motion file.
 ///
@@ -102,16 +99,7 @@ pub(super) fn open_motion(
     };
     let reader = MotionReader::open(source.format, SparseFile::open(source.path)?, &settings)
         .with_context(|| reading(source.name))?;
-    let (name, info) = (source.name.display(), reader.info());
-    let rate_hz = info.rate_hz;
-    ensure!(!info.markers.is_empty(), "{name} has no markers: nothing to import");
-    ensure!(info.n_frames > 0, "{name} has no frames: nothing to import");
-    ensure!(
-        RATE_HZ.contains(&rate_hz),
-        "{name} has a rate of {rate_hz:e} Hz, expected {} to {}: correct the rate in the file",
-        RATE_HZ.start(),
-        RATE_HZ.end()
-    );
+    import::check(reader.info(), &source.name.display().to_string())?;
     Ok(reader)
 }
 
@@ -121,41 +109,11 @@ fn reading(path: &Path) -> String {
 
 /// The header of a take made from a file, without its id.
 pub(super) fn header_of(motion: &MotionInfo, file: &Path, codec: &Settings) -> Header {
-    let info = motion;
-    let mut header = header::of_import(codec, info.rate_hz);
-    header.up_axis = info.up;
-    let n_frames = usize::try_from(info.n_frames).unwrap_or(usize::MAX);
-    header.stretch_rows =
-        offline::stretch_rows(codec, info.rate_hz, n_frames, info.markers.len()) as u32;
-    header.channels = header::channels(&info.markers);
-    header.source = Some(ImportSource {
-        format: info.source.format.clone(),
-        file: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        unit: info.source.unit.clone(),
-        factor: info.source.factor,
-        first_frame: info.source.first_frame,
-        warnings: info.source.warnings.clone(),
-    });
-    header
+    import::header_of(motion, codec, SOFTWARE, file_name(file))
 }
 
-/// How files are imported.
-#[derive(Debug)]
-pub(super) struct ImportSettings {
-    /// Resampler and tolerance.
-    pub(super) codec: Settings,
-    /// Effort of the encoder.
-    pub(super) effort: Effort,
-    /// Distance of key stretches, where it was chosen.
-    pub(super) key_distance: Option<KeyDistance>,
-    /// Tolerances of analog channels.
-    pub(super) analog: AnalogTolerance,
-    /// Unit and up axis.
-    pub(super) options: ReadOptions,
-    /// Whether everything but trajectories is left out.
-    pub(super) drops_foreign: bool,
-    /// The subject of the takes.
-    pub(super) subject: Option<Subject>,
+fn file_name(file: &Path) -> String {
+    file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// A file that was opened for import.
@@ -182,13 +140,9 @@ impl<'a> Import<'a> {
         let source = MotionSource::of(input)?;
         let keeps_foreign = !settings.drops_foreign;
         let mut reader = open_motion(&source, &settings.options, keeps_foreign, bytes_read)?;
-        let info = reader.info_mut();
-        let mut foreign_dropped = Vec::new();
-        if settings.drops_foreign {
-            foreign_dropped.extend(info.foreign.drain(..).map(|part| part.kind));
-        }
-        settings.analog.apply(info, files::scratch).with_context(|| reading(&input.name))?;
-        info.subject.clone_from(&settings.subject);
+        let foreign_dropped = settings
+            .apply(reader.info_mut(), files::scratch)
+            .with_context(|| reading(&input.name))?;
         Ok(Self { settings, input, reader, foreign_dropped })
     }
 
@@ -207,23 +161,11 @@ impl<'a> Import<'a> {
     /// # Errors
     /// If the file cannot be read.
     pub(super) fn header(&mut self) -> anyhow::Result<Header> {
-        let ImportSettings { codec, options, subject, .. } = self.settings;
-        let name = &self.input.name;
-        let mut header = header_of(self.reader.info(), name, codec);
-        header.set_effort(self.settings.effort);
-        let n_frames = self.reader.info().n_frames;
-        if let Some(distance) = self.settings.key_distance {
-            header.set_key_distance(distance, n_frames);
-        }
-        let tolerances = self.settings.analog.0.iter().map(ToString::to_string);
-        header.set_analog_tolerances(tolerances);
-        header.settings.extend(options.settings());
-        if self.settings.drops_foreign {
-            header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
-        }
+        let (settings, name) = (self.settings, &self.input.name);
+        let mut header = settings.header(self.reader.info(), SOFTWARE, file_name(name));
         header.set_source_bytes(fs::metadata(&self.input.path)?.len());
         header
-            .set_import_id(self.reader.bytes(), subject.as_ref())
+            .set_import_id(self.reader.bytes(), settings.subject.as_ref())
             .with_context(|| reading(name))?;
         Ok(header)
     }

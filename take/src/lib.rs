@@ -11,6 +11,7 @@ pub mod edit;
 pub mod escape;
 pub mod foreign;
 pub mod frames;
+pub mod import;
 pub mod index;
 pub mod interchange;
 pub mod map;
