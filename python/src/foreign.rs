@@ -231,7 +231,7 @@ impl ScratchFile for Scratch {
     }
 }
 
-fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
+pub(crate) fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
     let file = tempfile::tempfile().map_err(|error| scratch_error(&error))?;
     Ok(Arc::new(Scratch(file)))
 }

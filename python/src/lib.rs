@@ -7,12 +7,14 @@ mod decode;
 mod encode;
 mod errors;
 mod foreign;
+mod import;
 mod read;
 mod records;
 mod scan;
 mod source;
 mod take_file;
 mod times;
+mod whole;
 
 /// `mocapd._native`.
 #[pyo3::pymodule]
@@ -22,5 +24,9 @@ mod _native {
     #[pymodule_export]
     use crate::errors::TakeError;
     #[pymodule_export]
+    use crate::import::{Imported, import_motion, importer_version};
+    #[pymodule_export]
     use crate::take_file::TakeFile;
+    #[pymodule_export]
+    use crate::whole::{check_take, repack_take};
 }

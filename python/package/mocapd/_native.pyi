@@ -4,7 +4,16 @@ from typing import Any, TypedDict, final, type_check_only
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["TakeError", "TakeFile", "encode"]
+__all__ = [
+    "Imported",
+    "TakeError",
+    "TakeFile",
+    "check_take",
+    "encode",
+    "import_motion",
+    "importer_version",
+    "repack_take",
+]
 
 class TakeError(Exception): ...
 
@@ -92,3 +101,31 @@ class EncodeOptions(TypedDict):
 def encode(
     positions: npt.NDArray[np.float32], labels: list[tuple[str, bool]], options: EncodeOptions, threads: int
 ) -> bytes: ...
+
+@type_check_only
+class ImportOptions(TypedDict):
+    format: str
+    tolerance_mm: float | None
+    resampler: str
+    effort: int
+    keys_s: float | None
+    unit: str | None
+    up: str | None
+    analog_tolerance: list[str]
+    drop_foreign: bool
+    subject: str | None
+
+@final
+class Imported:
+    take: bytes
+    max_error_mm: float
+    samples: npt.NDArray[np.uint64]
+    gaps: npt.NDArray[np.uint64]
+    low_mm: npt.NDArray[np.float32]
+    high_mm: npt.NDArray[np.float32]
+    peak_speed_mm_per_s: npt.NDArray[np.float64]
+
+def importer_version() -> int: ...
+def import_motion(data: bytes, options: ImportOptions) -> Imported: ...
+def check_take(data: bytes) -> list[str]: ...
+def repack_take(data: bytes) -> bytes | None: ...

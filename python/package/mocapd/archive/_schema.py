@@ -1,0 +1,200 @@
+"""The columns of the catalogue, and the rows of sources."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+import mocapd
+
+from .._native import Imported, TakeFile
+from ._keys import IMPORTER_VERSION
+
+_POINT = pa.list_(pa.float32())
+
+LEDGER = pa.struct(
+    [
+        (name, pa.int64())
+        for name in (
+            "frames_sent",
+            "recorded",
+            "lost_on_link",
+            "dropped_by_device",
+            "lost_ring_full",
+            "lost_other",
+            "samples_announced",
+            "samples_present",
+            "samples_occluded",
+        )
+    ]
+    + [("closes", pa.bool_())]
+)
+
+SCHEMA = pa.schema(
+    [
+        # A take, a duplicate of the bytes and settings of one, or a source that failed.
+        ("status", pa.string()),
+        ("key", pa.string()),
+        # Name of the object in the bucket.
+        ("object", pa.string()),
+        ("source", pa.string()),
+        ("source_sha256", pa.string()),
+        ("source_bytes", pa.int64()),
+        ("format", pa.string()),
+        ("subject", pa.string()),
+        ("session", pa.string()),
+        ("labels", pa.list_(pa.string())),
+        ("markers", pa.int32()),
+        ("rate_hz", pa.float64()),
+        ("frames", pa.int64()),
+        ("seconds", pa.float64()),
+        # Unit of length of the source, as it states it; takes are in millimetres.
+        ("unit", pa.string()),
+        ("up_axis", pa.string()),
+        # 0 for lossless takes.
+        ("tolerance_mm", pa.float64()),
+        ("resampler", pa.string()),
+        ("max_error_mm", pa.float64()),
+        ("samples", pa.int64()),
+        # Runs of missing samples, over all markers.
+        ("gaps", pa.int64()),
+        ("ledger", LEDGER),
+        ("low_mm", _POINT),
+        ("high_mm", _POINT),
+        ("peak_speed_mm_per_s", pa.float64()),
+        # One for each label, in the same order.
+        (
+            "motion",
+            pa.list_(
+                pa.struct(
+                    [
+                        ("samples", pa.int64()),
+                        ("gaps", pa.int64()),
+                        ("low_mm", _POINT),
+                        ("high_mm", _POINT),
+                        ("peak_speed_mm_per_s", pa.float64()),
+                    ]
+                )
+            ),
+        ),
+        (
+            "events",
+            pa.list_(
+                pa.struct([("time_s", pa.float64()), ("frame", pa.int64()), ("kind", pa.string()), ("text", pa.string())])
+            ),
+        ),
+        ("warnings", pa.list_(pa.string())),
+        ("take_bytes", pa.int64()),
+        # All settings of the import, as JSON.
+        ("settings", pa.string()),
+        ("importer", pa.int32()),
+        ("software", pa.string()),
+        ("error", pa.string()),
+        ("ingested", pa.timestamp("us", tz="UTC")),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class MarkerMotion:
+    """What the markers of a take did: arrays with a row for each marker."""
+
+    samples: npt.NDArray[np.uint64]
+    gaps: npt.NDArray[np.uint64]
+    low_mm: npt.NDArray[np.float32]
+    high_mm: npt.NDArray[np.float32]
+    peak_speed_mm_per_s: npt.NDArray[np.float64]
+
+    @classmethod
+    def of_import(cls, imported: Imported) -> MarkerMotion:
+        return cls(
+            imported.samples, imported.gaps, imported.low_mm, imported.high_mm, imported.peak_speed_mm_per_s
+        )
+
+    @classmethod
+    def of_positions(cls, positions: npt.NDArray[np.float32], rate_hz: float) -> MarkerMotion:
+        """Of float32 [frames, markers, 3], NaN for missing samples."""
+        present: npt.NDArray[np.bool_] = np.asarray(np.isfinite(positions).all(axis=2))
+        missing = ~present
+        starts = missing & np.vstack([np.ones((1, missing.shape[1]), bool), present[:-1]])[: len(missing)]
+        steps_mm = np.linalg.norm(np.diff(positions.astype(np.float64), axis=0), axis=2)
+        speeds = np.nan_to_num(steps_mm, nan=0.0).max(axis=0, initial=0.0) * rate_hz
+        low = np.where(present[..., None], positions, np.inf).min(axis=0, initial=np.inf)
+        high = np.where(present[..., None], positions, -np.inf).max(axis=0, initial=-np.inf)
+        nothing = ~present.any(axis=0)
+        low[nothing], high[nothing] = np.nan, np.nan
+        return cls(
+            present.sum(axis=0).astype(np.uint64),
+            starts.sum(axis=0).astype(np.uint64),
+            low.astype(np.float32),
+            high.astype(np.float32),
+            speeds,
+        )
+
+    def fields(self) -> dict[str, Any]:
+        seen = self.samples > 0
+        columns = (self.samples, self.gaps, self.low_mm, self.high_mm, self.peak_speed_mm_per_s)
+        by_marker = [
+            {
+                "samples": int(samples),
+                "gaps": int(gaps),
+                "low_mm": low.tolist() if samples else None,
+                "high_mm": high.tolist() if samples else None,
+                "peak_speed_mm_per_s": float(speed),
+            }
+            for samples, gaps, low, high, speed in zip(*columns)
+        ]
+        return {
+            "samples": int(self.samples.sum()),
+            "gaps": int(self.gaps.sum()),
+            "low_mm": self.low_mm[seen].min(axis=0).tolist() if seen.any() else None,
+            "high_mm": self.high_mm[seen].max(axis=0).tolist() if seen.any() else None,
+            "peak_speed_mm_per_s": float(self.peak_speed_mm_per_s.max(initial=0.0)),
+            "motion": by_marker,
+        }
+
+
+def take_fields(take: TakeFile, motion: MarkerMotion, max_error_mm: float) -> dict[str, Any]:
+    """The columns that describe a take."""
+    header, ledger, subject = take.header(), take.ledger(), take.subject()
+    source = header["source"] or {}
+    rate_hz, n_frames = header["rate_hz"], take.n_rows
+    events = [
+        {"time_s": event["frame"] / rate_hz, **{name: event[name] for name in ("frame", "kind", "text")}}
+        for event in take.events()
+    ]
+    fields = {
+        "subject": subject[0] if subject else None,
+        "labels": list(take.labels),
+        "markers": len(take.labels),
+        "rate_hz": rate_hz,
+        "frames": n_frames,
+        "seconds": n_frames / rate_hz,
+        "unit": source.get("unit"),
+        "up_axis": header["up_axis"],
+        "tolerance_mm": header["tolerance_mm"],
+        "resampler": header["resampler"],
+        "max_error_mm": max_error_mm,
+        "ledger": ledger and {field.name: ledger[field.name] for field in LEDGER},
+        "events": events,
+        "warnings": list(source.get("warnings") or ()) + take.problems,
+    }
+    return fields | motion.fields()
+
+
+def new_row(status: str, source: str, **fields: Any) -> dict[str, Any]:
+    """A row of the catalogue."""
+    now = datetime.now(timezone.utc)
+    base = {
+        "status": status,
+        "source": source,
+        "importer": IMPORTER_VERSION,
+        "software": f"mocapd {mocapd.__version__}",
+        "ingested": now,
+    }
+    return base | fields

@@ -1,0 +1,179 @@
+"""Upkeep of an archive: every take verified, takes written again in fewer bytes, objects removed that no row names."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from .._native import TakeError, TakeFile, check_take, repack_take
+from ._catalogue import Catalogue, bucket_of
+from ._keys import object_key, object_name, source_hash
+from ._store import Entry, Store, open_store
+from ._workers import run_tasks
+
+BATCH_TAKES = 64
+"""Takes of a task, as of an ingest."""
+
+YOUNG_S = 24 * 3600.0
+"""Age below which :func:`collect` leaves an object: the longest time that an ingest may need from an object to its row,
+with a day for the clocks of the store and this machine to differ."""
+
+
+@dataclass
+class VerifyReport:
+    """What is wrong with an archive."""
+
+    takes: int = 0
+    n_bytes: int = 0
+    damaged: list[tuple[str, str]] = field(default_factory=list)
+    """Objects, and what is wrong with each."""
+    missing: list[str] = field(default_factory=list)
+    """Objects that rows name, but that do not exist."""
+    unlisted: list[str] = field(default_factory=list)
+    """Objects that no row names. The next ingest of their sources adds their rows, or :func:`collect` removes them."""
+
+    @property
+    def is_intact(self) -> bool:
+        return not self.damaged and not self.missing
+
+    def __str__(self) -> str:
+        return (
+            f"{self.takes} takes of {self.n_bytes / 1e6:.1f} MB: {len(self.damaged)} damaged, {len(self.missing)} missing, "
+            f"{len(self.unlisted)} not in the catalogue"
+        )
+
+
+@dataclass(frozen=True)
+class _Verify:
+    bucket: Store
+
+    def run(self, rows: Sequence[dict[str, Any]]) -> list[tuple[str, int, str | None]]:
+        """For each row the object, its size, and what is wrong."""
+        found: list[tuple[str, int, str | None]] = []
+        for row in rows:
+            try:
+                data = self.bucket.get(row["object"])
+            except OSError as error:
+                found.append((row["object"], 0, error.strerror or str(error)))
+                continue
+            found.append((row["object"], len(data), self._problem(row, data)))
+        return found
+
+    @staticmethod
+    def _problem(row: dict[str, Any], data: bytes) -> str | None:
+        if len(data) != row["take_bytes"]:
+            return f"it has {len(data)} bytes, and {row['take_bytes']} in the catalogue"
+        try:
+            problems = check_take(data)
+            take = TakeFile.from_bytes(data)
+            present = (take.ledger() or {}).get("samples_present")
+        except TakeError as error:
+            return str(error)
+        if problems:
+            return problems[0]
+        if (take.n_rows, len(take.labels), present) != (row["frames"], row["markers"], row["samples"]):
+            return "its frames, markers or samples are not those in the catalogue"
+        return None
+
+
+def verify(bucket: Any = None, *, workers: int | None = None) -> VerifyReport:
+    """Reads every take of an archive whole, decodes it, and compares it with its row."""
+    store = open_store(bucket_of(bucket))
+    columns = ["status", "object", "take_bytes", "frames", "markers", "samples"]
+    rows = [row for row in Catalogue(store).arrow(columns).to_pylist() if row["status"] == "take"]
+    report = VerifyReport(takes=len(rows))
+    entries = {entry.name for entry in store.list("takes/")}
+    report.missing = [row["object"] for row in rows if row["object"] not in entries]
+    report.unlisted = sorted(entries - {row["object"] for row in rows})
+    there = [row for row in rows if row["object"] in entries]
+    for _, found in run_tasks(_Verify(store).run, _groups(there), workers):
+        for name, n_bytes, problem in found:
+            report.n_bytes += n_bytes
+            if problem is not None:
+                report.damaged.append((name, problem))
+    report.damaged.sort()
+    return report
+
+
+@dataclass
+class RepackReport:
+    """What a repack of an archive did."""
+
+    takes: int = 0
+    repacked: int = 0
+    bytes_before: int = 0
+    bytes_after: int = 0
+    failed: list[tuple[str, str]] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.repacked} of {self.takes} takes repacked: {self.bytes_before / 1e6:.1f} MB before, "
+            f"{self.bytes_after / 1e6:.1f} MB now, {len(self.failed)} failed"
+        )
+
+
+@dataclass(frozen=True)
+class _Repack:
+    bucket: Store
+
+    def run(self, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The rows, with the new object and its size, or with an error."""
+        return [row | self._repack(row) for row in rows]
+
+    def _repack(self, row: dict[str, Any]) -> dict[str, Any]:
+        try:
+            new = repack_take(self.bucket.get(row["object"]))
+        except (TakeError, ValueError, OSError) as error:
+            return {"error": str(error)}
+        if new is None:
+            return {"error": None}
+        name = object_name(row["key"], source_hash(new))
+        self.bucket.put_if_absent(name, new)
+        return {"error": None, "new": name, "new_bytes": len(new)}
+
+
+def repack(bucket: Any = None, *, workers: int | None = None) -> RepackReport:
+    """Writes the takes of an archive again in fewer bytes, as ``mocapd repack`` does: what a take decodes to stays the
+    same, bit for bit, and is compared. A smaller take is a new object, which its row then names; :func:`collect` removes
+    the old one.
+    """
+    store = open_store(bucket_of(bucket))
+    table = Catalogue(store)
+    rows = table.arrow(["status", "key", "object", "take_bytes"]).to_pylist()
+    rows = [row for row in rows if row["status"] == "take"]
+    report = RepackReport(takes=len(rows))
+    changed: list[dict[str, Any]] = []
+    for _, found in run_tasks(_Repack(store).run, _groups(rows), workers):
+        for row in found:
+            report.bytes_before += row["take_bytes"]
+            report.bytes_after += row.get("new_bytes", row["take_bytes"])
+            if row["error"] is not None:
+                report.failed.append((row["object"], row["error"]))
+            elif "new" in row:
+                changed.append(row)
+    table.move(changed)
+    report.repacked = len(changed)
+    return report
+
+
+def collect(bucket: Any = None, *, remove: bool = False, older_than_s: float = YOUNG_S) -> list[Entry]:
+    """The takes that no row of the catalogue names: of an ingest that was interrupted and not repeated, of rows that were
+    deleted, and those that a repack replaced. With ``remove`` they are removed; former versions of the table then name
+    takes that do not exist. Never run it with an age shorter than that of an ingest that is running.
+    """
+    store = open_store(bucket_of(bucket))
+    entries = [entry for entry in store.list("takes/") if object_key(entry.name)]
+    # Read after the list: rows are added after their objects exist.
+    named = set(Catalogue(store).arrow(["object"]).column("object").to_pylist())
+    now_s = time.time()
+    found = [entry for entry in entries if entry.name not in named and now_s - entry.modified_s >= older_than_s]
+    if remove:
+        for entry in found:
+            store.remove(entry.name)
+    return found
+
+
+def _groups(rows: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    return [rows[first : first + BATCH_TAKES] for first in range(0, len(rows), BATCH_TAKES)]

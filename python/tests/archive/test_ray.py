@@ -1,0 +1,168 @@
+"""Archives on Ray: killed workers, drivers and stores leave each content once, with one row."""
+
+import os
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+archive = pytest.importorskip("mocapd.archive")
+ray = pytest.importorskip("ray")
+
+from made import RATE_HZ, write_c3ds  # noqa: E402
+
+# Ray's own.
+pytestmark = pytest.mark.filterwarnings("default")
+
+RUNS = int(os.environ.get("MOCAPD_ARCHIVE_KILLS", "3"))
+"""Seeded runs with kills; the bar is 100, which takes about half an hour."""
+
+N_FILES = 40
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A cluster of two cores, whose workers find the tests' modules."""
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    context = ray.init(
+        num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env={"env_vars": {"PYTHONPATH": path}}
+    )
+    yield context.address_info["gcs_address"]
+    ray.shutdown()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """40 files of which one is there twice, and one that is no C3D file."""
+    folder = tmp_path_factory.mktemp("c3d")
+    paths = write_c3ds(folder, N_FILES - 2, frames=60)
+    (folder / "copy.c3d").write_bytes(paths[0].read_bytes())
+    (folder / "bad.c3d").write_bytes(b"no C3D file" * 100)
+    return folder
+
+
+class FailingStore(archive.FolderStore):
+    """A folder in which, at random, a put kills its process, or fails before or after its effect."""
+
+    def __init__(self, path, seed, share):
+        super().__init__(path)
+        self.seed, self.share = seed, share
+
+    def put_if_absent(self, name, data):
+        # Another outcome in each attempt, of each process.
+        chance = random.Random(f"{self.seed} {name} {os.getpid()} {time.monotonic_ns()}")
+        fate = chance.random() / self.share
+        if fate < 0.5:
+            os._exit(1)
+        if fate < 0.75:
+            raise archive.StoreError("the store does not answer")
+        created = super().put_if_absent(name, data)
+        if 0.75 <= fate < 1:
+            if chance.random() < 0.5:
+                os._exit(1)
+            raise archive.StoreError("the store did not answer in time")
+        return created
+
+
+DRIVER = """
+import os, sys
+import ray
+from mocapd import archive
+from test_ray import FailingStore
+address, folder, bucket, seed, share, workers = sys.argv[1:]
+runtime = {"env_vars": {"PYTHONPATH": os.environ["PYTHONPATH"]}}
+ray.init(address=address, log_to_driver=False, logging_level="ERROR", runtime_env=runtime)
+store = FailingStore(bucket, int(seed), float(share))
+import mocapd.archive._ingest as module
+module.COMMIT_ROWS = 7
+archive.ingest(folder, store, batch_files=4, progress=False, workers=int(workers))
+"""
+
+
+def drive(cluster, folder, bucket, seed, share, kill_after_s=None):
+    """Runs an ingest in a process of its own, and kills it after a time. Returns whether it ended well."""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    words = [sys.executable, "-c", DRIVER, cluster, str(folder), str(bucket), str(seed), str(share), "2"]
+    driver = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    try:
+        _, errors = driver.communicate(timeout=kill_after_s)
+    except subprocess.TimeoutExpired:
+        driver.kill()
+        driver.communicate()
+        return False
+    if driver.returncode != 0:
+        print(errors.decode()[-2000:])
+    return driver.returncode == 0
+
+
+def check(bucket):
+    """Objects = rows = distinct pairs of bytes and settings."""
+    rows = archive.catalogue(bucket).arrow(["status", "key", "object", "source"]).to_pylist()
+    takes = [row for row in rows if row["status"] == "take"]
+    objects = [entry.name for entry in archive.open_store(bucket).list("takes/")]
+    assert len(takes) == len({row["key"] for row in takes}) == len(objects) == N_FILES - 2
+    assert {row["object"] for row in takes} == set(objects)
+    assert sorted(row["status"] for row in rows if row["status"] != "take") == ["duplicate", "failed"]
+    assert len({row["source"] for row in rows}) == len(rows) == N_FILES
+    # Nothing else is left, not even files that are no objects.
+    files = {path.relative_to(bucket).as_posix() for path in Path(bucket).glob("takes/**/*") if path.is_file()}
+    assert files == set(objects)
+
+
+@pytest.mark.parametrize("seed", range(RUNS))
+def test_kills_leave_each_content_once(cluster, folder, tmp_path, seed):
+    chance = random.Random(seed)
+    bucket = tmp_path / "archive"
+    for attempt in range(10):
+        # The driver is killed at a moment at random in its first runs, whose workers and store fail too.
+        share = 0.05 if attempt < 4 else 1e-9
+        kill_after_s = chance.uniform(1, 6) if attempt < 2 else None
+        if drive(cluster, folder, bucket, 100 * seed + attempt, share, kill_after_s):
+            break
+    else:
+        pytest.fail(f"seed {seed}: no run ended well")
+    check(bucket)
+    assert archive.verify(bucket, workers=0).is_intact
+    assert archive.collect(bucket, older_than_s=0) == []
+
+
+def test_ray_gives_what_this_process_gives(cluster, folder, tmp_path):
+    archive.ingest(folder, tmp_path / "one", workers=0, progress=False)
+    archive.ingest(folder, tmp_path / "two", batch_files=5, progress=False)
+    contents = [
+        {path.name: path.read_bytes() for path in (tmp_path / name).glob("takes/**/*.take")} for name in ("one", "two")
+    ]
+    assert contents[0] == contents[1] and len(contents[0]) == N_FILES - 2
+    check(tmp_path / "two")
+    assert archive.verify(tmp_path / "two").is_intact
+
+
+def test_ray_data_reads_windows(cluster, folder, tmp_path):
+    archive.ingest(folder, tmp_path / "archive", workers=0, progress=False)
+    takes = archive.catalogue(tmp_path / "archive").sql("select object, rate_hz, frames from takes")
+    windows = archive.windows(takes, 0.2, RATE_HZ, ["M0", "M2"], bucket=tmp_path / "archive", shuffle=3, batch=8)
+    ray.data.DataContext.get_current().enable_progress_bars = False
+    dataset = windows.ray_dataset()
+    found = list(dataset.iter_batches(batch_size=None))
+    assert sum(len(batch["valid"]) for batch in found) == len(windows.places) == 3 * (N_FILES - 2)
+    local = {(name, start): rows for batch in windows for name, start, rows in zip(*parts(batch))}
+    remote = {(name, start): rows for batch in found for name, start, rows in zip(*parts(batch))}
+    assert local.keys() == remote.keys()
+    assert all(np.array_equal(local[key], remote[key]) for key in local)
+
+
+def parts(batch):
+    return batch["object"], batch["time_s"][:, 0], batch["positions"]
+
+
+def test_ray_data_gives_torch_tensors(cluster, folder, tmp_path):
+    torch = pytest.importorskip("torch")
+    archive.ingest(folder, tmp_path / "archive", workers=0, progress=False)
+    windows = archive.windows("select * from takes", 0.2, RATE_HZ, ["M0"], bucket=tmp_path / "archive", batch=8)
+    dataset = windows.ray_dataset().drop_columns(["object"])
+    for batch in dataset.iter_torch_batches(batch_size=8):
+        assert batch["positions"].dtype == torch.float32 and batch["positions"].shape[1:] == (20, 1, 3)
