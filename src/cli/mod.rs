@@ -1,6 +1,7 @@
 //! The command line: one file or folder per subcommand, and what several of them share. Data goes to standard output,
 //! messages go to standard error.
 
+mod archive;
 mod batch;
 mod bench;
 mod clock;
@@ -97,6 +98,8 @@ enum Command {
     /// Prepare a subject: a skeleton from body scans, a wireframe fitted to a photograph of the face
     #[command(subcommand)]
     Subject(subject::SubjectCommand),
+    /// Keep many takes in an archive: import them on a cluster, query the catalogue, verify, repack
+    Archive(archive::Args),
     /// Control a running service: status, arm, start, stop, mark, takes, events
     Ctl(ctl::Args),
     /// Check whether this machine can record, and show how to fix what prevents it
@@ -156,6 +159,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Plot(plot) => plot::run(&plot),
         Command::Study(args) => study::run(&args),
         Command::Subject(command) => subject::run(&command),
+        Command::Archive(args) => archive::run(&args),
         Command::Ctl(args) => ctl::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Config(command) => config::run(&command),

@@ -43,6 +43,7 @@ NOT_RUN = [
     (r"docs/getting-started.md", r"mocapd bench pipeline", "measures for minutes"),
     (r"systemd/README.md", r".*", "changes the machine; the emulated machine does"),
     (r"docs/hardware-in-the-loop.md", r".*", "needs a Raspberry Pi"),
+    (r"docs/archive.md", r"mocapd archive", "needs the Python package; python/tests/archive runs the same functions"),
     (r"docs/api.md", r".*", "needs the installed service; tests/api/check.py asks the same routes"),
     (r"docs/benchmarks.md|benches/README.md", r".*", "needs recorded takes and hours"),
     (r"docs/reliability.md", r".*", "hours: .ci/run long"),
