@@ -3,9 +3,13 @@
 use std::path::Path;
 
 use mocapd_codec::CodecError;
+use mocapd_store::StoreError;
 use pyo3::{
     PyErr, Python,
-    exceptions::{PyException, PyOSError, PyValueError},
+    exceptions::{
+        PyConnectionError, PyException, PyFileNotFoundError, PyOSError, PyPermissionError,
+        PyValueError,
+    },
     types::PyAnyMethods,
 };
 
@@ -30,8 +34,16 @@ pub(crate) enum Failure {
     Closed,
     /// Not a plain file: `errno` and the reason.
     NotAFile(i32, &'static str),
+    /// A store failed.
+    Store(StoreError),
     /// A panic.
     Internal,
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
 }
 
 impl From<mocapd_take::TakeError> for Failure {
@@ -76,6 +88,10 @@ impl Failure {
                 "the take is closed: read inside the `with` block, or open it again with mocapd.open",
             )),
             Self::NotAFile(code, why) => os_error(code, why.to_owned(), path),
+            Self::Store(error) => store_error(&error),
+            Self::Take(Io(error)) if StoreError::of(&error).is_some() => {
+                StoreError::of(&error).map_or_else(|| error.into(), |error| store_error(&error))
+            }
             Self::Take(Io(error)) => match error.raw_os_error() {
                 Some(code) => {
                     let text = py.import("os").and_then(|os| os.call_method1("strerror", (code,)));
@@ -89,6 +105,20 @@ impl Failure {
                 "internal error, see standard error for details: please report it with the take",
             )),
         }
+    }
+}
+
+/// The exception for an error of a store: a ConnectionError if the same call may succeed later.
+fn store_error(error: &StoreError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        StoreError::NotFound(_) | StoreError::NoBucket(_) => PyFileNotFoundError::new_err(message),
+        StoreError::NoCredentials { .. } | StoreError::Forbidden { .. } => {
+            PyPermissionError::new_err(message)
+        }
+        StoreError::InvalidUrl { .. } => PyValueError::new_err(message),
+        error if error.is_temporary() => PyConnectionError::new_err(message),
+        _ => PyOSError::new_err(message),
     }
 }
 

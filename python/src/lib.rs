@@ -10,6 +10,7 @@ mod foreign;
 mod import;
 mod read;
 mod records;
+mod remote;
 mod scan;
 mod source;
 mod take_file;
@@ -25,6 +26,8 @@ mod _native {
     use crate::errors::TakeError;
     #[pymodule_export]
     use crate::import::{Imported, import_motion, importer_version};
+    #[pymodule_export]
+    use crate::remote::{ObjectStore, RemoteTake};
     #[pymodule_export]
     use crate::take_file::TakeFile;
     #[pymodule_export]

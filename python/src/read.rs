@@ -1,13 +1,15 @@
 //! Decodes the positions of some rows and columns into an array.
 
-use std::ops::Range;
+use std::{
+    io::{Read, Seek},
+    ops::Range,
+};
 
 use mocapd_take::TakeTraversal;
 
 use crate::{
     decode::{DecodeRequest, PIECES_PER_THREAD},
     errors::Failure,
-    source::Reader,
 };
 
 /// Rows of a tile, which is filled column by column and fits into the processor's cache.
@@ -38,25 +40,62 @@ pub(crate) fn read(
         return Ok(Vec::new());
     }
     let (_, problems) = request.decode(pieces, |take, (rows, out)| {
-        let mut at = rows.start;
+        let mut filler = RowFiller::new(rows.start, columns, out);
         take.read_rows(&rows, |take, held, offset| {
             source.check()?;
-            // Rows between stretches are lost.
-            let from = (held.start.max(at) - rows.start) as usize;
-            out[(at - rows.start) as usize * width..from * width].fill(f32::NAN);
-            let to = (held.end - rows.start) as usize;
-            fill(take, offset, columns, &mut out[from * width..to * width]);
-            at = held.end;
+            filler.fill(take, held, offset);
             Ok(())
         })?;
-        out[(at - rows.start) as usize * width..].fill(f32::NAN);
+        filler.finish();
         Ok(())
     })?;
     Ok(problems)
 }
 
+/// Fills an array of some rows and columns, stretch by stretch.
+pub(crate) struct RowFiller<'a> {
+    first: u64,
+    /// The row after the last one that is filled.
+    at: u64,
+    columns: &'a [usize],
+    out: &'a mut [f32],
+}
+
+impl<'a> RowFiller<'a> {
+    /// `out` has three values for each row, from `first` on, and column.
+    pub(crate) fn new(first: u64, columns: &'a [usize], out: &'a mut [f32]) -> Self {
+        Self { first, at: first, columns, out }
+    }
+
+    /// Fills the rows `held` of the last stretch, which begin at row `offset` of it. Rows between stretches are lost.
+    pub(crate) fn fill<R: Read + Seek>(
+        &mut self,
+        take: &TakeTraversal<R>,
+        held: Range<u64>,
+        offset: usize,
+    ) {
+        let width = self.columns.len() * AXES;
+        let from = (held.start.max(self.at) - self.first) as usize;
+        self.out[(self.at - self.first) as usize * width..from * width].fill(f32::NAN);
+        let to = (held.end - self.first) as usize;
+        fill(take, offset, self.columns, &mut self.out[from * width..to * width]);
+        self.at = held.end;
+    }
+
+    /// The rows after the last stretch are lost.
+    pub(crate) fn finish(self) {
+        let width = self.columns.len() * AXES;
+        self.out[(self.at - self.first) as usize * width..].fill(f32::NAN);
+    }
+}
+
 /// Fills `out` with the rows of a stretch from `offset` on.
-fn fill(take: &TakeTraversal<Reader>, offset: usize, columns: &[usize], out: &mut [f32]) {
+fn fill<R: Read + Seek>(
+    take: &TakeTraversal<R>,
+    offset: usize,
+    columns: &[usize],
+    out: &mut [f32],
+) {
     let all: Vec<_> = take.rows().collect();
     let rows: Vec<_> = columns.iter().map(|&column| all.get(column).copied().flatten()).collect();
     let width = columns.len() * AXES;

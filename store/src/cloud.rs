@@ -260,6 +260,7 @@ impl Backend for Cloud {
         let objects = found.into_iter().map(|meta| ListedObject {
             url: folder.with_key(meta.location.to_string()),
             len: meta.size,
+            modified: Some(meta.last_modified.into()),
         });
         let mut objects: Vec<_> = objects.filter(|object| !is_hidden(object.url.key())).collect();
         objects.sort_by(|a, b| a.url.key().cmp(b.url.key()));

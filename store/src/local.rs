@@ -122,7 +122,8 @@ impl Backend for Folders {
                 let Ok(metadata) = fs::metadata(entry.path()) else { continue };
                 let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
                 if metadata.is_file() {
-                    found.push(ListedObject { url: at.join(name), len: metadata.len() });
+                    let (url, modified) = (at.join(name), metadata.modified().ok());
+                    found.push(ListedObject { url, len: metadata.len(), modified });
                 } else if metadata.is_dir() && recursive && !is_link {
                     folders.push(at.join(name));
                 }

@@ -9,6 +9,7 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
+    time::SystemTime,
 };
 
 use crate::{ObjectUrl, StoreError, local::Folders, location::Scheme, reader::ObjectReader};
@@ -42,6 +43,8 @@ pub struct ListedObject {
     pub url: ObjectUrl,
     /// Its size in bytes.
     pub len: u64,
+    /// When it was created, if the store says so.
+    pub modified: Option<SystemTime>,
 }
 
 /// The requests that a store answers. Each method is one request, except where it says otherwise.

@@ -233,6 +233,9 @@ def test_wrong_settings_and_sources_are_refused(tmp_path):
         archive.ingest(tmp_path / "nothing", tmp_path / "archive", workers=0)
     with pytest.raises(ValueError, match="subject"):
         archive.ingest(tmp_path, tmp_path / "archive", names="(?P<who>.*)", workers=0)
+    for work in (archive.verify, archive.collect, archive.repack, lambda bucket: archive.catalogue(bucket).sql("select 1")):
+        with pytest.raises(FileNotFoundError, match="check the name"):
+            work(tmp_path / "archiv")
     with pytest.raises(ValueError, match="MOCAPD_ARCHIVE"):
         archive.catalogue()
 

@@ -4,6 +4,7 @@ import os
 import random
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from made import RATE_HZ, write_c3ds  # noqa: E402
 # Ray's own.
 pytestmark = pytest.mark.filterwarnings("default")
 
-RUNS = int(os.environ.get("MOCAPD_ARCHIVE_KILLS", "3"))
+RUNS = int(os.environ.get("MOCAPD_ARCHIVE_KILLS", "2"))
 """Seeded runs with kills; the bar is 100, which takes about half an hour."""
 
 N_FILES = 40
@@ -83,19 +84,20 @@ archive.ingest(folder, store, batch_files=4, progress=False, workers=int(workers
 """
 
 
-def drive(cluster, folder, bucket, seed, share, kill_after_s=None):
-    """Runs an ingest in a process of its own, and kills it after a time. Returns whether it ended well."""
+def drive(cluster, folder, bucket, seed, share, kill_at=None):
+    """Runs an ingest in a process of its own, and kills it when the bucket has so many objects. Returns whether it ended
+    well."""
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
     words = [sys.executable, "-c", DRIVER, cluster, str(folder), str(bucket), str(seed), str(share), "2"]
-    driver = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    try:
-        _, errors = driver.communicate(timeout=kill_after_s)
-    except subprocess.TimeoutExpired:
-        driver.kill()
-        driver.communicate()
-        return False
-    if driver.returncode != 0:
-        print(errors.decode()[-2000:])
+    with tempfile.TemporaryFile() as errors:
+        driver = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=errors)
+        while driver.poll() is None:
+            if kill_at is not None and sum(1 for _ in Path(bucket).glob("takes/*/*.take")) >= kill_at:
+                driver.kill()
+            time.sleep(0.01)
+        if driver.returncode > 0:
+            errors.seek(0)
+            print(errors.read().decode()[-2000:])
     return driver.returncode == 0
 
 
@@ -118,10 +120,10 @@ def test_kills_leave_each_content_once(cluster, folder, tmp_path, seed):
     chance = random.Random(seed)
     bucket = tmp_path / "archive"
     for attempt in range(10):
-        # The driver is killed at a moment at random in its first runs, whose workers and store fail too.
+        # The driver is killed when there are some objects, and again when there are more; workers and store fail, too.
         share = 0.05 if attempt < 4 else 1e-9
-        kill_after_s = chance.uniform(1, 6) if attempt < 2 else None
-        if drive(cluster, folder, bucket, 100 * seed + attempt, share, kill_after_s):
+        kill_at = chance.randrange(8, 22) + 14 * attempt if attempt < 2 else None
+        if drive(cluster, folder, bucket, 100 * seed + attempt, share, kill_at):
             break
     else:
         pytest.fail(f"seed {seed}: no run ended well")

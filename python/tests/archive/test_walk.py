@@ -12,8 +12,11 @@ from made import write_c3ds  # noqa: E402
 PAGE = Path(__file__).parents[3] / "docs" / "archive.md"
 
 
-def test_the_walk(tmp_path, monkeypatch, capsys):
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+@pytest.mark.parametrize("bucket", ["archive/", "s3://takes-test/walk/"])
+def test_the_walk(bucket, tmp_path, monkeypatch, capsys, request):
+    if bucket.startswith("s3://"):
+        request.getfixturevalue("endpoint")
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text().replace("archive/", bucket), re.DOTALL)
     assert len(blocks) == 3
     lines = [line for line in blocks[0].splitlines() if line]
     assert len(lines) == 9, "the page promises ten lines at most"
@@ -25,8 +28,9 @@ def test_the_walk(tmp_path, monkeypatch, capsys):
     assert len(printed) == 3 and all("(16, 25, 2, 3)" in line for line in printed)
     for block in blocks[1:]:
         exec(block, {})
-    rows = archive.catalogue("archive/").arrow().to_pylist()
-    assert rows == []  # the last block deletes what older importers made, and this one is the first
+    rows = archive.catalogue(bucket).arrow().to_pylist()
+    # The last block deletes the rows of the first importer.
+    assert len(rows) == (0 if archive.IMPORTER_VERSION < 2 else 4)
 
 
 def in_this_process(ingest):

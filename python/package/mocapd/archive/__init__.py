@@ -10,7 +10,6 @@
 """
 
 try:
-    import datafusion as _datafusion  # noqa: F401
     import deltalake as _deltalake  # noqa: F401
     import pyarrow as _pyarrow  # noqa: F401
     import tqdm as _tqdm  # noqa: F401
@@ -23,11 +22,12 @@ from ._catalogue import Catalogue, catalogue
 from ._ingest import IngestReport, ingest
 from ._keys import IMPORTER_VERSION, Settings, content_key, object_name, source_hash
 from ._schema import SCHEMA
-from ._store import Entry, FolderStore, Store, StoreError, open_store
+from ._store import BucketStore, Entry, FolderStore, Store, StoreError, open_store
 from ._upkeep import RepackReport, VerifyReport, collect, repack, verify
 from ._windows import Form, Places, Windows, windows
 
 __all__ = [
+    "BucketStore",
     "Catalogue",
     "Entry",
     "FolderStore",

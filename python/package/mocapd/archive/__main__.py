@@ -146,17 +146,11 @@ def main() -> int:
     try:
         return int(args.run(args))
     except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"mocapd: {error}", file=sys.stderr)
         return _USAGE
     except (OSError, StoreError, ImportError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"mocapd: {error}", file=sys.stderr)
         return _FAILED
-    except Exception as error:
-        # DataFusion's errors have no common class.
-        if type(error).__module__ == "builtins" and args.command == "sql":
-            print(f"error: {error}", file=sys.stderr)
-            return _USAGE
-        raise
     except KeyboardInterrupt:
         return 130
 

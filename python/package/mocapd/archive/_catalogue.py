@@ -6,12 +6,11 @@ import os
 from collections.abc import Iterable
 from typing import Any
 
-import datafusion
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from deltalake import DeltaTable, write_deltalake
-from deltalake.exceptions import TableNotFoundError
+from deltalake import DeltaTable, QueryBuilder, write_deltalake
+from deltalake.exceptions import DeltaError, TableNotFoundError
 
 from ._keys import source_hash
 from ._schema import SCHEMA
@@ -22,10 +21,6 @@ FOLDER = "catalogue"
 
 BUCKET_VARIABLE = "MOCAPD_ARCHIVE"
 """The environment variable with the bucket of the archive, where none is given."""
-
-
-_CONFIG = datafusion.SessionConfig({"datafusion.execution.parquet.pushdown_filters": "true"})
-"""Lists of labels and of markers' motion are then read only for rows that a filter leaves: half the time of a query."""
 
 
 def bucket_of(bucket: str | os.PathLike[str] | Store | None) -> str | os.PathLike[str] | Store:
@@ -50,11 +45,12 @@ class Catalogue:
         self.store = store
         self.url = f"{store.url.rstrip('/')}/{FOLDER}"
         self._version = version
+        self._options = _delta_options(self.url)
 
     def delta(self) -> DeltaTable | None:
         """The Delta table, newly opened; None if nothing was ingested yet."""
         try:
-            return DeltaTable(self.url, version=self._version)
+            return DeltaTable(self.url, version=self._version, storage_options=self._options)
         except TableNotFoundError:
             return None
 
@@ -67,36 +63,75 @@ class Catalogue:
         return table.to_pyarrow_table(columns=names)
 
     def sql(self, query: str) -> pa.Table:
-        """The result of a query by DataFusion. The table is ``catalogue``; ``takes`` has only its takes."""
-        context = datafusion.SessionContext(_CONFIG)
+        """The result of a query by DataFusion. The table is ``catalogue``; ``takes`` has only its takes.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no archive.
+        ValueError
+            For a query that is not valid.
+        """
+        context = QueryBuilder().register("catalogue", self.existing())
+        context.execute("create view takes as select * from catalogue where status = 'take'")
+        try:
+            found = pa.table(context.execute(query).read_all())
+        except DeltaError as error:
+            raise ValueError(f"the query cannot be run: {error}") from error
+        return found.cast(pa.schema([field.with_type(_without_views(field.type)) for field in found.schema]))
+
+    def existing(self) -> DeltaTable:
+        """The Delta table.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is none.
+        """
         table = self.delta()
         if table is None:
-            context.from_arrow(SCHEMA.empty_table(), name="catalogue")
-        else:
-            context.register_table("catalogue", table)
-        context.sql("create view takes as select * from catalogue where status = 'take'")
-        return context.sql(query).to_arrow_table()
+            raise FileNotFoundError(2, "no archive, because nothing was ingested there: check the name", self.store.url)
+        return table
 
     def append(self, batches: list[pa.RecordBatch]) -> None:
         """Commits rows. They are in the table, all of them, when this returns."""
         table = pa.Table.from_batches(batches, SCHEMA)
-        write_deltalake(self.url, table, mode="append", name="catalogue of a mocapd archive")
+        write_deltalake(
+            self.url, table, mode="append", name="catalogue of a mocapd archive", storage_options=self._options
+        )
 
     def move(self, rows: list[dict[str, Any]]) -> None:
         """Commits new objects of takes: rows with ``object``, ``new`` and ``new_bytes``."""
-        table = self.delta()
-        if not rows or table is None:
+        if not rows:
             return
         moved = pa.table({name: [row[name] for row in rows] for name in ("object", "new", "new_bytes")})
-        merge = table.merge(moved, "old.object = moved.object", source_alias="moved", target_alias="old")
+        merge = self.existing().merge(moved, "old.object = moved.object", source_alias="moved", target_alias="old")
         merge.when_matched_update({"object": "moved.new", "take_bytes": "moved.new_bytes"}).execute()
 
     def delete(self, where: str) -> int:
         """Removes the rows for which an SQL condition holds, such as ``importer < 2``; former versions of the table keep
         them. Their objects stay until :func:`collect` removes them. Returns the number of rows.
         """
-        table = self.delta()
-        return int(table.delete(where)["num_deleted_rows"]) if table is not None else 0
+        return int(self.existing().delete(where)["num_deleted_rows"])
+
+
+def _without_views(kind: pa.DataType) -> pa.DataType:
+    """DataFusion's texts are views, which other libraries do not know everywhere."""
+    if pa.types.is_string_view(kind):
+        return pa.string()
+    if pa.types.is_list(kind):
+        return pa.list_(_without_views(kind.value_type))
+    if pa.types.is_struct(kind):
+        return pa.struct([field.with_type(_without_views(field.type)) for field in kind])
+    return kind
+
+
+def _delta_options(url: str) -> dict[str, str]:
+    """What ``deltalake`` needs besides the environment, which it reads as mocapd does."""
+    endpoints = (os.environ.get(f"AWS_{name}", "") for name in ("ENDPOINT_URL", "ENDPOINT_URL_S3", "ENDPOINT"))
+    if url.startswith("s3://") and any(endpoint.startswith("http://") for endpoint in endpoints):
+        return {"AWS_ALLOW_HTTP": "true"}
+    return {}
 
 
 class Known:

@@ -5,13 +5,20 @@ from __future__ import annotations
 import os
 import stat
 import tempfile
+import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 from urllib.parse import unquote, urlsplit
 
+import numpy as np
+import numpy.typing as npt
+
 import mocapd
+
+from .._native import ObjectStore, RemoteTake
 
 
 class StoreError(Exception):
@@ -49,8 +56,21 @@ class Store(Protocol):
 
     def remove(self, name: str) -> None: ...
 
-    def open_take(self, name: str, threads: int = 1) -> mocapd.Take:
-        """Opens a take, to read parts of it."""
+    def open_take(self, name: str) -> WindowTake:
+        """Opens a take, to read windows of it."""
+
+
+class WindowTake(Protocol):
+    """A take of which windows are read."""
+
+    rate_hz: float
+    n_frames: int
+    labels: tuple[str, ...]
+
+    def window(self, first: int, stop: int, columns: list[int]) -> npt.NDArray[np.float32]:
+        """Positions of frames, as :meth:`mocapd.Take.read` gives them."""
+
+    def close(self) -> None: ...
 
 
 class FolderStore:
@@ -113,8 +133,94 @@ class FolderStore:
     def remove(self, name: str) -> None:
         self._path(name).unlink(missing_ok=True)
 
-    def open_take(self, name: str, threads: int = 1) -> mocapd.Take:
-        return mocapd.open(self._path(name), threads=threads)
+    def open_take(self, name: str) -> WindowTake:
+        return _FileTake(mocapd.open(self._path(name), threads=1))
+
+
+class _FileTake:
+    """A take in a file."""
+
+    def __init__(self, take: mocapd.Take) -> None:
+        self._take = take
+        self.rate_hz, self.n_frames, self.labels = take.rate_hz, take.n_frames, take.labels
+
+    def window(self, first: int, stop: int, columns: list[int]) -> npt.NDArray[np.float32]:
+        return self._take.read(start_frame=first, stop_frame=stop, markers=columns)
+
+    def close(self) -> None:
+        self._take.close()
+
+
+class BucketStore:
+    """A bucket of an object store, or a folder in it: ``s3://``, ``gs://``, ``az://``. Its requests are counted."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url.rstrip("/")
+        self._native = ObjectStore(self.url)
+
+    def __reduce__(self) -> tuple[type[BucketStore], tuple[str]]:
+        # Other processes have connections of their own.
+        return BucketStore, (self.url,)
+
+    def put_if_absent(self, name: str, data: bytes) -> bool:
+        with _temporary_failures():
+            return self._native.create(name, data)
+
+    def get(self, name: str) -> bytes:
+        with _temporary_failures():
+            return self._native.read(name)
+
+    def get_range(self, name: str, start: int, stop: int) -> bytes:
+        with _temporary_failures():
+            return self._native.read(name, start, stop)
+
+    def size(self, name: str) -> int | None:
+        with _temporary_failures():
+            return self._native.size(name)
+
+    def list(self, prefix: str = "") -> Iterator[Entry]:
+        with _temporary_failures():
+            found = self._native.list(prefix.rpartition("/")[0])
+        return (Entry(*entry) for entry in found if entry[0].startswith(prefix))
+
+    def remove(self, name: str) -> None:
+        with _temporary_failures():
+            self._native.remove(name)
+
+    def open_take(self, name: str) -> WindowTake:
+        with _temporary_failures():
+            return _BucketTake(f"{self.url}/{name}", self._native.open_take(name))
+
+    def traffic(self) -> tuple[int, int, int]:
+        """Requests, bytes received and bytes sent, of this object."""
+        return self._native.traffic()
+
+
+class _BucketTake:
+    """A take in a bucket."""
+
+    def __init__(self, url: str, take: RemoteTake) -> None:
+        self._url, self._take = url, take
+        self.rate_hz, self.n_frames, self.labels = take.rate_hz, take.n_rows, tuple(take.labels)
+
+    def window(self, first: int, stop: int, columns: list[int]) -> npt.NDArray[np.float32]:
+        out = np.empty((stop - first, len(columns), 3), dtype=np.float32)
+        with _temporary_failures():
+            problems = self._take.read_into(out, first, columns)
+        for problem in problems:
+            warnings.warn(f"{self._url}: {problem}", mocapd.TakeWarning, stacklevel=4)
+        return out
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+@contextmanager
+def _temporary_failures() -> Iterator[None]:
+    try:
+        yield
+    except (ConnectionError, TimeoutError) as error:
+        raise StoreError(str(error)) from error
 
 
 def _create(path: Path, data: bytes) -> bool:
@@ -151,4 +257,6 @@ def open_store(bucket: str | os.PathLike[str] | Store) -> Store:
     scheme = urlsplit(text).scheme if "://" in text else ""
     if scheme in ("", "file"):
         return FolderStore(unquote(urlsplit(text).path) if scheme else text)
-    raise ValueError(f"{text}: expected a folder or a URL that begins with file://, found {scheme}://")
+    if scheme in ("s3", "gs", "az"):
+        return BucketStore(text)
+    raise ValueError(f"{text}: expected a folder, or a URL that begins with s3://, gs://, az:// or file://")

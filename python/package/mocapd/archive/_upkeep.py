@@ -81,6 +81,7 @@ class _Verify:
 def verify(bucket: Any = None, *, workers: int | None = None) -> VerifyReport:
     """Reads every take of an archive whole, decodes it, and compares it with its row."""
     store = open_store(bucket_of(bucket))
+    Catalogue(store).existing()
     columns = ["status", "object", "take_bytes", "frames", "markers", "samples"]
     rows = [row for row in Catalogue(store).arrow(columns).to_pylist() if row["status"] == "take"]
     report = VerifyReport(takes=len(rows))
@@ -141,6 +142,7 @@ def repack(bucket: Any = None, *, workers: int | None = None) -> RepackReport:
     """
     store = open_store(bucket_of(bucket))
     table = Catalogue(store)
+    table.existing()
     rows = table.arrow(["status", "key", "object", "take_bytes"]).to_pylist()
     rows = [row for row in rows if row["status"] == "take"]
     report = RepackReport(takes=len(rows))
@@ -164,6 +166,7 @@ def collect(bucket: Any = None, *, remove: bool = False, older_than_s: float = Y
     takes that do not exist. Never run it with an age shorter than that of an ingest that is running.
     """
     store = open_store(bucket_of(bucket))
+    Catalogue(store).existing()
     entries = [entry for entry in store.list("takes/") if object_key(entry.name)]
     # Read after the list: rows are added after their objects exist.
     named = set(Catalogue(store).arrow(["object"]).column("object").to_pylist())

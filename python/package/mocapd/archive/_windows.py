@@ -11,10 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-import mocapd
-
 from ._catalogue import Catalogue, bucket_of
-from ._store import Store, open_store
+from ._store import Store, WindowTake, open_store
 
 OPEN_TAKES = 64
 """Takes that a reader keeps open: a few hundred kilobytes each, for their indices and decoded samples."""
@@ -94,7 +92,7 @@ class Form:
 
     def __init__(self, store: Store, samples: int, hz: float, markers: tuple[str, ...]) -> None:
         self.store, self.samples, self.hz, self.markers = store, samples, hz, markers
-        self._takes: OrderedDict[str, mocapd.Take] = OrderedDict()
+        self._takes: OrderedDict[str, WindowTake] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_takes": OrderedDict()}
@@ -123,13 +121,13 @@ class Form:
         out = np.full((self.samples, len(self.markers), 3), np.nan, dtype=np.float32)
         if found:
             wanted = [columns[self.markers[marker]] for marker in found]
-            frames = take.read(start_frame=first, stop_frame=stop, markers=wanted)
+            frames = take.window(first, stop, wanted)
             out[:, found] = _interpolate(frames, at - first)
         valid: npt.NDArray[np.bool_] = np.asarray(np.isfinite(out).all(axis=2))
         out[~valid] = 0
         return out, valid
 
-    def _open(self, name: str) -> mocapd.Take:
+    def _open(self, name: str) -> WindowTake:
         take = self._takes.pop(name, None) or self.store.open_take(name)
         self._takes[name] = take
         if len(self._takes) > OPEN_TAKES:
@@ -150,7 +148,7 @@ class Form:
             "positions": positions,
             "valid": valid,
             "time_s": starts_s[:, None] + np.arange(self.samples) / self.hz,
-            "object": np.array([places.objects[take] for take in places.take[indices]]),
+            "object": np.array([places.objects[take] for take in places.take[indices]], dtype=str),
         }
 
 
@@ -213,6 +211,16 @@ class Windows:
         done = self.done + n_batches * self.batch
         return replace(self, done=done) if done < len(self.order()) else self.next_epoch()
 
+    def parts(self, n_batches: int = 16) -> list[npt.NDArray[np.int64]]:
+        """The windows that are left in this epoch, in parts of so many batches: the tasks of another engine."""
+        order, size = self.order()[self.done :], n_batches * self.batch
+        return [order[first : first + size] for first in range(0, len(order), size)]
+
+    def rows(self, part: npt.NDArray[np.int64]) -> Iterator[pa.RecordBatch]:
+        """Reads a part, as rows of :data:`TABLE`."""
+        for first in range(0, len(part), self.batch):
+            yield to_rows(self.form.batch(self.places, part[first : first + self.batch]))
+
     def next_epoch(self) -> Windows:
         return replace(self, epoch=self.epoch + 1, done=0)
 
@@ -254,3 +262,21 @@ def to_arrow(batch: Batch) -> pa.RecordBatch:
         else:
             columns[name] = pa.FixedShapeTensorArray.from_numpy_ndarray(np.ascontiguousarray(value))
     return pa.RecordBatch.from_pydict(columns)
+
+
+TABLE = pa.schema(
+    [("object", pa.string()), ("start_s", pa.float64()), ("positions", pa.list_(pa.float32())), ("valid", pa.list_(pa.bool_()))]
+)
+"""Windows as rows, for engines without tensors: ``positions`` has samples x markers x 3 values, in this order."""
+
+
+def to_rows(batch: Batch) -> pa.RecordBatch:
+    """A batch as rows of :data:`TABLE`."""
+    n_windows = len(batch["valid"])
+
+    def lists(values: npt.NDArray[Any]) -> pa.ListArray:
+        width = values[0].size if n_windows else 0
+        return pa.ListArray.from_arrays(np.arange(n_windows + 1, dtype=np.int32) * width, values.ravel())
+
+    columns = [batch["object"], batch["time_s"][:, 0], lists(batch["positions"]), lists(batch["valid"])]
+    return pa.RecordBatch.from_arrays([pa.array(column) for column in columns], schema=TABLE)

@@ -1,0 +1,104 @@
+"""Archives in a bucket, of a test store that speaks S3."""
+
+import os
+import time
+
+import numpy as np
+import pytest
+
+import mocapd
+
+archive = pytest.importorskip("mocapd.archive")
+
+from made import RATE_HZ, motion, write_c3ds  # noqa: E402
+
+LABELS = ["a", "b", "c", "d"]
+
+
+@pytest.fixture(scope="module")
+def bucket(endpoint, tmp_path_factory):
+    """An archive in a folder of the bucket: 6 files, a duplicate, and one that is no C3D file."""
+    folder = tmp_path_factory.mktemp("c3d")
+    paths = write_c3ds(folder, 6)
+    (folder / "copy.c3d").write_bytes(paths[0].read_bytes())
+    (folder / "bad.c3d").write_bytes(b"no C3D file" * 100)
+    url = f"s3://takes-test/lab/{os.getpid()}"
+    report = archive.ingest(folder, url, workers=0, progress=False)
+    assert (report.takes, report.duplicates, report.failed) == (6, 1, 1)
+    assert archive.ingest(folder, url, workers=0, progress=False).unchanged == 8
+    return url
+
+
+def test_each_content_is_there_once(bucket):
+    rows = archive.catalogue(bucket).sql("select object, take_bytes from takes order by object").to_pylist()
+    entries = list(archive.open_store(bucket).list("takes/"))
+    assert [(entry.name, entry.n_bytes) for entry in entries] == [(row["object"], row["take_bytes"]) for row in rows]
+    assert len(rows) == 6 and all(abs(time.time() - entry.modified_s) < 600 for entry in entries)
+    assert archive.verify(bucket, workers=0).is_intact
+    assert archive.collect(bucket, older_than_s=0) == []
+
+
+def test_an_object_is_never_replaced(bucket):
+    store = archive.open_store(bucket)
+    assert store.put_if_absent("more/x", b"one") and not store.put_if_absent("more/x", b"two")
+    assert store.get("more/x") == b"one" and store.get_range("more/x", 1, 3) == b"ne"
+    assert store.size("more/x") == 3 and store.size("more/y") is None
+    with pytest.raises(FileNotFoundError):
+        store.get("more/y")
+    store.remove("more/x")
+    store.remove("more/x")
+    assert list(store.list("more/")) == []
+
+
+def test_takes_move_from_a_folder_to_a_bucket_unchanged(bucket, tmp_path):
+    """Sources may be in a bucket, too."""
+    report = archive.ingest(f"{bucket}/takes", tmp_path / "archive", workers=0, progress=False)
+    assert report.takes == 6 and archive.verify(tmp_path / "archive", workers=0).is_intact
+    stored = {path.read_bytes() for path in (tmp_path / "archive" / "takes").glob("**/*.take")}
+    store = archive.open_store(bucket)
+    assert stored == {store.get(entry.name) for entry in store.list("takes/")}
+
+
+def test_a_window_costs_at_most_three_requests(endpoint, tmp_path):
+    """A second of 40 s, at random; the bytes are a part of the take's."""
+    url = f"s3://takes-test/windows/{os.getpid()}"
+    for number in range(6):
+        points = motion(number, frames=12_000, markers=30)
+        mocapd.write_take(tmp_path / f"{number}.take", points, [f"m{at}" for at in range(30)], RATE_HZ, 0.05, "fast")
+    archive.ingest(tmp_path, url, workers=0, progress=False)
+    sizes = [entry.n_bytes for entry in archive.open_store(url).list("takes/")]
+    found = archive.windows("select * from takes", 1.0, RATE_HZ, ["m3", "m7"], bucket=url, shuffle=5, batch=1)
+    requests, n_bytes = [], []
+    for windows in (found.after(number) for number in range(20)):
+        # Each as the first window of its take.
+        store = archive.open_store(url)
+        windows.form.store = store
+        windows.form._takes.clear()
+        batch = next(iter(windows))
+        assert batch["valid"].any()
+        requests.append(store.traffic()[0])
+        n_bytes.append(store.traffic()[1])
+    print("requests", requests, "bytes", n_bytes, "of", sizes)
+    assert max(requests) <= 3
+    assert np.mean(n_bytes) < 0.6 * np.mean(sizes)
+
+
+def test_windows_in_a_bucket_are_those_in_a_folder(endpoint, tmp_path):
+    url = f"s3://takes-test/same/{os.getpid()}"
+    for number in range(3):
+        mocapd.write_take(tmp_path / f"{number}.take", motion(number, frames=500), LABELS, RATE_HZ, 0.5)
+    batches = []
+    for bucket in (url, tmp_path / "archive"):
+        archive.ingest([tmp_path / f"{number}.take" for number in range(3)], bucket, workers=0, progress=False)
+        takes = archive.catalogue(bucket).sql("select * from takes order by source")
+        batches.append(list(archive.windows(takes, 0.7, 73.0, ["b", "d"], bucket=bucket, batch=50)))
+    ((one,), (other,)) = batches
+    for name in ("positions", "valid", "time_s", "object"):
+        assert np.array_equal(one[name], other[name])
+
+
+def test_errors_of_the_store_say_what_to_do(endpoint, monkeypatch):
+    with pytest.raises(FileNotFoundError, match="no-such-bucket"):
+        archive.open_store("s3://no-such-bucket/x").get("y")
+    with pytest.raises(ValueError, match="s3://"):
+        archive.open_store("ftp://host/x")
