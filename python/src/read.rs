@@ -40,7 +40,7 @@ pub(crate) fn read(
         return Ok(Vec::new());
     }
     let (_, problems) = request.decode(pieces, |take, (rows, out)| {
-        let mut filler = RowFiller::new(rows.start, columns, out);
+        let mut filler = PositionFiller::new(rows.start, columns, out);
         take.read_rows(&rows, |take, held, offset| {
             source.check()?;
             filler.fill(take, held, offset);
@@ -53,7 +53,7 @@ pub(crate) fn read(
 }
 
 /// Fills an array of some rows and columns, stretch by stretch.
-pub(crate) struct RowFiller<'a> {
+pub(crate) struct PositionFiller<'a> {
     first: u64,
     /// The row after the last one that is filled.
     at: u64,
@@ -61,7 +61,7 @@ pub(crate) struct RowFiller<'a> {
     out: &'a mut [f32],
 }
 
-impl<'a> RowFiller<'a> {
+impl<'a> PositionFiller<'a> {
     /// `out` has three values for each row, from `first` on, and column.
     pub(crate) fn new(first: u64, columns: &'a [usize], out: &'a mut [f32]) -> Self {
         Self { first, at: first, columns, out }

@@ -15,7 +15,7 @@ use crate::{
     background::run_detached,
     decode::groups,
     errors::{Failure, Result},
-    read::RowFiller,
+    read::PositionFiller,
 };
 
 /// Name, size, and time of creation in seconds since 1970.
@@ -175,7 +175,7 @@ impl RemoteTake {
         reader.seek(SeekFrom::Start(0))?;
         let decode = Decode::Groups(groups(columns));
         let mut take = TakeTraversal::from_map(&mut *reader, &self.map, decode)?;
-        let mut filler = RowFiller::new(rows.start, columns, out);
+        let mut filler = PositionFiller::new(rows.start, columns, out);
         take.read_rows(&rows, |take, held, offset| {
             filler.fill(take, held, offset);
             Ok(())

@@ -15,7 +15,8 @@ Examples:
   mocapd archive verify --bucket archive/
   mocapd archive ingest --help
 
-The Python package does the work, with the Python that MOCAPD_PYTHON names, else python3: pip install './python[archive]'"
+The Python package does the work, by the Python that MOCAPD_PYTHON names, else python3:
+  pip install './python[archive]'"
 )]
 pub(crate) struct Args {
     /// A command, ingest, sql, verify, repack or collect, with its arguments; --help after it describes them
@@ -34,7 +35,7 @@ import sys
 try:
     from mocapd.archive.__main__ import main
 except ImportError as error:
-    sys.exit(f\"error: mocapd archive needs the Python package mocapd with the extra [archive] ({error}): \"
+    sys.exit(f\"mocapd: archives need the Python package mocapd with the extra [archive] ({error}): \"
              f\"install it for {sys.executable}, or name another Python in MOCAPD_PYTHON\")
 sys.exit(main())
 ";

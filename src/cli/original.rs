@@ -1,7 +1,6 @@
 //! Reads motion files of other tools, and imports them as takes.
 
 use std::{
-    fs,
     io::Write,
     path::Path,
     sync::{Arc, atomic::AtomicU64},
@@ -9,7 +8,7 @@ use std::{
 
 use anyhow::Context;
 use mocapd_acquire::{
-    files::{self, SparseFile},
+    files,
     header::SOFTWARE,
     pipeline::{
         TakeAccount,
@@ -27,6 +26,7 @@ use mocapd_take::{
 use super::{
     batch::Input,
     paths::{self, InputFormat},
+    remote,
 };
 
 /// Reads a motion file.
@@ -97,7 +97,7 @@ pub(super) fn open_motion(
         new_scratch: &files::scratch,
         bytes_read: Arc::clone(bytes_read),
     };
-    let reader = MotionReader::open(source.format, SparseFile::open(source.path)?, &settings)
+    let reader = MotionReader::open(source.format, remote::open(source.path)?, &settings)
         .with_context(|| reading(source.name))?;
     import::check(reader.info(), &source.name.display().to_string())?;
     Ok(reader)
@@ -163,7 +163,7 @@ impl<'a> Import<'a> {
     pub(super) fn header(&mut self) -> anyhow::Result<Header> {
         let (settings, name) = (self.settings, &self.input.name);
         let mut header = settings.header(self.reader.info(), SOFTWARE, file_name(name));
-        header.set_source_bytes(fs::metadata(&self.input.path)?.len());
+        header.set_source_bytes(remote::len_bytes(&self.input.path)?);
         header
             .set_import_id(self.reader.bytes(), settings.subject.as_ref())
             .with_context(|| reading(name))?;

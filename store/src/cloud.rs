@@ -24,8 +24,9 @@ use object_store::{
 use tokio::runtime::Handle;
 
 use crate::{
-    Backend, ByteRange, ListedObject, ObjectPiece, ObjectUrl, StoreError, location::Scheme,
-    store::incomplete_name,
+    ObjectUrl, StoreError,
+    backend::{Backend, ByteRange, ListedObject, ObjectPiece, incomplete_name},
+    location::Scheme,
 };
 
 /// Longest time of one request: the longest range or part, 8 MiB, in it needs a line of 1.1 Mbit/s.
@@ -308,7 +309,8 @@ fn explain(url: &ObjectUrl, error: &Error) -> StoreError {
     let mentions = |words: &[&str]| texts.iter().any(|text| words.iter().any(|w| text.contains(w)));
     let no_bucket = ["NoSuchBucket", "ContainerNotFound", "bucket does not exist"];
     // Nothing answers there but in a cloud, whose machines have credentials.
-    let metadata = ["169.254.169.254", "metadata.google.internal", "169.254.170.2"];
+    let metadata =
+        ["169.254.169.254", "metadata.google.internal", "169.254.170.2", "/latest/api/token"];
     let missing = ["must be specified", "Missing access key", "Missing secret", "Account must"];
     match error {
         _ if mentions(&no_bucket) => StoreError::NoBucket(name),
@@ -328,7 +330,9 @@ fn explain(url: &ObjectUrl, error: &Error) -> StoreError {
         _ if mentions(&metadata) || mentions(&missing) => {
             StoreError::NoCredentials { url: name, remedy: remedy(url) }
         }
-        _ if mentions(&["timed out", "timeout", "TimedOut"]) => StoreError::TimedOut(name),
+        _ if mentions(&["timed out", "TimedOut", "deadline has elapsed"]) => {
+            StoreError::TimedOut(name)
+        }
         _ => StoreError::Unavailable { url: name, detail: detail(&texts) },
     }
 }
@@ -443,6 +447,13 @@ mod tests {
                 StoreError::NoCredentials { url: name(), remedy: remedy(&url) },
             ),
             (generic("operation timed out"), StoreError::TimedOut(name())),
+            (
+                generic("status 503, after 3 retries, retry_timeout: 30s"),
+                StoreError::Unavailable {
+                    url: name(),
+                    detail: "status 503, after 3 retries, retry_timeout: 30s".to_owned(),
+                },
+            ),
             (
                 generic("connection refused"),
                 StoreError::Unavailable { url: name(), detail: "connection refused".to_owned() },

@@ -4,6 +4,7 @@
 //! run on one thread, `mocapd-store`, which starts with the first call. Without the feature `full` no store can be
 //! opened, and [`StoreError::NotBuilt`] says what to do.
 
+mod backend;
 #[cfg(feature = "full")]
 mod cloud;
 mod error;
@@ -14,9 +15,10 @@ mod store;
 mod upload;
 mod window;
 
+pub use backend::{Backend, ByteRange, ListedObject, ObjectPiece};
 pub use error::StoreError;
 pub use location::{ObjectUrl, is_url};
 pub use reader::ObjectReader;
-pub use store::{Backend, ByteRange, ListedObject, ObjectPiece, Store, Traffic, TrafficCount};
+pub use store::{Store, Traffic, TrafficCount};
 pub use upload::{PART_BYTES, Pace};
 pub use window::StoredTake;

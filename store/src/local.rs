@@ -8,7 +8,8 @@ use std::{
 };
 
 use crate::{
-    Backend, ByteRange, ListedObject, ObjectPiece, ObjectUrl, StoreError, store::incomplete_name,
+    ObjectUrl, StoreError,
+    backend::{Backend, ByteRange, ListedObject, ObjectPiece, incomplete_name},
 };
 
 /// The files of this machine.

@@ -117,6 +117,17 @@ impl ObjectUrl {
         self.key.is_empty() || self.key.ends_with('/')
     }
 
+    /// Checks that this build has the client of its store.
+    ///
+    /// # Errors
+    /// `NotBuilt`.
+    pub fn check_built(&self) -> Result<(), StoreError> {
+        if cfg!(feature = "full") || self.scheme == Scheme::File {
+            return Ok(());
+        }
+        Err(StoreError::NotBuilt(self.to_string()))
+    }
+
     /// Whether objects can be created there.
     #[must_use]
     pub fn is_writable(&self) -> bool {

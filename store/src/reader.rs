@@ -5,7 +5,7 @@ use std::{
     ops::Range,
 };
 
-use crate::{ByteRange, ObjectUrl, Store, StoreError};
+use crate::{ObjectUrl, Store, StoreError, backend::ByteRange};
 
 /// Bytes at the end of an object that are read when it is opened. They hold footer, index, summary and the last ledger
 /// of most takes: the index of an hour needs 2 KiB, the summary 12 bytes for each marker.
@@ -17,6 +17,16 @@ const RANGE_BYTES_MIN: u64 = 256 << 10;
 /// Longest range of a sequential read, which is held in memory: at 100 MB/s it takes as long as the answers of two
 /// requests.
 const RANGE_BYTES_MAX: u64 = 8 << 20;
+
+impl Store {
+    /// Opens an object by reading its last 64 KiB.
+    ///
+    /// # Errors
+    /// `NotFound`, and those of any request.
+    pub fn open(&self, url: &ObjectUrl) -> Result<ObjectReader, StoreError> {
+        ObjectReader::open(self.clone(), url)
+    }
+}
 
 /// Consecutive bytes of the object in memory.
 #[derive(Debug, Default)]
@@ -56,7 +66,7 @@ pub struct ObjectReader {
 }
 
 impl ObjectReader {
-    pub(crate) fn open(store: Store, url: &ObjectUrl) -> Result<Self, StoreError> {
+    fn open(store: Store, url: &ObjectUrl) -> Result<Self, StoreError> {
         let last = ByteRange::Last(TAIL_BYTES);
         let tail = match store.read(url, &last, None) {
             // Azure has no ranges from the end, and no store has a range of an empty object.

@@ -4,7 +4,7 @@ use std::io::{self, Read, Seek, SeekFrom};
 
 use sha2::{Digest, Sha256};
 
-use crate::{ByteRange, ObjectUrl, Store, StoreError};
+use crate::{ObjectUrl, Store, StoreError, backend::ByteRange};
 
 /// Size of a part, which is held in memory. S3 needs at least 5 MiB, and accepts 10 000 parts: 78 GiB.
 pub const PART_BYTES: usize = 8 << 20;

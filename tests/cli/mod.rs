@@ -1,6 +1,7 @@
 //! The command line, run as a program: exit codes, one line on stderr for each error, and an unchanged
 //! folder if nothing was to be written.
 
+mod archives;
 mod arguments;
 mod bad_devices;
 mod bad_files;

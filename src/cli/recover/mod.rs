@@ -9,7 +9,7 @@ use std::{
 use anyhow::Context;
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
-    files::{CountingFile, Kept, SparseFile},
+    files::{CountingFile, Kept},
     header::SOFTWARE,
     ledger::LedgerDocument,
 };
@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use super::{
     batch::{self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Job, outputs},
-    paths,
+    paths, remote,
 };
 use crate::cli::{
     damage::{self, DamageReport},
@@ -69,7 +69,7 @@ fn recover(job: &Job<'_>, is_folder: bool) -> anyhow::Result<FileReport> {
     let name = job.input.name.display();
     let output = job.output.context("no output name: please report this bug")?;
     let reading = || format!("cannot read {name}");
-    let file = SparseFile::open(&job.input.path)?;
+    let file = remote::open(&job.input.path)?;
     let file_bytes = file.len_bytes().with_context(reading)?;
     // The file is read twice: to scan it and to copy it.
     let phase = job.phase("recovering", 2 * file_bytes);
