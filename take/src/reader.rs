@@ -1,6 +1,7 @@
 //! A sans-io reader of takes: the caller pushes bytes in and takes events out. Damage is an event; reading continues
 //! after it.
 
+mod buffer;
 mod chunks;
 mod damage;
 
@@ -10,10 +11,10 @@ use serde::Serialize;
 
 pub(crate) use self::{chunks::record, damage::repair_head};
 
-use self::{chunks::LongChunk, damage::Damage};
+use self::{buffer::ReadBuffer, chunks::LongChunk, damage::Damage};
 use crate::{
     NotATake, TakeError,
-    chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, WINDOW_BYTES, types},
+    chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
     record::{Channel, Clock, Event, Header, Ledger, SampledGroup, Subject, SummaryRecord},
@@ -90,10 +91,7 @@ pub enum TakeEvent<'a> {
     },
 }
 
-/// Largest buffer in ordinary use: a search window, and a read pushed while the window lacks a byte.
-const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
-
-/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`] after damage, for any
+/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`](chunk::WINDOW_BYTES) after damage, for any
 /// lengths that the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held only if it is
 /// a stretch, and only once its CRC is known to match.
 ///
@@ -101,7 +99,7 @@ const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
 /// more than twice.
 #[derive(Debug, Default)]
 pub struct TakeReader {
-    buffer: Vec<u8>,
+    buffer: ReadBuffer,
     /// Prefix CRCs of `buffer`.
     prefixes: PrefixCrcs,
     /// Bytes at the front of `buffer` that were processed.
@@ -134,8 +132,6 @@ pub struct TakeReader {
     had_damage: bool,
     /// Whether neither times nor foreign parts are decoded.
     skips_content: bool,
-    /// What [`feed`] reads into.
-    piece: Vec<u8>,
 }
 
 impl TakeReader {
@@ -167,22 +163,21 @@ impl TakeReader {
 
     /// Appends bytes of the file, in order, in pieces of any size.
     pub fn push(&mut self, bytes: &[u8]) {
+        self.space(bytes.len()).copy_from_slice(bytes);
+        self.buffer.fill(bytes.len());
+    }
+
+    /// Space for the next `n` bytes of the file. The bytes that are no longer needed make room for it.
+    fn space(&mut self, n: usize) -> &mut [u8] {
         let done = self.consumed();
         // Waiting for a quarter of the buffer moves each byte only a few times.
         if done >= self.buffer.len() / 4 {
-            self.buffer.drain(..done);
+            self.buffer.remove_front(done);
             self.prefixes.drain(done);
             self.base += done as u64;
             self.used -= done;
         }
-        let (capacity, needed) = (self.buffer.capacity(), self.buffer.len() + bytes.len());
-        if needed > capacity {
-            // A vector would double its capacity; near the window size less is enough.
-            let grown = if capacity < WINDOW_BYTES { 2 * capacity } else { capacity / 4 * 5 };
-            let grown = if needed > PUSHED_MAX { grown } else { grown.min(PUSHED_MAX) };
-            self.buffer.reserve_exact(grown.max(needed) - self.buffer.len());
-        }
-        self.buffer.extend_from_slice(bytes);
+        self.buffer.space(n)
     }
 
     /// The file offset from which the caller must push next, if it is not where the last bytes ended. Each request is
@@ -425,11 +420,9 @@ pub fn feed(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(
     if let Some(offset) = reader.seek_request() {
         input.seek(SeekFrom::Start(offset))?;
     }
-    // Kept by the reader, because zeros in a new one cost as much as the checksums of what is read.
-    let mut piece = std::mem::take(&mut reader.piece);
-    piece.resize(READ_BYTES, 0);
+    let space = reader.space(READ_BYTES);
     let n = loop {
-        match input.read(&mut piece) {
+        match input.read(space) {
             Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
             other => break other?,
         }
@@ -437,9 +430,8 @@ pub fn feed(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(
     if n == 0 {
         reader.finish();
     } else {
-        reader.push(&piece[..n]);
+        reader.buffer.fill(n);
     }
-    reader.piece = piece;
     Ok(())
 }
 
