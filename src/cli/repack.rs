@@ -26,7 +26,6 @@ use super::{
     },
     edited::open,
     output::plain_path,
-    paths,
     values::{bytes, default_effort, key_distance, resampler, thousands, tolerance},
 };
 
@@ -119,12 +118,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let settings = args.settings()?;
     let inputs = batch::inputs::find(&args.takes, &args.input, FileKinds::Takes, None)?;
     let destination = Destination::of(Some(&args.output), &inputs)?;
-    let paths_of_outputs = destination.paths(&inputs, "take")?;
-    match &destination {
-        Destination::File(path) => paths::check_take_output(path)?,
-        Destination::Stdout => paths::check_stdout(args.json)?,
-        Destination::Folder(_) | Destination::Beside => {}
-    }
+    let paths_of_outputs = destination.take_paths(&inputs, args.json)?;
     let is_folder = matches!(destination, Destination::Folder(_));
     let batch = Batch {
         inputs: &inputs,

@@ -61,6 +61,21 @@ impl Destination {
         Ok(Self::Folder(output.to_owned()))
     }
 
+    /// The take that each input becomes, checked before work starts.
+    ///
+    /// # Errors
+    /// Those of [`paths`](Self::paths); a usage error if the output is not a new take, or standard output cannot take
+    /// one.
+    pub(crate) fn take_paths(&self, inputs: &Inputs, json: bool) -> anyhow::Result<Vec<PathBuf>> {
+        let outputs = self.paths(inputs, "take")?;
+        match self {
+            Self::File(path) => paths::check_take_output(path)?,
+            Self::Stdout => paths::check_stdout(json)?,
+            Self::Folder(_) | Self::Beside => {}
+        }
+        Ok(outputs)
+    }
+
     /// The output of each input, with this extension. Standard output has the path `-`.
     ///
     /// # Errors

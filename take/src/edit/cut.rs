@@ -252,7 +252,7 @@ impl<'a, W: Write> Cutter<'a, W> {
         Ok(())
     }
 
-    /// Writes the rows `here` of decoded channels as a key stretch of its own.
+    /// Writes the rows `here` of decoded channels as a separate key stretch.
     fn encode(
         &mut self,
         channels: &[Option<&DecodedRows>],
@@ -324,7 +324,8 @@ fn samples_in(channels: &[Option<&DecodedRows>], here: &Range<usize>) -> u64 {
 /// Rows of a span of `dense`: a key block has the same points in as many whole spans as are kept of it.
 const SPAN_ROWS: usize = 64;
 
-/// Shortest run of rows in which nothing moves that becomes a stretch of its own.
+/// Minimum number of rows in which nothing moves that become a separate stretch: stored, they take 192 bytes for each
+/// marker, more than a further stretch.
 const STILL_ROWS_MIN: usize = 16;
 
 /// Encodes decoded samples as key blocks that decode to the same floats.
