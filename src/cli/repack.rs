@@ -33,7 +33,8 @@ use super::{
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "What a take decodes to stays the same, bit for bit, and is compared before the new take gets its name: \
-    samples, gaps, times, events, parts of the imported file, ledger, and the errors that its blocks state. Only a \
+    samples, gaps, lost frames, times, events, markers, parts of the imported file, observations of the clocks, ledger, \
+    and the errors that its blocks state. Only a \
     lossless take can be encoded with another resampler, tolerance or effort; for others, import the source again."
 )]
 pub(crate) struct Args {
@@ -170,7 +171,7 @@ fn repack_one(
     let is_smaller = written.bytes < bytes_before;
     let is_new = is_smaller || args.asks_for_settings();
     if is_new {
-        check(path, &new, settings, job)?;
+        check(&source, &new, settings, job)?;
         write(output, is_folder, &mut &new)?;
     } else if args.copy {
         write(output, is_folder, &mut files::open(path)?)?;
@@ -200,15 +201,16 @@ fn repack_one(
 /// # Errors
 /// If anything differs: a bug, after which nothing is written.
 fn check(
-    old: &Path,
+    source: &SourceTake,
     new: &File,
     settings: Option<&RepackSettings>,
     job: &Job<'_>,
 ) -> anyhow::Result<()> {
     let _phase = job.phase("comparing", 1);
     (&mut &*new).rewind()?;
-    let old = open(old, &Arc::default())?;
-    let found = check_repacked(old, BufReader::new(new), settings, &context(&|_| {}))?;
+    let old = open(&job.input.path, &Arc::default())?;
+    let new = BufReader::new(new);
+    let found = check_repacked(source, old, new, settings, &context(&|_| {}))?;
     if let Some(difference) = found {
         bail!(
             "{}: the repacked take differs, so nothing is written ({difference}): please report this bug",
