@@ -59,7 +59,7 @@ pub(crate) struct Args {
     /// Of a lossless take that was imported: longest time from one key stretch to the next, as for `mocapd import`
     #[arg(long, value_name = "TIME", value_parser = key_distance, allow_hyphen_values = true)]
     keys: Option<KeyDistance>,
-    /// Write a copy of a take that cannot be made smaller
+    /// Write a copy of a take that cannot be made smaller, as always to a folder or to standard output
     #[arg(long)]
     copy: bool,
     /// Print one JSON document, or one per line for several takes
@@ -126,7 +126,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         Destination::Stdout => paths::check_stdout(args.json)?,
         Destination::Folder(_) | Destination::Beside => {}
     }
-    let is_folder = matches!(destination, Destination::Folder(_));
     let batch = Batch {
         inputs: &inputs,
         outputs: &paths_of_outputs,
@@ -138,7 +137,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         done: "repacked",
         is_compression: true,
     };
-    batch::run(&batch, |job| repack_one(args, &settings, job, is_folder))
+    batch::run(&batch, |job| repack_one(args, &settings, job, &destination))
 }
 
 fn context(on_rows: &dyn Fn(u64)) -> EditContext<'_> {
@@ -149,7 +148,7 @@ fn repack_one(
     args: &Args,
     settings: &RepackSettings,
     job: &Job<'_>,
-    is_folder: bool,
+    destination: &Destination,
 ) -> anyhow::Result<FileReport> {
     let output = job.output.context("no output name: please report this bug")?;
     let reading = || format!("cannot read {}", job.input.name.display());
@@ -170,17 +169,17 @@ fn repack_one(
     let bytes_before = fs::metadata(path).with_context(reading)?.len();
     let is_smaller = written.bytes < bytes_before;
     let is_new = is_smaller || args.asks_for_settings();
+    // Who reads standard output or a folder expects every take there.
+    let is_written = is_new || args.copy || !matches!(destination, Destination::File(_));
+    let is_folder = matches!(destination, Destination::Folder(_));
     if is_new {
         check(&source, &new, settings, job)?;
         write(output, is_folder, &mut &new)?;
-    } else if args.copy {
+    } else if is_written {
         write(output, is_folder, &mut files::open(path)?)?;
     }
-    let report = RepackReport::new(job, output, &written, bytes_before).with_outcome(
-        is_new || args.copy,
-        is_new,
-        header,
-    );
+    let report = RepackReport::new(job, output, &written, bytes_before)
+        .with_outcome(is_written, is_new, header);
     Ok(FileReport {
         text: report.text(),
         line: report.text(),
@@ -189,7 +188,7 @@ fn repack_one(
             frames: report.frames,
             seconds: report.seconds,
             bytes_read: bytes_before,
-            bytes_written: report.file_bytes,
+            bytes_written: if is_written { report.file_bytes } else { 0 },
             is_unchanged: !is_new,
         },
         ..FileReport::default()
