@@ -29,8 +29,8 @@ use crate::{
 pub const ROWS_MAX: u64 = 1 << 22;
 
 /// Maximum number of rows of a stretch of a live kind. Imports have the longest: ten seconds, which exceed this only
-/// above 13 kHz and are then cut, and five minutes where nothing moves, of at most 2^20 samples. A recording has half a
-/// second, and at most as many rows as a time line can hold.
+/// above 13 kHz and are then cut, and five minutes where nothing moves or keys are far apart, of at most 2^20 samples. A
+/// recording has half a second, and at most as many rows as a time line can hold.
 pub const LIVE_ROWS_MAX: u64 = 1 << 17;
 
 /// Maximum number of recorded rows of a stretch with a time line: ten times half a second at 10 kHz; 1.5 MB in memory.

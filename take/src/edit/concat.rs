@@ -329,7 +329,8 @@ impl<W: Write> Joiner<'_, W> {
             Ok(())
         })?;
         if found_rows == source.map().n_rows {
-            return Ok(());
+            // Channels may be announced after the last stretch.
+            return self.grow(source.map().channels.len());
         }
         Err(TakeError::InvalidArgument(
             "another program changed a take while it was being read".into(),

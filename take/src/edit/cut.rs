@@ -206,12 +206,7 @@ impl<'a, W: Write> Cutter<'a, W> {
             return Ok(());
         }
         let n_channels = self.source.channels_at(from_row.max(self.rows.start));
-        if let Some(more) = self.source.map().channels.get(self.n_channels..n_channels)
-            && !more.is_empty()
-        {
-            self.take.channels(more)?;
-            self.n_channels = n_channels;
-        }
+        self.grow(n_channels)?;
         let timeline =
             stretch.timeline.as_ref().map(|timeline| self.moved(timeline.part(self.rows.clone())));
         let rows = stretch.span.first_row.max(self.rows.start)..end_row.min(self.rows.end);
@@ -252,6 +247,16 @@ impl<'a, W: Write> Cutter<'a, W> {
         Ok(())
     }
 
+    /// Writes the channels that appear up to entry `n_channels`.
+    fn grow(&mut self, n_channels: usize) -> Result<(), TakeError> {
+        let more = self.source.map().channels.get(self.n_channels..n_channels).unwrap_or_default();
+        if !more.is_empty() {
+            self.take.channels(more)?;
+            self.n_channels = n_channels;
+        }
+        Ok(())
+    }
+
     /// Writes the rows `here` of decoded channels as a separate key stretch.
     fn encode(
         &mut self,
@@ -289,6 +294,10 @@ impl<'a, W: Write> Cutter<'a, W> {
     /// Writes the clocks, the ledger and the end.
     fn finish(mut self) -> Result<CutReport, TakeError> {
         let map = self.source.map();
+        if self.rows.end == map.n_rows {
+            // Channels may be announced after the last stretch.
+            self.grow(map.channels.len())?;
+        }
         for clock in &self.source.clocks {
             self.take.clock(clock)?;
         }
