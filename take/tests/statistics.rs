@@ -328,6 +328,7 @@ fn it_takes_at_most_300_bytes_and_12_a_marker() {
                 ending: ending.clone(),
                 header: Some(Box::new(header.clone())),
                 statistics: Some(statistics),
+                order: None,
             };
             let payload = summary.to_payload().unwrap();
             assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), summary);
