@@ -88,7 +88,7 @@ fn search(
         searched.iter().map(|parts| OrderSearch::new(n_channels(parts))).collect();
     let worker = || {
         let mut encoders = [Effort::MIN, Effort::MAX].map(|effort| take.plan.encoder_with(effort));
-        move |job: &Job| {
+        move |job: &OrderCoding| {
             let [least, greatest] = &mut encoders;
             let encoder = if job.effort == Effort::MAX { greatest } else { least };
             size(encoder, &searched[job.group], &job.order)
@@ -98,7 +98,11 @@ fn search(
         let mut jobs = Vec::new();
         for (group, search) in searches.iter_mut().enumerate() {
             let (effort, orders) = search.next_round();
-            jobs.extend(orders.iter().map(|order| Job { group, effort, order: order.clone() }));
+            jobs.extend(orders.iter().map(|order| OrderCoding {
+                group,
+                effort,
+                order: order.clone(),
+            }));
         }
         if jobs.is_empty() {
             break;
@@ -121,7 +125,7 @@ fn search(
 }
 
 /// An order to code.
-struct Job {
+struct OrderCoding {
     group: usize,
     effort: Effort,
     order: GroupOrder,
@@ -142,7 +146,11 @@ fn order_of(groups: impl Iterator<Item = GroupOrder>) -> ChannelOrder {
 
 /// What the order of a group costs outside the blocks, in ORDER, SUMMARY and the channel table: a share of it, as of the
 /// blocks.
-fn rest_bytes(take: HeldTake<'_>, searched: &[Vec<&EncodePart>], job: &Job) -> anyhow::Result<u64> {
+fn rest_bytes(
+    take: HeldTake<'_>,
+    searched: &[Vec<&EncodePart>],
+    job: &OrderCoding,
+) -> anyhow::Result<u64> {
     let own =
         |parts: &Vec<&EncodePart>| (0..n_channels(parts)).map(|channel| channel as u8).collect();
     let mut groups: Vec<GroupOrder> = searched.iter().map(own).collect();
