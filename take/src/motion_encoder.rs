@@ -5,17 +5,21 @@
 //! stretches continue those before them, and one encoder has them all, in order. One stretch is read at a time, except
 //! for a resampler that needs the whole take.
 
+pub mod order_search;
 mod parts;
 
-use std::io::Write;
+use std::io::{self, Write};
 
-use mocapd_codec::{BlockEncoder, BlockReport, Effort, GROUP_CHANNELS, Position, Settings};
+use mocapd_codec::{
+    BlockEncoder, BlockReport, Effort, GROUP_CHANNELS, Position, ResamplerKind, Settings,
+};
 
-use self::parts::StillSpans;
 pub use self::parts::{EncodePart, EncodeParts};
+use self::{order_search::GroupOrder, parts::StillSpans};
 
 use crate::{
-    TakeError, TakeWriter,
+    ChannelOrder, TakeError, TakeWriter,
+    interchange::c3d,
     motion::{Foreign, FrameSource, Marker, MotionEvent, MotionInfo},
     record::{Channel, Event, Header, Ledger},
     sampled::{EncodedSpan, SamplesPlan},
@@ -30,6 +34,10 @@ use crate::{
 /// Duration of an import's stretches, and so the distance between its key stretches, in seconds, unless the header
 /// states a distance. Stretches in which nothing moves may be longer.
 const STRETCH_S: f64 = 10.0;
+
+/// Most samples of a take, missing ones included, whose channels are ordered: it is held in memory, 13 bytes a sample and
+/// 54 MB at most. 4 194 304 samples are 11 minutes of 50 markers at 120 Hz.
+const ORDERED_SAMPLES_MAX: usize = 1 << 22;
 
 /// Rows of a stretch at `rate_hz`. A resampler that needs the whole take at once gets a single stretch.
 #[must_use]
@@ -60,6 +68,14 @@ pub struct EncodedPart {
     tally: BlockTally,
     /// One report per marker.
     pub reports: Vec<BlockReport>,
+}
+
+impl EncodedPart {
+    /// Size of its block in bytes.
+    #[must_use]
+    pub fn n_bytes(&self) -> u64 {
+        self.block.len() as u64
+    }
 }
 
 /// The settings and shared bytes that all parts of one motion are encoded with.
@@ -134,10 +150,58 @@ impl EncodePlan {
         n_samples * (size_of::<Position>() + size_of::<bool>())
     }
 
+    /// Whether an order of the channels is searched for: with `dense` at the greatest effort, for as many samples as may
+    /// be in memory, and where a channel can be predicted from others.
+    #[must_use]
+    pub fn searches_order(&self) -> bool {
+        self.codec.kind == ResamplerKind::Dense
+            && self.effort == Effort::MAX
+            && self.n_markers > 2
+            && self.n_rows.saturating_mul(self.n_markers) <= ORDERED_SAMPLES_MAX
+    }
+
+    /// Size in bytes of a take whose channels are in `order`, without their samples and foreign parts.
+    ///
+    /// # Errors
+    /// Those of [`MotionWriter`].
+    pub fn table_bytes(
+        &self,
+        described: (&MotionInfo, &Header),
+        order: &ChannelOrder,
+    ) -> Result<u64, TakeError> {
+        Ok(MotionWriter::begin_in(self, described, order.clone(), io::sink())?.finish()?.2)
+    }
+
+    /// Size in bytes of a take with these parts, whose channels are in `order`, and of its foreign parts those that depend
+    /// on the order.
+    ///
+    /// # Errors
+    /// Those of [`MotionWriter`].
+    pub fn ordered_bytes<'p>(
+        &self,
+        (info, header): (&MotionInfo, &Header),
+        order: &ChannelOrder,
+        parts: impl IntoIterator<Item = (&'p EncodePart, &'p EncodedPart)>,
+    ) -> Result<u64, TakeError> {
+        let mut writer = MotionWriter::begin_in(self, (info, header), order.clone(), io::sink())?;
+        for part in info.foreign.iter().filter(|part| c3d::is_by_marker(part)) {
+            let moved = writer.ordered(part)?;
+            writer.take.foreign(moved.as_ref().unwrap_or(part))?;
+        }
+        parts.into_iter().try_for_each(|(part, coded)| writer.push(part, coded))?;
+        Ok(writer.finish()?.2)
+    }
+
     /// An encoder of parts. Each thread needs its own.
     #[must_use]
     pub fn encoder(&self) -> PartEncoder<'_> {
-        PartEncoder { plan: self, encoders: Vec::new() }
+        self.encoder_with(self.effort)
+    }
+
+    /// An encoder of parts like [`encoder`](Self::encoder), with another effort.
+    #[must_use]
+    pub fn encoder_with(&self, effort: Effort) -> PartEncoder<'_> {
+        PartEncoder { plan: self, effort, encoders: Vec::new() }
     }
 }
 
@@ -145,6 +209,7 @@ impl EncodePlan {
 #[derive(Debug)]
 pub struct PartEncoder<'a> {
     plan: &'a EncodePlan,
+    effort: Effort,
     /// One for each group of channels if parts continue those before them; else one for all.
     encoders: Vec<Box<dyn BlockEncoder>>,
 }
@@ -155,19 +220,56 @@ impl PartEncoder<'_> {
     /// # Errors
     /// `Codec`.
     pub fn encode(&mut self, part: &EncodePart) -> Result<EncodedPart, TakeError> {
+        self.encode_in(part, None)
+    }
+
+    /// Encodes a part like [`encode`](Self::encode), with its channels in another order.
+    ///
+    /// # Errors
+    /// `Codec`.
+    pub fn encode_in(
+        &mut self,
+        part: &EncodePart,
+        order: Option<&GroupOrder>,
+    ) -> Result<EncodedPart, TakeError> {
+        self.encode_as(part, part.key, order)
+    }
+
+    /// Encodes a part as a key block, with its channels in another order.
+    ///
+    /// # Errors
+    /// `Codec`.
+    pub fn encode_key(
+        &mut self,
+        part: &EncodePart,
+        order: &GroupOrder,
+    ) -> Result<EncodedPart, TakeError> {
+        self.encode_as(part, true, Some(order))
+    }
+
+    fn encode_as(
+        &mut self,
+        part: &EncodePart,
+        key: bool,
+        order: Option<&GroupOrder>,
+    ) -> Result<EncodedPart, TakeError> {
         let mut coded = EncodedPart::default();
         if part.n_markers > 0 {
             coded.reports.resize(part.n_markers, BlockReport::default());
-            let channels = part.rows()?;
+            let mut channels = part.rows()?;
+            if let Some(order) = order {
+                let rows = order.iter().filter_map(|&channel| channels.get(usize::from(channel)));
+                channels = rows.copied().collect();
+            }
             let EncodedPart { block, tally, reports } = &mut coded;
             let plan = self.plan;
             let group = if plan.is_sequential() { part.first_marker / GROUP_CHANNELS } else { 0 };
-            let new = || plan.codec.encoder_with(plan.effort);
+            let new = || plan.codec.encoder_with(self.effort);
             if self.encoders.len() <= group {
                 self.encoders.resize_with(group + 1, new);
             }
             let Some(encoder) = self.encoders.get_mut(group) else { return Ok(coded) };
-            encoder.encode(&channels, &plan.shared, part.key, block, reports)?;
+            encoder.encode(&channels, &plan.shared, key, block, reports)?;
             *tally = BlockTally::of_encoded(block, &channels, reports, encoder.kept_rows());
         }
         Ok(coded)
@@ -179,6 +281,7 @@ impl PartEncoder<'_> {
 pub struct MotionWriter<'a, W> {
     plan: &'a EncodePlan,
     take: TakeWriter<W>,
+    order: ChannelOrder,
     front: StretchHeaderWriter,
     payload: Vec<u8>,
     tally: BlockTally,
@@ -212,21 +315,52 @@ impl<'a, W: Write> MotionWriter<'a, W> {
         header: &Header,
         out: W,
     ) -> Result<Self, TakeError> {
-        let mut take = TakeWriter::new(out, header)?;
+        Self::begin_in(plan, (info, header), ChannelOrder::default(), out)
+    }
+
+    /// Begins a take like [`begin`](Self::begin), whose parts were encoded with their channels in `order`. `header` has
+    /// them in that of the source.
+    ///
+    /// # Errors
+    /// Those of [`begin`](Self::begin).
+    pub fn begin_in(
+        plan: &'a EncodePlan,
+        (info, header): (&MotionInfo, &Header),
+        order: ChannelOrder,
+        out: W,
+    ) -> Result<Self, TakeError> {
+        let mut header = header.clone();
+        order.apply_to_table(&mut header.channels);
+        let mut take = TakeWriter::new(out, &header)?;
         info.subject.iter().try_for_each(|subject| take.subject(subject))?;
-        Ok(Self::continuing(plan, header, take))
+        take.order(&order)?;
+        Ok(Self::continuing(plan, &header, order, take))
     }
 
     /// Continues a take of which everything that precedes its stretches is written.
-    pub(crate) fn continuing(plan: &'a EncodePlan, header: &Header, take: TakeWriter<W>) -> Self {
+    pub(crate) fn continuing(
+        plan: &'a EncodePlan,
+        header: &Header,
+        order: ChannelOrder,
+        take: TakeWriter<W>,
+    ) -> Self {
         let front = StretchHeaderWriter::new(header.stretch_rows);
         let (payload, tally) = (Vec::new(), BlockTally::default());
-        Self { plan, take, front, payload, tally, n_samples: 0 }
+        Self { plan, take, order, front, payload, tally, n_samples: 0 }
     }
 
     /// The take, to write what follows its stretches.
     pub(crate) fn into_take(self) -> TakeWriter<W> {
         self.take
+    }
+
+    /// A foreign part that has something for each marker, in the order in which the markers are coded; `None` for one that
+    /// stays as it is.
+    ///
+    /// # Errors
+    /// Those of the scratch file that the part may be in.
+    pub fn ordered(&self, part: &Foreign) -> Result<Option<Foreign>, TakeError> {
+        Ok(c3d::reordered(part, &self.order)?)
     }
 
     /// Writes a foreign part. Of one with samples it writes the description, and returns what is to be encoded: the

@@ -9,11 +9,14 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 
 use serde::Serialize;
 
-pub(crate) use self::{chunks::record, damage::repair_head};
+pub(crate) use self::{
+    chunks::{order, record},
+    damage::repair_head,
+};
 
 use self::{buffer::ReadBuffer, chunks::LongChunk, damage::Damage};
 use crate::{
-    NotATake, TakeError,
+    ChannelOrder, NotATake, TakeError,
     chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
@@ -29,6 +32,8 @@ pub enum TakeEvent<'a> {
     Header(Box<Header>),
     /// Further entries of the channel table.
     Channels(Vec<Channel>),
+    /// The order of the markers of the header in the source.
+    Order(ChannelOrder),
     /// A stretch, with its blocks still encoded.
     Stretch(Stretch<'a>),
     /// A stretch that continues a missing or damaged one: its rows are unknown, and its blocks cannot be decoded.
@@ -112,6 +117,8 @@ pub struct TakeReader {
     chain: Option<StretchChain>,
     /// Entries of the channel table so far.
     n_channels: usize,
+    /// The header's channels, while an order of them may follow: in an import, before the first order and stretch.
+    orderable: Option<usize>,
     bytes: TakeBytes,
     /// A damaged region whose end is being searched for.
     damage: Option<Damage>,
@@ -288,7 +295,7 @@ impl TakeReader {
 /// Bytes by purpose. Their sum is the number of bytes read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct TakeBytes {
-    /// Magic, HEADER and CHANNELS.
+    /// Magic, HEADER, CHANNELS and ORDER.
     pub header: u64,
     /// Blocks of stretches, and the bytes that these share.
     pub blocks: u64,
@@ -321,7 +328,7 @@ impl TakeBytes {
     /// Adds a chunk of `len` bytes.
     fn add(&mut self, event: &TakeEvent<'_>, len: u64) {
         let counter = match event {
-            TakeEvent::Header(_) | TakeEvent::Channels(_) => &mut self.header,
+            TakeEvent::Header(_) | TakeEvent::Channels(_) | TakeEvent::Order(_) => &mut self.header,
             TakeEvent::Stretch(stretch) => {
                 let sizes = stretch.sizes;
                 self.time_line += sizes.time_line;

@@ -280,9 +280,18 @@ impl StretchDecoder {
 
     /// The rows of the last decoded stretch, by channel; `None` for a channel without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
-        self.groups.iter().flat_map(|group| {
-            let rows = group.as_ref().map_or(&[][..], |group| &group.rows);
-            rows.iter().map(Some).chain(iter::repeat(None)).take(GROUP_CHANNELS)
+        self.rows_in(|column| column)
+    }
+
+    /// The rows like [`rows`](Self::rows), in another order of channels: `row_of` gives the channel at each place.
+    pub(crate) fn rows_in(
+        &self,
+        row_of: impl Fn(usize) -> usize,
+    ) -> impl Iterator<Item = Option<&DecodedRows>> {
+        (0..self.groups.len() * GROUP_CHANNELS).map(move |column| {
+            let channel = row_of(column);
+            let group = self.groups.get(channel / GROUP_CHANNELS)?.as_ref()?;
+            group.rows.get(channel % GROUP_CHANNELS)
         })
     }
 }

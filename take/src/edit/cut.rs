@@ -64,6 +64,7 @@ pub fn cut<W: Write>(
     let header = header_of_part(source, &rows, context)?;
     let mut take = TakeWriter::new(out, &header)?;
     source.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
+    take.order(&source.map().order)?;
     let mut left_out: Vec<String> = source.left_out().collect();
     let first_frame = source.first_frame();
     let frames = first_frame.saturating_add(rows.start)..first_frame.saturating_add(rows.end);
@@ -112,7 +113,7 @@ fn header_of_part(
     let map = source.map();
     let mut header = map.header.clone();
     let n_channels = source.channels_at(rows.start);
-    header.channels = map.channels.get(..n_channels).unwrap_or_default().to_vec();
+    header.channels = map.table().get(..n_channels).unwrap_or_default().to_vec();
     if header.created_unix_ms != 0 {
         let ms = (rows.start as f64 * 1000.0 / header.rate_hz).round() as i64;
         header.created_unix_ms = header.created_unix_ms.saturating_add(ms);
@@ -218,7 +219,7 @@ impl<'a, W: Write> Cutter<'a, W> {
         let recorded = [RowRun { rows: n_rows.into(), lost: None }];
         let runs = timeline.as_ref().map_or(&recorded[..], |timeline| &timeline.runs);
         // A stretch without rows leaves the rows of the one before decoded.
-        let decoded = progress.rows().take(if n_rows > 0 { n_channels } else { 0 });
+        let decoded = progress.coded_rows().take(if n_rows > 0 { n_channels } else { 0 });
         let channels: Vec<_> = decoded.collect();
         self.tally.add_runs(runs, n_channels, samples_in(&channels, &here));
         if can_copy {

@@ -18,7 +18,7 @@ pub use self::check::check_repacked;
 use self::joining::{StretchJoiner, Waiting, stated};
 use super::{EditContext, SourceTake, damaged, foreign};
 use crate::{
-    TakeError, TakeEvent, TakeTraversal, TakeWriter,
+    ChannelOrder, TakeError, TakeEvent, TakeTraversal, TakeWriter,
     frames::TakeFrames,
     motion_encoder::{EncodePlan, MotionWriter, stretch_rows},
     record::{Header, KeyDistance},
@@ -94,6 +94,7 @@ pub fn repack<W: Write>(
     let header = header_of_repacked(source, settings, is_encoded_anew, context)?;
     let mut take = TakeWriter::new(out, &header)?;
     map.subject.iter().try_for_each(|subject| take.subject(subject))?;
+    take.order(&map.order)?;
     for part in &map.foreign {
         let whole = foreign::read_whole(part, &mut input, context)?;
         take.foreign_with_lost(&whole.part, &whole.lost)?;
@@ -115,7 +116,7 @@ pub fn repack<W: Write>(
             if let Some(problem) = progress.take.problems.first() {
                 return Err(damaged(problem));
             }
-            let rows: Vec<_> = progress.rows().collect();
+            let rows: Vec<_> = progress.coded_rows().collect();
             repacker.stretch(stretch, &rows)?;
             (context.on_rows)(stretch.span.end_row());
             Ok(())
@@ -177,7 +178,7 @@ fn encode_import<W: Write>(
 ) -> Result<(TakeWriter<W>, u64), TakeError> {
     let mut frames = TakeFrames::open(input)?;
     let (plan, parts) = EncodePlan::new(&mut frames, header)?;
-    let mut writer = MotionWriter::continuing(&plan, header, take);
+    let mut writer = MotionWriter::continuing(&plan, header, ChannelOrder::default(), take);
     let mut encoder = plan.encoder();
     let mut n_stretches = 0;
     for part in parts {
@@ -199,6 +200,8 @@ impl SourceTake {
             Some("the stretches of a recovered take state which frames are lost, and stay")
         } else if map.header.channels.len() < map.channels.len() {
             Some("further markers begin at some of its stretches, which therefore stay")
+        } else if !map.order.is_identity() {
+            Some("its markers are encoded in another order than that of the source, which stays")
         } else {
             None
         }

@@ -14,8 +14,8 @@ use crate::{
     },
     damage::DamageOrigin,
     index::{Footer, IndexEntry, parse_index},
-    reader::record,
-    record::{Header, Record},
+    reader::{order, record},
+    record::{Header, Record, SummaryRecord},
     stretch::ROWS_PASSED_MAX,
     traversal::TakeTraversal,
 };
@@ -65,14 +65,20 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
     }
     let mut map = None;
     let mut next_key = keys.iter().peekable();
+    let mut orderable = true;
     while chunks.at < file_bytes {
         let offset = chunks.at;
         let Some((kind, chunk_bytes)) = chunks.head()? else { return Ok(None) };
         let is_known = match kind {
             types::STRETCH => {
                 next_key.next_if(|key| key.offset == offset);
+                orderable = false;
                 chunks.go_to(offset + chunk_bytes)?;
                 true
+            }
+            types::ORDER => {
+                let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
+                std::mem::take(&mut orderable) && add_order(&mut map, &payload, offset)
             }
             // A single wrong bit turns another type into one of these, so check their CRC.
             types::FOREIGN
@@ -99,7 +105,8 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
         && next_key.peek().is_none()
         && keys.is_sorted_by(|a, b| a.first_row < b.first_row && a.offset < b.offset)
         && (last_row..=last_row.saturating_add(ROWS_PASSED_MAX)).contains(&footer.n_rows);
-    let Some(map) = map.filter(|_| is_sound) else { return Ok(None) };
+    let Some(mut map) = map.filter(|_| is_sound) else { return Ok(None) };
+    map.restore_order();
     Ok(Some(TakeMap { n_rows: footer.n_rows, keys, finished: true, ..map }))
 }
 
@@ -113,6 +120,8 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
         return true;
     };
     match record(kind, payload, offset) {
+        // An order that the take states and does not have needs a traversal.
+        Ok(Some(TakeEvent::Summary(summary))) if is_contradicted(&summary, map) => return false,
         Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
         Ok(Some(event)) => map.add_content(event, offset, payload.len() as u64),
         // A newer version that a reader may skip.
@@ -122,6 +131,24 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
         Ok(None) => return kind & MAY_SKIP != 0,
     }
     true
+}
+
+/// Sets the order of the markers. Returns whether it is valid, and that of an import.
+fn add_order(map: &mut Option<TakeMap>, payload: &[u8], offset: u64) -> bool {
+    let Some(map) = map.as_mut().filter(|map| map.header.device.is_none()) else { return false };
+    match order(payload, offset, Some(map.header.channels.len())) {
+        Ok(TakeEvent::Order(order)) => {
+            map.order = order;
+            true
+        }
+        // A later version is skipped.
+        other => matches!(other, Err(TakeError::Unsupported { .. })),
+    }
+}
+
+/// Whether a summary states another order of the markers than the take has.
+fn is_contradicted(summary: &SummaryRecord, map: &TakeMap) -> bool {
+    summary.order.as_ref().is_some_and(|order| *order != map.order)
 }
 
 /// Reads a file chunk by chunk.

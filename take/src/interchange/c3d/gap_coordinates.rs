@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// Kind of the part.
-const KIND: &str = "c3d/gap-coordinates";
+pub(super) const KIND: &str = "c3d/gap-coordinates";
 /// Bytes of the part's header: version, number of the first frame, number of markers.
 const HEADER_BYTES: usize = 13;
 /// Bytes before a marker's runs: its index and the number of runs.
@@ -320,6 +320,29 @@ impl<'a> PartCoordinates<'a> {
         }
         Ok(&self.current)
     }
+}
+
+/// What precedes the markers of a part, and each of them with its index.
+pub(super) type ByMarker<'a> = (ContentSlice<'a>, Vec<(usize, ContentSlice<'a>)>);
+
+/// Divides a part into its markers; `None` for a damaged part.
+pub(super) fn by_marker(data: &Content) -> io::Result<Option<ByMarker<'_>>> {
+    let Some((front, mut rest)) = data.as_slice().split_at(HEADER_BYTES as u64) else {
+        return Ok(None);
+    };
+    let mut header = [0; HEADER_BYTES];
+    front.read_at(0, &mut header)?;
+    if header.first() != Some(&VERSION) {
+        return Ok(None);
+    }
+    let mut markers = Vec::new();
+    while rest.len() > 0 {
+        let Some((marker, after)) = PartMarker::parse(rest, 0)? else { return Ok(None) };
+        let Some((slice, _)) = rest.split_at(rest.len() - after.len()) else { return Ok(None) };
+        markers.push((marker.index, slice));
+        rest = after;
+    }
+    Ok(Some((front, markers)))
 }
 
 impl<'a> PartMarker<'a> {
