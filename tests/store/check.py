@@ -2,7 +2,9 @@
 """Tests takes in object storage against moto's S3 server: every command, what is created and never replaced, errors, and
 the requests and bytes of windows.
 
-    check.py --mocapd target/debug/mocapd --windows target/debug/examples/windows
+    check.py --mocapd target/debug/mocapd --mocapd-sim target/debug/mocapd-sim --windows target/debug/examples/windows
+
+With --mocapd-sim, a service records a simulated device and uploads its takes while the store hangs, fails and comes back.
 """
 
 import argparse
@@ -14,6 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import uploads
 from s3 import ANYBODY, BUCKET, Store
 
 results = []
@@ -23,8 +26,14 @@ def main():
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--mocapd", required=True, type=Path)
     arguments.add_argument("--windows", required=True, type=Path, help="the example `windows` of the crate mocapd-store")
+    arguments.add_argument("--mocapd-sim", type=Path)
+    arguments.add_argument("--only-uploads", action="store_true")
     options = arguments.parse_args()
     with tempfile.TemporaryDirectory(prefix="mocapd-store-") as folder, Store(folder) as store:
+        if options.mocapd_sim:
+            uploads.check(report, options.mocapd, options.mocapd_sim, Path(folder) / "rig", store)
+        if options.only_uploads:
+            return finish()
         check = Check(options, Path(folder), store)
         check.created_once()
         check.every_command()
@@ -32,6 +41,10 @@ def main():
         check.parts()
         check.windows()
         check.refusals()
+    finish()
+
+
+def finish():
     print(f"{results.count(True)} passed, {results.count(False)} failed")
     sys.exit(False in results)
 
