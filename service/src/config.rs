@@ -26,6 +26,7 @@ use mocapd_drivers::{
     registry::{AttachedDevice, Claim},
     uri::DeviceUri,
 };
+use mocapd_store::ObjectUrl;
 use serde_json::Value as Json;
 
 use self::keys::{KEYS, SECTIONS};
@@ -51,6 +52,8 @@ pub struct Config {
     pub subject: SubjectFiles,
     /// What is kept in memory between takes.
     pub arm: ArmConfig,
+    /// Where finished takes are uploaded to.
+    pub archive: ArchiveConfig,
     /// The HTTP interface.
     pub http: HttpConfig,
     /// Capture triggers.
@@ -112,6 +115,17 @@ pub struct ArmConfig {
     pub include_pre_roll: Duration,
     /// Memory limit of the pre-roll in bytes.
     pub memory_max_bytes: u64,
+}
+
+/// The section `[archive]`.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ArchiveConfig {
+    /// The folder in object storage that finished takes are uploaded to.
+    pub url: Option<ObjectUrl>,
+    /// Limit on the rate of uploads, in bytes per second.
+    pub rate_max_bytes_per_s: u64,
+    /// How long after its upload the local copy of a take is removed; `None` keeps it.
+    pub remove_local_after: Option<Duration>,
 }
 
 /// The section `[http]`.
@@ -278,6 +292,12 @@ impl Config {
         } else if nobody_asks {
             notes.push(
                 "http.socket and http.listen are both empty: nothing can query the service"
+                    .to_owned(),
+            );
+        }
+        if self.archive.remove_local_after.is_some() && self.archive.url.is_none() {
+            notes.push(
+                "archive.remove_local_after has no effect: archive.url is not set, so no take is uploaded"
                     .to_owned(),
             );
         }

@@ -13,7 +13,7 @@ use super::{
 use crate::units::{self, duration_text, size_text};
 
 /// Longest path in bytes: Linux allows no more.
-const PATH_BYTES_MAX: usize = 4096;
+pub(super) const PATH_BYTES_MAX: usize = 4096;
 
 /// Longest reason in a message, in characters: a reason may quote a text of any length.
 const REASON_MAX: usize = 300;

@@ -12,14 +12,15 @@ use std::{
 
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::plain_file;
+use mocapd_store::ObjectUrl;
 use toml::{
     Spanned,
     de::{DeString, DeTable, DeValue},
 };
 
 use super::{
-    ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig, NameTemplate,
-    PROBLEMS_MAX, SourceLocation, TakeConfig, TriggerConfig,
+    ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig,
+    NameTemplate, PROBLEMS_MAX, SourceLocation, TakeConfig, TriggerConfig,
     key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
@@ -90,7 +91,13 @@ impl Config {
     /// # Errors
     /// The file cannot be read, or it has problems: all of them.
     pub fn check(file: &Path, overrides: &Overrides) -> Result<Self, ConfigError> {
-        Self::read_file(file, overrides, |config| config.subject.problems())
+        Self::read_file(file, overrides, |config| {
+            let mut problems = config.subject.problems();
+            let built = config.archive.url.as_ref().map_or(Ok(()), ObjectUrl::check_built);
+            problems
+                .extend(built.err().map(|error| ("archive.url", format!("archive.url: {error}"))));
+            problems
+        })
     }
 
     fn read_file(
@@ -189,6 +196,7 @@ impl Config {
             },
             subject: SubjectFiles::default(),
             arm: ArmConfig::default(),
+            archive: ArchiveConfig::default(),
             http: HttpConfig::default(),
             trigger: TriggerConfig::default(),
             log_level: Level::default(),

@@ -70,7 +70,7 @@ fn for_unknown_keys_the_nearest_one_is_suggested() {
     refused("[arm]\ntolerance = '1mm'", (2, 1), "", &["'tolerance'", "[arm]", "[take]"]);
     refused("tolerance = '1mm'", (1, 1), "", &["'tolerance'", "[take]"]);
     refused("[devices]\nuri = 'auto'", (1, 2), "", &["[devices]", "'device'"]);
-    let all = "rig, device, take, subject, arm, http, trigger, log";
+    let all = "rig, device, take, subject, arm, archive, http, trigger, log";
     refused("[studio]", (1, 2), "", &["[studio]", all]);
     refused("device = 'auto'", (1, 1), "", &["\"auto\"", "[device]"]);
     refused("[[device]]\nuri = 'auto'", (1, 0), "", &["[device]"]);
