@@ -47,6 +47,9 @@ const RETRY_MAX: Duration = Duration::from_secs(600);
 /// Interval at which a paused upload checks whether the service stops.
 const PAUSE_STEP: Duration = Duration::from_millis(100);
 
+/// The same between two looks at the folder: an idle service should wake rarely.
+const IDLE_STEP: Duration = Duration::from_millis(500);
+
 /// The states of uploads, for the list of takes and the status.
 #[derive(Debug, Default)]
 pub(super) struct Uploads {
@@ -148,7 +151,7 @@ pub(super) fn run(inner: &Arc<Inner>) {
         };
         let until = Instant::now() + SCAN_INTERVAL;
         while !has_more && Instant::now() < until && !inner.is_stopping() {
-            std::thread::sleep(PAUSE_STEP);
+            std::thread::sleep(IDLE_STEP);
         }
     }
 }
