@@ -1,58 +1,11 @@
-//! Parsing of arguments: subcommands that are defined when they are given, and clap's error messages in one line.
+//! clap's error messages in one line.
 
 use std::io;
 
 use clap::{
-    ArgMatches, Args, Command, FromArgMatches, Parser, Subcommand,
+    Parser,
     error::{Error, ErrorKind},
 };
-
-/// The arguments `A` of a subcommand. clap learns of them when the subcommand is given, or when the whole command line is
-/// described: the definition of all of `mocapd`'s takes 0.5 ms, as long as `info` needs to check a take of 5 MB.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Deferred<A>(pub A);
-
-impl<A: FromArgMatches> FromArgMatches for Deferred<A> {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
-        A::from_arg_matches(matches).map(Self)
-    }
-
-    fn from_arg_matches_mut(matches: &mut ArgMatches) -> Result<Self, Error> {
-        A::from_arg_matches_mut(matches).map(Self)
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
-        self.0.update_from_arg_matches(matches)
-    }
-
-    fn update_from_arg_matches_mut(&mut self, matches: &mut ArgMatches) -> Result<(), Error> {
-        self.0.update_from_arg_matches_mut(matches)
-    }
-}
-
-impl<A: Args> Args for Deferred<A> {
-    fn augment_args(command: Command) -> Command {
-        command.defer(A::augment_args)
-    }
-
-    fn augment_args_for_update(command: Command) -> Command {
-        command.defer(A::augment_args_for_update)
-    }
-}
-
-impl<A: Subcommand> Subcommand for Deferred<A> {
-    fn augment_subcommands(command: Command) -> Command {
-        command.defer(A::augment_subcommands)
-    }
-
-    fn augment_subcommands_for_update(command: Command) -> Command {
-        command.defer(A::augment_subcommands_for_update)
-    }
-
-    fn has_subcommand(name: &str) -> bool {
-        A::has_subcommand(name)
-    }
-}
 
 /// What the arguments ask for.
 #[derive(Debug, Clone, PartialEq, Eq)]

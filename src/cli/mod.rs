@@ -41,7 +41,7 @@ use mocapd_acquire::files;
 use mocapd_cli::{
     manual::{self, CompletionsArgs, ManArgs, UnknownCommand},
     stop,
-    usage::{self, Deferred, ParseError, Parsed},
+    usage::{self, ParseError, Parsed},
 };
 
 use output::print_exact;
@@ -63,57 +63,57 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Record a simulated device, verify the take and export it; needs no hardware
-    Demo(Deferred<demo::Args>),
+    Demo(demo::Args),
     /// List attached devices: the driver of each, or why it cannot be opened
-    Devices(Deferred<devices::Args>),
+    Devices(devices::Args),
     /// Record a device to a take
-    Record(Deferred<record::Args>),
+    Record(record::Args),
     /// Run as a service that is controlled over HTTP: arm, start, stop, mark
-    Run(Deferred<run::Args>),
+    Run(run::Args),
     /// Convert a C3D, TRC, QTM TSV or CSV file to a take
-    Import(Deferred<import::Args>),
+    Import(import::Args),
     /// Convert a take to the format of another tool: C3D, TRC, CSV, XDF, BIDS and more
-    Export(Deferred<export::Args>),
+    Export(export::Args),
     /// Show what is in a take: header, sizes and ledger; samples, gaps, kept samples and error of each marker
-    Info(Deferred<info::Args>),
+    Info(info::Args),
     /// Show the gaps of each marker, or, with -o, write each gap with its cause to a CSV file
-    Gaps(Deferred<gaps::Args>),
+    Gaps(gaps::Args),
     /// Check a take: every checksum and block, the ledger, and with --against every sample
-    Verify(Deferred<verify::Args>),
+    Verify(verify::Args),
     /// Write a new take from what can be read of a truncated or damaged one
-    Recover(Deferred<recover::Args>),
+    Recover(recover::Args),
     /// Write a part of a take as a new take; samples stay unchanged
-    Cut(Deferred<cut::Args>),
+    Cut(cut::Args),
     /// Join takes with the same markers one after another; samples stay unchanged
-    Concat(Deferred<concat::Args>),
+    Concat(concat::Args),
     /// Write takes again in fewer bytes; samples stay unchanged
-    Repack(Deferred<repack::Args>),
+    Repack(repack::Args),
     /// Show how two takes differ: markers, frames, gaps, samples, times, events, ledger, header and settings
-    Diff(Deferred<diff::Args>),
+    Diff(diff::Args),
     /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, analog channels, force plates, marker quality
     #[command(subcommand)]
-    Plot(Deferred<plot::Plot>),
+    Plot(plot::Plot),
     /// Repeat the study of Shi et al. 2012 on your takes: its tables and figures, and file sizes
-    Study(Deferred<study::Args>),
+    Study(study::Args),
     /// Prepare a subject: a skeleton from body scans, a wireframe fitted to a photograph of the face
     #[command(subcommand)]
-    Subject(Deferred<subject::SubjectCommand>),
+    Subject(subject::SubjectCommand),
     /// Control a running service: status, arm, start, stop, mark, takes, events
-    Ctl(Deferred<ctl::Args>),
+    Ctl(ctl::Args),
     /// Check whether this machine can record, and show how to fix what prevents it
-    Doctor(Deferred<doctor::Args>),
+    Doctor(doctor::Args),
     /// Check a configuration of the service, or print an example with every key
     #[command(subcommand)]
-    Config(Deferred<config::ConfigCommand>),
+    Config(config::ConfigCommand),
     /// Benchmark the resamplers and the recording pipeline on this machine
     #[command(subcommand)]
-    Bench(Deferred<bench::Bench>),
+    Bench(bench::Bench),
     /// Print the script that completes commands and options in a shell
     #[command(after_help = COMPLETIONS_EXAMPLES)]
-    Completions(Deferred<CompletionsArgs>),
+    Completions(CompletionsArgs),
     /// Print the manual page of a command, or write all pages into a folder
     #[command(after_help = MAN_EXAMPLES)]
-    Man(Deferred<ManArgs>),
+    Man(ManArgs),
 }
 
 impl Command {
@@ -140,29 +140,29 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         stop::end_on_signal(files::remove_incomplete_outputs)?;
     }
     match cli.command {
-        Command::Demo(Deferred(args)) => demo::run(&args),
-        Command::Devices(Deferred(args)) => devices::run(&args),
-        Command::Record(Deferred(args)) => record::run(&args),
-        Command::Run(Deferred(args)) => run::run(&args),
-        Command::Import(Deferred(args)) => import::run(&args),
-        Command::Export(Deferred(args)) => export::run(&args),
-        Command::Info(Deferred(args)) => info::run(&args),
-        Command::Gaps(Deferred(args)) => gaps::run(&args),
-        Command::Verify(Deferred(args)) => verify::run(&args),
-        Command::Recover(Deferred(args)) => recover::run(&args),
-        Command::Cut(Deferred(args)) => cut::run(&args),
-        Command::Concat(Deferred(args)) => concat::run(&args),
-        Command::Repack(Deferred(args)) => repack::run(&args),
-        Command::Diff(Deferred(args)) => diff::run(&args),
-        Command::Plot(Deferred(plot)) => plot::run(&plot),
-        Command::Study(Deferred(args)) => study::run(&args),
-        Command::Subject(Deferred(command)) => subject::run(&command),
-        Command::Ctl(Deferred(args)) => ctl::run(&args),
-        Command::Doctor(Deferred(args)) => doctor::run(&args),
-        Command::Config(Deferred(command)) => config::run(&command),
-        Command::Bench(Deferred(bench)) => bench::run(&bench),
-        Command::Completions(Deferred(args)) => completions(&args),
-        Command::Man(Deferred(args)) => pages(&args),
+        Command::Demo(args) => demo::run(&args),
+        Command::Devices(args) => devices::run(&args),
+        Command::Record(args) => record::run(&args),
+        Command::Run(args) => run::run(&args),
+        Command::Import(args) => import::run(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Info(args) => info::run(&args),
+        Command::Gaps(args) => gaps::run(&args),
+        Command::Verify(args) => verify::run(&args),
+        Command::Recover(args) => recover::run(&args),
+        Command::Cut(args) => cut::run(&args),
+        Command::Concat(args) => concat::run(&args),
+        Command::Repack(args) => repack::run(&args),
+        Command::Diff(args) => diff::run(&args),
+        Command::Plot(plot) => plot::run(&plot),
+        Command::Study(args) => study::run(&args),
+        Command::Subject(command) => subject::run(&command),
+        Command::Ctl(args) => ctl::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Config(command) => config::run(&command),
+        Command::Bench(bench) => bench::run(&bench),
+        Command::Completions(args) => completions(&args),
+        Command::Man(args) => pages(&args),
     }
 }
 
@@ -253,10 +253,7 @@ mod tests {
         let cli = Cli::try_parse_from(["mocapd", "man", "--out", out]).unwrap();
         run(cli).unwrap();
         let mut expected = Vec::new();
-        // Subcommands are defined when the program is built.
-        let mut program = Cli::command().disable_help_subcommand(true);
-        program.build();
-        page_names(&program, "mocapd", &mut expected);
+        page_names(&Cli::command(), "mocapd", &mut expected);
         assert!(expected.len() > 10, "{expected:?}");
         for (name, command) in &expected {
             check(&folder.path().join(format!("{name}.1")), command);
@@ -268,7 +265,7 @@ mod tests {
     fn shells_complete_every_subcommand() {
         for shell in ["bash", "zsh", "fish"] {
             let cli = Cli::try_parse_from(["mocapd", "completions", shell]).unwrap();
-            let Command::Completions(Deferred(args)) = cli.command else { panic!("{shell}") };
+            let Command::Completions(args) = cli.command else { panic!("{shell}") };
             let text = manual::completions(&args, Cli::command());
             for sub in Cli::command().get_subcommands().filter(|sub| !sub.is_hide_set()) {
                 assert!(text.contains(sub.get_name()), "{shell}: {}", sub.get_name());

@@ -164,7 +164,7 @@ fn repack_one(
     let bytes_before = remote::len_bytes(path).with_context(reading)?;
     let is_smaller = written.bytes < bytes_before;
     let is_new = is_smaller || args.asks_for_settings();
-    // Who reads standard output or a folder expects every take there.
+    // A folder and standard output get every take, so that none is missing there.
     let is_written = is_new || args.copy || !matches!(destination, Destination::File(_));
     let is_folder = matches!(destination, Destination::Folder(_));
     if is_new {

@@ -100,7 +100,7 @@ impl SourceTake {
         }
     }
 
-    /// Reads a take like [`read`](Self::read), be it whole or not.
+    /// Reads a take like [`read`](Self::read), but keeps its problems in the map instead of refusing it.
     fn scan(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
         let mut source = Self::default();
         let traversal = TakeTraversal::without_decoding(input);

@@ -91,9 +91,9 @@ pub enum TakeEvent<'a> {
     },
 }
 
-/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`](chunk::WINDOW_BYTES) after damage, for any
-/// lengths that the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held only if it is
-/// a stretch, and only once its CRC is known to match.
+/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`](chunk::WINDOW_BYTES) after
+/// damage, for any lengths that the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held
+/// only if it is a stretch, and only once its CRC is known to match.
 ///
 /// To check that, the reader scans ahead and then [asks for earlier bytes again](Self::seek_request); no chunk is read
 /// more than twice.

@@ -8,8 +8,7 @@ use crate::chunk::WINDOW_BYTES;
 /// Largest buffer in ordinary use: a search window, and a read that arrives while the window lacks a byte.
 const ORDINARY_BYTES_MAX: usize = WINDOW_BYTES + READ_BYTES;
 
-/// Bytes with initialised space after them, so that files are read into it: a copy of each read costs as much as its
-/// checksums.
+/// Bytes with initialised space after them, into which files are read without another copy.
 #[derive(Debug, Default)]
 pub(super) struct ReadBuffer {
     /// The bytes and the space.
@@ -25,15 +24,15 @@ impl ReadBuffer {
         if needed > capacity {
             // Twice the bytes that are held, as a vector would; near the window size less is enough.
             let grown = if self.len < WINDOW_BYTES { 2 * self.len } else { self.len / 4 * 5 };
-            let ordinary = needed <= ORDINARY_BYTES_MAX;
-            let grown = if ordinary { grown.min(ORDINARY_BYTES_MAX) } else { grown }.max(needed);
+            let is_ordinary = needed <= ORDINARY_BYTES_MAX;
+            let grown = if is_ordinary { grown.min(ORDINARY_BYTES_MAX) } else { grown }.max(needed);
             self.storage.reserve_exact(grown - capacity);
             self.storage.resize(grown, 0);
         }
         &mut self.storage[self.len..needed]
     }
 
-    /// Makes the first `n` bytes of the last [`space`](Self::space) bytes of the buffer.
+    /// Adds the first `n` bytes of the last [`space`](Self::space), which were written.
     pub(super) fn fill(&mut self, n: usize) {
         self.len = (self.len + n).min(self.storage.len());
     }

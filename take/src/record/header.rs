@@ -205,8 +205,7 @@ impl Header {
         stated.and_then(|(_, level)| level.parse().ok()).unwrap_or_default()
     }
 
-    /// Sets the distance of the key stretches of an import of `n_rows` rows, and [fits](Self::fit_key_distance) its
-    /// stretches.
+    /// Sets the distance of the key stretches of an import of `n_rows` rows, and the rows of its full stretches by it.
     pub fn set_key_distance(&mut self, distance: KeyDistance, n_rows: u64) {
         self.settings.retain(|(key, _)| key != KEYS);
         self.settings.push((KEYS.to_owned(), distance.to_string()));

@@ -12,7 +12,7 @@ use crate::{
     timeline::Timeline,
 };
 
-/// Most memory for the tallies of stretches that wait, in bytes: those of forty thousand stretches of 64 markers. A
+/// Maximum memory for the tallies of stretches that wait, in bytes: those of forty thousand stretches of 64 markers. A
 /// crafted stretch of one row and few bytes can have a tally of 1.5 MB.
 const TALLY_BYTES_MAX: usize = 1 << 26;
 
@@ -43,9 +43,9 @@ struct WaitingColumn {
 pub(super) struct StretchJoiner {
     exact: ExactBlocks,
     stretch_rows: u32,
-    /// Most rows of a joined stretch.
+    /// Maximum number of rows of a joined stretch.
     rows_max: u64,
-    /// Most rows of a joined stretch in which nothing moves.
+    /// Maximum number of rows of a joined stretch in which nothing moves.
     still_rows_max: u64,
     waiting: Vec<Waiting>,
     /// Rows of the stretches that wait, bytes of their payloads, and memory of their tallies.
@@ -211,7 +211,7 @@ impl WaitingColumn {
     }
 }
 
-/// Whether the stretch has rows of its own, and neither continues another nor has times.
+/// Whether the stretch can be joined: it has rows and no times, and does not continue another stretch.
 fn can_join(stretch: &Stretch<'_>) -> bool {
     stretch.span.key && stretch.timeline.is_none() && stretch.span.n_rows > 0
 }
