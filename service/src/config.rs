@@ -15,12 +15,15 @@ mod tests;
 use std::{
     fmt::{self, Write},
     net::SocketAddr,
-    path::{Path, PathBuf},
+    path::{self, Path, PathBuf},
     time::Duration,
 };
 
 use anyhow::Context;
-use mocapd_acquire::setting::{self, Setting};
+use mocapd_acquire::{
+    files::FileId,
+    setting::{self, Setting},
+};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
     registry::{AttachedDevice, Claim},
@@ -256,6 +259,19 @@ impl Config {
         })
     }
 
+    /// Why takes cannot be uploaded as configured: this build lacks the client, or the archive is the takes' folder.
+    #[must_use]
+    pub fn archive_problem(&self) -> Option<String> {
+        let url = self.archive.url.as_ref()?;
+        if let Err(error) = url.check_built() {
+            return Some(format!("archive.url: {error}"));
+        }
+        let archive = place_of(&url.local_path()?)?;
+        (place_of(&self.take.directory)? == archive).then(|| {
+            format!("archive.url: {url} is the takes' folder itself, where an upload is no second copy: set it to a folder elsewhere")
+        })
+    }
+
     /// Warnings about the configuration itself, one line each.
     #[must_use]
     pub fn notes(&self) -> Vec<String> {
@@ -309,6 +325,16 @@ impl Config {
         }
         notes
     }
+}
+
+/// Where a folder is or would be created, by whatever path or link: the last folder above it that exists, and the names
+/// from there.
+fn place_of(folder: &Path) -> Option<(FileId, PathBuf)> {
+    let folder = path::absolute(folder).ok()?;
+    folder.ancestors().find_map(|there| {
+        let found = FileId::of(&there.metadata().ok()?);
+        Some((found, folder.strip_prefix(there).ok()?.to_owned()))
+    })
 }
 
 /// An error as one line, with the configuration key that helps.

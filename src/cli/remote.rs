@@ -13,9 +13,10 @@ use std::{
     },
 };
 
+use anyhow::Context;
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{self, Kept, NewFile, SparseFile};
-use mocapd_store::{ObjectUrl, Store, StoreError, TrafficCount, is_url};
+use mocapd_store::{ObjectUrl, Store, StoreError, TrafficCount, is_url, without_secrets};
 
 use super::output::Progress;
 
@@ -121,7 +122,9 @@ fn download(url: &ObjectUrl, shown: Option<&'static str>) -> anyhow::Result<Obje
     let mut object = store.open(url)?;
     let read = Arc::new(AtomicU64::new(0));
     let _progress = shown.map(|what| Progress::follow(what, &read, object.len_bytes()));
-    let mut copy = CountingCopy { file: files::temporary()?, written: &read };
+    let file = files::temporary_for(object.len_bytes())
+        .with_context(|| format!("cannot copy {url} to a temporary file"))?;
+    let mut copy = CountingCopy { file, written: &read };
     io::copy(&mut object, &mut copy).map_err(|error| match StoreError::of(&error) {
         // Its message names the object.
         Some(found) => found.into(),
@@ -281,5 +284,6 @@ pub(super) fn refuse_recording(output: &Path) -> anyhow::Result<()> {
         return Ok(());
     }
     let message = "a recording is written to a local disk, because a network may stall: record to a file, and have the service upload finished takes with [archive] in its configuration";
-    Err(UsageError(format!("{}: {message}", output.display())).into())
+    let output = output.to_string_lossy();
+    Err(UsageError(format!("{}: {message}", without_secrets(&output))).into())
 }

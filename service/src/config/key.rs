@@ -2,6 +2,7 @@
 
 use std::{net::SocketAddr, ops::RangeInclusive, path::PathBuf, time::Duration};
 
+use mocapd_store::without_secrets;
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 use toml::de::DeValue;
@@ -299,7 +300,8 @@ impl<'a> RawValue<'a> {
 /// Describes the value that was found, with a bounded length.
 pub(super) fn found(value: &DeValue<'_>) -> String {
     match value {
-        DeValue::String(text) => format!("\"{}\"", excerpt(text)),
+        // A URL may have a password, although none is accepted.
+        DeValue::String(text) => format!("\"{}\"", excerpt(&without_secrets(text))),
         DeValue::Integer(_) => whole(value).map_or_else(
             || "a whole number with too many digits".to_owned(),
             |number| format!("the number {number}"),

@@ -12,7 +12,6 @@ use std::{
 
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::plain_file;
-use mocapd_store::ObjectUrl;
 use toml::{
     Spanned,
     de::{DeString, DeTable, DeValue},
@@ -93,9 +92,7 @@ impl Config {
     pub fn check(file: &Path, overrides: &Overrides) -> Result<Self, ConfigError> {
         Self::read_file(file, overrides, |config| {
             let mut problems = config.subject.problems();
-            let built = config.archive.url.as_ref().map_or(Ok(()), ObjectUrl::check_built);
-            problems
-                .extend(built.err().map(|error| ("archive.url", format!("archive.url: {error}"))));
+            problems.extend(config.archive_problem().map(|problem| ("archive.url", problem)));
             problems
         })
     }

@@ -331,8 +331,8 @@ impl EngineOptions {
     /// # Errors
     /// If a file of the subject is missing or invalid, or this build cannot use the archive's store.
     pub fn load(config: &Config) -> anyhow::Result<Self> {
-        if let Some(url) = &config.archive.url {
-            url.check_built().context("archive.url")?;
+        if let Some(problem) = config.archive_problem() {
+            return Err(anyhow!(problem));
         }
         Ok(Self {
             rig: config.rig_name.clone(),

@@ -3,10 +3,14 @@
 //! What was uploaded is in a file beside the takes, so that a restart continues. An upload can be repeated at any time: an
 //! object of the same name and content counts as done. Errors are retried, less and less often.
 
+mod journal;
+mod removal;
+
+#[cfg(test)]
+mod tests;
+
 use std::{
-    collections::{BTreeMap, HashMap},
-    fs::{self, File},
-    io::{self, Write},
+    collections::{HashMap, HashSet},
     path::{Path, PathBuf},
     sync::{
         Arc, Mutex,
@@ -15,22 +19,18 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::Context;
 use mocapd_acquire::{files, health::TakeHealth, pipeline::lock};
 use mocapd_store::{ObjectUrl, Store, StoreError};
-use serde::{Deserialize, Serialize};
 
+use self::{
+    journal::{Journal, JournalEntry},
+    removal::{check_apart, restore_set_aside},
+};
 use super::{Inner, status::unix_ms};
 use crate::{
     config::ArchiveConfig,
     status::{ArchiveStatus, ServiceEventKind, TakeSummary, TakeUpload, UploadState},
 };
-
-/// The file that lists what was uploaded, in the takes' folder.
-const JOURNAL: &str = ".mocapd-archive.json";
-
-/// Longest journal that is read: twice the entries of [`TAKES_MAX`] takes, of at most 1 KiB each.
-const JOURNAL_BYTES_MAX: usize = 8 << 20;
 
 /// Newest takes of the folder that are uploaded: as many summaries are cached.
 const TAKES_MAX: usize = 4000;
@@ -94,22 +94,6 @@ impl Uploads {
     }
 }
 
-/// A take that was uploaded.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct JournalEntry {
-    url: String,
-    bytes: u64,
-    modified_unix_ms: i64,
-    uploaded_unix_ms: i64,
-}
-
-impl JournalEntry {
-    fn is_of(&self, take: &TakeSummary, url: &ObjectUrl) -> bool {
-        (self.bytes, self.modified_unix_ms) == (take.bytes, take.modified_unix_ms)
-            && self.url == url.to_string()
-    }
-}
-
 /// When to try again.
 #[derive(Debug, Clone, Copy)]
 struct Retry {
@@ -129,11 +113,31 @@ impl Retry {
 struct Uploader {
     /// The folder and the archive that the rest is about.
     of: Option<(PathBuf, ObjectUrl)>,
-    journal: BTreeMap<String, JournalEntry>,
+    journal: Journal,
     /// Whether the store can be asked again.
     store_retry: Option<Retry>,
-    /// Takes whose upload failed for a reason of their own.
+    /// Takes whose upload or removal failed for a reason of their own.
     take_retries: HashMap<String, Retry>,
+    /// Takes whose objects disappeared.
+    gone: HashSet<String>,
+}
+
+/// The ids of takes that were uploaded from a folder and removed there: they need no recovery.
+pub(super) fn removed_ids(directory: &Path) -> HashSet<String> {
+    Journal::read(directory).removed_ids()
+}
+
+/// Whether an error is that of one take: others can be uploaded meanwhile.
+fn is_of_take(error: &StoreError) -> bool {
+    matches!(
+        error,
+        StoreError::Exists(_)
+            | StoreError::NotFound(_)
+            | StoreError::Changed(_)
+            | StoreError::Source(_)
+            | StoreError::InvalidUrl { .. }
+            | StoreError::Unsupported { .. }
+    )
 }
 
 /// Uploads takes until the service stops.
@@ -167,19 +171,42 @@ impl Uploader {
     ) -> bool {
         let of = (directory.to_owned(), url.clone());
         if self.of.as_ref() != Some(&of) {
-            *self = Self { of: Some(of), journal: read_journal(directory), ..Self::default() };
+            *self = Self { of: Some(of), journal: Journal::read(directory), ..Self::default() };
             lock(&inner.uploads.states).clear();
+            restore_set_aside(inner, directory);
         }
         let Ok(takes) = inner.list_takes(TAKES_MAX) else { return false };
         self.forget_missing(inner, &takes);
-        let is_finished = |take: &&TakeSummary| {
-            !take.is_open && matches!(take.health, TakeHealth::Complete | TakeHealth::Lossy)
-        };
+        let next = self.next(inner, &takes, url);
+        if self.store_retry.is_some_and(|retry| retry.at > Instant::now()) {
+            return false;
+        }
+        match next {
+            Some((take, object)) => self.upload(inner, take, &object, config),
+            None => self.remove_local(inner, &takes, url, config),
+        }
+    }
+
+    /// The oldest take to upload. Notes the states of all.
+    fn next<'a>(
+        &self,
+        inner: &Inner,
+        takes: &'a [TakeSummary],
+        url: &ObjectUrl,
+    ) -> Option<(&'a TakeSummary, ObjectUrl)> {
         let mut next = None;
-        // The oldest is uploaded first.
-        for take in takes.iter().rev().filter(is_finished) {
+        for take in takes.iter().rev().filter(|take| !take.is_open) {
             let object = url.join(&format!("{}.take", take.name));
-            if self.journal.get(&take.name).is_some_and(|entry| entry.is_of(take, &object)) {
+            match take.health {
+                TakeHealth::Complete | TakeHealth::Lossy => {}
+                TakeHealth::Damaged | TakeHealth::Unreadable => {
+                    refuse(inner, take, &object);
+                    continue;
+                }
+                // It is uploaded once it is recovered.
+                TakeHealth::CutOff | TakeHealth::Unknown => continue,
+            }
+            if self.journal.entry(take, &object).is_some() {
                 inner.uploads.set(&take.name, UploadState::Uploaded, &object, String::new());
             } else if let Some(retry) = self.take_retries.get(&take.name) {
                 next = next.or((retry.at <= Instant::now()).then_some((take, object)));
@@ -191,24 +218,16 @@ impl Uploader {
                 next = next.or(Some((take, object)));
             }
         }
-        if self.store_retry.is_some_and(|retry| retry.at > Instant::now()) {
-            return false;
-        }
-        match next {
-            Some((take, object)) => self.upload(inner, take, &object, config),
-            None => self.remove_local(inner, &takes, url, config),
-        }
+        next
     }
 
-    /// Forgets takes that are no longer in the folder.
+    /// Forgets takes that are no longer in the folder, or not among its newest.
     fn forget_missing(&mut self, inner: &Inner, takes: &[TakeSummary]) {
-        let is_there = |name: &String| takes.iter().any(|take| take.name == *name);
-        // Those beyond the list may still be there.
-        if takes.len() < TAKES_MAX {
-            self.journal.retain(|name, _| is_there(name));
-            self.take_retries.retain(|name, _| is_there(name));
-            lock(&inner.uploads.states).retain(|name, _| is_there(name));
-        }
+        self.journal.forget_missing(takes, takes.len() < TAKES_MAX);
+        let names: HashSet<&str> = takes.iter().map(|take| take.name.as_str()).collect();
+        self.take_retries.retain(|name, _| names.contains(name.as_str()));
+        self.gone.retain(|name| names.contains(name.as_str()));
+        lock(&inner.uploads.states).retain(|name, _| names.contains(name.as_str()));
     }
 
     fn upload(
@@ -223,6 +242,7 @@ impl Uploader {
         let sent = || -> Result<bool, StoreError> {
             let unreadable = |error: String| StoreError::Source(error);
             let path = inner.path_of(name).map_err(|error| unreadable(error.message))?;
+            check_apart(&path, object)?;
             let mut file = files::open(&path).map_err(|error| unreadable(format!("{error:#}")))?;
             let mut pace = Pace::new(inner, object, config.rate_max_bytes_per_s);
             Store::of(object)?.upload(object, &mut file, &mut |n| pace.wait(n, true))
@@ -230,13 +250,7 @@ impl Uploader {
         match sent() {
             Ok(is_new) => {
                 self.succeeded(inner, name);
-                let entry = JournalEntry {
-                    url: object.to_string(),
-                    bytes: take.bytes,
-                    modified_unix_ms: take.modified_unix_ms,
-                    uploaded_unix_ms: unix_ms(),
-                };
-                self.journal.insert(name.clone(), entry);
+                self.journal.insert(name, JournalEntry::of(take, object, unix_ms()));
                 self.save_journal(inner);
                 inner.uploads.set(name, UploadState::Uploaded, object, String::new());
                 let how = if is_new { "uploaded to" } else { "was in the archive already:" };
@@ -263,11 +277,7 @@ impl Uploader {
     fn failed(&mut self, inner: &Inner, name: &str, url: &ObjectUrl, error: &StoreError) -> bool {
         inner.uploads.retries.fetch_add(1, Ordering::Relaxed);
         let message = error.to_string();
-        let is_of_take = matches!(
-            error,
-            StoreError::Exists(_) | StoreError::Source(_) | StoreError::Unsupported { .. }
-        );
-        if is_of_take {
+        if is_of_take(error) {
             let retry = Retry::after(self.take_retries.get(name).copied());
             let is_known = self.take_retries.insert(name.to_owned(), retry).is_some();
             inner.uploads.set(name, UploadState::Failed, url, message.clone());
@@ -287,82 +297,9 @@ impl Uploader {
         false
     }
 
-    /// Removes the local copy of a take that was uploaded long enough ago, once its object was read back and compared.
-    fn remove_local(
-        &mut self,
-        inner: &Inner,
-        takes: &[TakeSummary],
-        url: &ObjectUrl,
-        config: &ArchiveConfig,
-    ) -> bool {
-        let Some(after) = config.remove_local_after else { return false };
-        let after_ms = i64::try_from(after.as_millis()).unwrap_or(i64::MAX);
-        let now = unix_ms();
-        let due = takes.iter().rev().find_map(|take| {
-            let object = url.join(&format!("{}.take", take.name));
-            let entry = self.journal.get(&take.name).filter(|entry| entry.is_of(take, &object))?;
-            let waits = self.take_retries.get(&take.name).is_some_and(|r| r.at > Instant::now());
-            let is_due = entry.uploaded_unix_ms.saturating_add(after_ms) <= now;
-            (is_due && !waits && !take.is_open).then_some((take, object))
-        });
-        let Some((take, object)) = due else { return false };
-        let name = &take.name;
-        match self.remove_verified(inner, name, &object, config) {
-            Ok(true) => {
-                self.succeeded(inner, name);
-                self.journal.remove(name);
-                self.save_journal(inner);
-                let message = format!(
-                    "the local copy of {name} was removed: {object} was read back and is the same"
-                );
-                inner.publish(ServiceEventKind::State, &message, Some(name));
-                true
-            }
-            Ok(false) => {
-                let error = StoreError::Exists(object.to_string());
-                let message = format!(
-                    "{object} differs from the take {name}, whose local copy is kept: compare them with mocapd diff"
-                );
-                inner.publish(ServiceEventKind::Failure, &message, Some(name));
-                self.journal.remove(name);
-                self.failed(inner, name, &object, &error)
-            }
-            Err(StoreError::Stopped(_)) => false,
-            Err(error) => self.failed(inner, name, &object, &error),
-        }
-    }
-
-    /// Removes the file of a take if its object has the same content; `false` if it has not.
-    fn remove_verified(
-        &self,
-        inner: &Inner,
-        name: &str,
-        object: &ObjectUrl,
-        config: &ArchiveConfig,
-    ) -> Result<bool, StoreError> {
-        let failed = |error: io::Error| StoreError::Source(error.to_string());
-        let path = inner.path_of(name).map_err(|error| StoreError::Source(error.message))?;
-        let mut file = File::open(&path).map_err(failed)?;
-        let before = file.metadata().map_err(failed)?;
-        let mut pace = Pace::new(inner, object, config.rate_max_bytes_per_s);
-        let is_same =
-            Store::of(object)?.has_content(object, &mut file, &mut |n| pace.wait(n, false))?;
-        let now = fs::symlink_metadata(&path).map_err(failed)?;
-        let stamp =
-            |file: &fs::Metadata| (files::FileId::of(file), file.len(), file.modified().ok());
-        if !is_same {
-            return Ok(false);
-        }
-        if stamp(&now) != stamp(&before) {
-            return Err(StoreError::Source("it changed while its object was compared".to_owned()));
-        }
-        fs::remove_file(&path).map_err(failed)?;
-        Ok(true)
-    }
-
     fn save_journal(&self, inner: &Inner) {
         let Some((directory, _)) = &self.of else { return };
-        if let Err(error) = write_journal(directory, &self.journal) {
+        if let Err(error) = self.journal.write(directory) {
             let message = format!(
                 "cannot store what was uploaded ({error:#}): after a restart, takes are compared with the archive again"
             );
@@ -371,21 +308,20 @@ impl Uploader {
     }
 }
 
-/// What was uploaded, by name of the take. Without a readable journal the takes are compared with the archive again.
-fn read_journal(directory: &Path) -> BTreeMap<String, JournalEntry> {
-    let read = files::read_bounded(&directory.join(JOURNAL), JOURNAL_BYTES_MAX);
-    read.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
-}
-
-fn write_journal(directory: &Path, journal: &BTreeMap<String, JournalEntry>) -> anyhow::Result<()> {
-    let path = directory.join(JOURNAL);
-    let writing = || format!("cannot write {}", path.display());
-    let mut file = tempfile::NamedTempFile::new_in(directory).with_context(writing)?;
-    serde_json::to_writer(&mut file, journal).with_context(writing)?;
-    file.flush().with_context(writing)?;
-    file.as_file().sync_all().with_context(writing)?;
-    file.persist(&path).with_context(writing)?;
-    Ok(())
+/// States that a take is not uploaded because of its condition.
+fn refuse(inner: &Inner, take: &TakeSummary, object: &ObjectUrl) {
+    let health = take.health.name();
+    let message = format!(
+        "the take is {health} and is not uploaded: check it with mocapd verify, then recover it or copy it yourself"
+    );
+    let state = |states: &HashMap<String, TakeUpload>| states.get(&take.name).map(|it| it.state);
+    let is_known = state(&lock(&inner.uploads.states)) == Some(UploadState::Failed);
+    inner.uploads.set(&take.name, UploadState::Failed, object, message);
+    if !is_known {
+        let message =
+            format!("{} is {health} and is not uploaded: check it with mocapd verify", take.name);
+        inner.publish(ServiceEventKind::Warning, &message, Some(&take.name));
+    }
 }
 
 /// Limits the rate of an upload.
@@ -406,9 +342,12 @@ impl<'a> Pace<'a> {
     fn wait(&mut self, n: usize, is_sent: bool) -> Result<(), StoreError> {
         self.passed_bytes += n as u64;
         let due_s = self.passed_bytes as f64 / self.bytes_per_s.max(1) as f64;
-        while self.began.elapsed().as_secs_f64() < due_s {
+        loop {
             if self.inner.is_stopping() {
                 return Err(StoreError::Stopped(self.object.to_string()));
+            }
+            if self.began.elapsed().as_secs_f64() >= due_s {
+                break;
             }
             std::thread::sleep(PAUSE_STEP.min(Duration::from_secs_f64(due_s)));
         }
@@ -416,166 +355,5 @@ impl<'a> Pace<'a> {
             self.inner.uploads.sent_bytes.fetch_add(n as u64, Ordering::Relaxed);
         }
         Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use mocapd_acquire::heartbeat::Heartbeat;
-
-    use super::{
-        super::{Engine, EngineOptions},
-        *,
-    };
-    use crate::{
-        config::{Config, Environment, Overrides},
-        control::Control,
-    };
-
-    /// A finished take.
-    const TAKE: &[u8] = include_bytes!("../../../take/tests/golden/v6/fast-1mm.mtake");
-
-    struct Rig {
-        folder: tempfile::TempDir,
-        engine: Option<Engine>,
-    }
-
-    impl Rig {
-        fn new() -> Self {
-            let folder = tempfile::tempdir().unwrap();
-            fs::create_dir(folder.path().join("takes")).unwrap();
-            Self { folder, engine: None }
-        }
-
-        fn path(&self, name: &str) -> PathBuf {
-            self.folder.path().join(name)
-        }
-
-        fn options(&self, archive: &str) -> EngineOptions {
-            let text = format!(
-                "[device]\nuri = 'serial:/nowhere'\n[take]\ndirectory = '{}'\n[arm]\nat_start = false\n\
-                 [archive]\nurl = 'file://{}'\n{archive}",
-                self.path("takes").display(),
-                self.path("archive").display()
-            );
-            let config = Config::parse(
-                "rig.toml",
-                text.as_bytes(),
-                &Environment::default(),
-                &Overrides::default(),
-            );
-            EngineOptions::load(&config.unwrap()).unwrap()
-        }
-
-        fn start(&mut self, archive: &str) -> &Engine {
-            self.engine = None;
-            let engine = Engine::start(self.options(archive), &Heartbeat::default()).unwrap();
-            self.engine.insert(engine)
-        }
-
-        fn engine(&self) -> &Engine {
-            self.engine.as_ref().unwrap()
-        }
-
-        fn add(&self, name: &str) {
-            fs::write(self.path(&format!("takes/{name}.take")), TAKE).unwrap();
-        }
-
-        /// Waits until the uploads of all takes are in these states.
-        fn wait(&self, expected: &[(&str, UploadState)]) {
-            let mut found = Vec::new();
-            for _ in 0..600 {
-                let mut takes = self.engine().takes(100).unwrap();
-                takes.sort_by(|a, b| a.name.cmp(&b.name));
-                let state = |take: TakeSummary| (take.name, take.upload.unwrap_or_default().state);
-                found = takes.into_iter().map(state).collect();
-                let found = found.iter().map(|(name, state): &(String, _)| (name.as_str(), *state));
-                if found.eq(expected.iter().copied()) {
-                    return;
-                }
-                std::thread::sleep(Duration::from_millis(50));
-            }
-            panic!("{found:?}, expected {expected:?}");
-        }
-    }
-
-    #[test]
-    fn finished_takes_are_uploaded_once_and_removed_when_asked() {
-        let mut rig = Rig::new();
-        rig.add("a");
-        // Neither is finished; the service recovers the first.
-        fs::write(rig.path("takes/cut.take"), &TAKE[..TAKE.len() / 2]).unwrap();
-        fs::write(rig.path("takes/text.take"), b"hello").unwrap();
-        rig.start("");
-        let idle = [("cut", UploadState::Unknown), ("text", UploadState::Unknown)];
-        let (uploaded, recovered) = (UploadState::Uploaded, "cut.recovered");
-        let all = [("a", uploaded), idle[0], (recovered, uploaded), idle[1]];
-        rig.wait(&all);
-        assert_eq!(fs::read(rig.path("archive/a.take")).unwrap(), TAKE);
-        let status = rig.engine().status().archive.unwrap();
-        assert_eq!((status.uploaded, status.waiting, status.failed), (2, 0, 0));
-        assert!(status.sent_bytes > TAKE.len() as u64);
-
-        // After a restart it is known, without asking the archive.
-        fs::remove_file(rig.path("archive/a.take")).unwrap();
-        rig.start("");
-        rig.wait(&all);
-        assert!(!rig.path("archive/a.take").exists());
-
-        // Without the journal it is uploaded again, and then removed.
-        fs::remove_file(rig.path("takes").join(JOURNAL)).unwrap();
-        rig.start("remove_local_after = '0s'");
-        rig.wait(&idle);
-        assert_eq!(fs::read(rig.path("archive/a.take")).unwrap(), TAKE);
-    }
-
-    #[test]
-    fn a_store_that_comes_back_gets_the_takes() {
-        let mut rig = Rig::new();
-        // A file where the folder should be.
-        fs::write(rig.path("archive"), b"").unwrap();
-        rig.add("a");
-        rig.add("b");
-        rig.start("");
-        let waiting = UploadState::Waiting;
-        rig.wait(&[("a", waiting), ("b", waiting)]);
-        let has_failed = || rig.engine().status().archive.unwrap().error.is_some();
-        while !has_failed() {
-            std::thread::sleep(PAUSE_STEP);
-        }
-        fs::remove_file(rig.path("archive")).unwrap();
-        rig.wait(&[("a", UploadState::Uploaded), ("b", UploadState::Uploaded)]);
-        let status = rig.engine().status().archive.unwrap();
-        assert!(status.error.is_none() && status.retries >= 1, "{status:?}");
-    }
-
-    #[test]
-    fn an_object_of_other_content_is_kept_and_so_is_the_take() {
-        let mut rig = Rig::new();
-        fs::create_dir(rig.path("archive")).unwrap();
-        fs::write(rig.path("archive/a.take"), b"something else").unwrap();
-        rig.add("a");
-        rig.add("b");
-        rig.start("");
-        rig.wait(&[("a", UploadState::Failed), ("b", UploadState::Uploaded)]);
-        // An object that changed after its upload, of the same length.
-        let mut changed = TAKE.to_vec();
-        changed[TAKE.len() / 2] ^= 1;
-        fs::write(rig.path("archive/b.take"), &changed).unwrap();
-        rig.engine().reload(rig.options("remove_local_after = '0s'"));
-        rig.wait(&[("a", UploadState::Failed), ("b", UploadState::Failed)]);
-        assert_eq!(fs::read(rig.path("takes/b.take")).unwrap(), TAKE);
-        assert_eq!(fs::read(rig.path("archive/a.take")).unwrap(), b"something else");
-        assert_eq!(fs::read(rig.path("archive/b.take")).unwrap(), changed);
-    }
-
-    #[test]
-    fn the_rate_is_limited() {
-        let mut rig = Rig::new();
-        rig.add("a");
-        let began = Instant::now();
-        rig.start("rate_max = '4KiB'");
-        rig.wait(&[("a", UploadState::Uploaded)]);
-        assert!(began.elapsed().as_secs_f64() >= TAKE.len() as f64 / 4096.0);
     }
 }

@@ -117,6 +117,9 @@ fn wrong_types_and_units_say_what_was_found_and_what_to_write() {
     differ(&[(zero, "0"), (nan, "NaN")]);
     wrong("device.uri", "'/dev/ttyUSB0'", (2, 0), &["serial:/dev/ttyUSB0"]);
     wrong("rig.name", "'a/b'", (2, 0), &["\"a/b\""]);
+    let secret =
+        wrong("archive.url", "'https://me:secret@host/x'", (2, 0), &["https://***@host/x"]);
+    assert!(!secret.contains("secret"), "{secret}");
     wrong("log.level", "'warning'", (2, 0), &["\"warning\"", "'warn'"]);
     // More could use up the file descriptors that takes need.
     let of = |value, facts: &[&str]| wrong("http.connections_max", value, (2, 0), facts);
