@@ -11,7 +11,7 @@ use std::{
 
 use anyhow::Context;
 use mocapd_acquire::{
-    files::{self, CountingFile, NewFile, SparseFile},
+    files::{self, CountingFile},
     header::SOFTWARE,
 };
 use mocapd_take::{
@@ -19,11 +19,15 @@ use mocapd_take::{
     edit::{EditContext, SourceTake},
 };
 
-use super::output::{Progress, notify};
+use super::{
+    batch::outputs::{self, SeekWrite},
+    output::{Progress, notify},
+    remote,
+};
 
 /// Opens a take. `read` counts its bytes.
 pub(super) fn open(path: &Path, read: &Arc<AtomicU64>) -> anyhow::Result<BufReader<CountingFile>> {
-    Ok(BufReader::new(CountingFile::new(SparseFile::open(path)?, read)))
+    Ok(BufReader::new(CountingFile::new(remote::open(path)?, read)))
 }
 
 /// Reads everything of the takes at `paths` but their samples, and checks every checksum.
@@ -31,9 +35,10 @@ pub(super) fn open(path: &Path, read: &Arc<AtomicU64>) -> anyhow::Result<BufRead
 /// # Errors
 /// If one cannot be read, is damaged or was cut off.
 pub(super) fn read_sources(paths: &[impl AsRef<Path>]) -> anyhow::Result<Vec<SourceTake>> {
+    remote::fetch(paths)?;
     let mut bytes = 0;
     for path in paths {
-        bytes += SparseFile::open(path.as_ref())?.len_bytes()?;
+        bytes += remote::len_bytes(path.as_ref())?;
     }
     let read = Arc::new(AtomicU64::new(0));
     let _progress = Progress::follow("reading", &read, bytes);
@@ -52,20 +57,19 @@ pub(super) fn write<T>(
     to: &Path,
     what: &'static str,
     rows: u64,
-    edit: impl FnOnce(&mut BufWriter<&mut NewFile>, &EditContext<'_>) -> Result<T, TakeError>,
+    edit: impl FnOnce(&mut BufWriter<&mut dyn SeekWrite>, &EditContext<'_>) -> Result<T, TakeError>,
 ) -> anyhow::Result<T> {
-    let mut output = NewFile::create(to)?;
     let counter = Arc::new(AtomicU64::new(0));
     let progress = Progress::follow(what, &counter, rows);
     let on_rows = |rows| counter.store(rows, Ordering::Relaxed);
     let context =
         EditContext { software: SOFTWARE, new_scratch: &files::scratch, on_rows: &on_rows };
-    let mut out = BufWriter::new(&mut output);
-    let written = edit(&mut out, &context);
-    drop(progress);
-    let written = written.with_context(|| format!("cannot write {}", to.display()))?;
-    drop(out);
-    output.keep()?;
+    let (written, _) = outputs::write_whole(to, false, |out| {
+        let mut out = BufWriter::new(out);
+        let written = edit(&mut out, &context);
+        drop(progress);
+        written.with_context(|| format!("cannot write {}", to.display()))
+    })?;
     Ok(written)
 }
 

@@ -9,10 +9,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::{
-    files::{NewFile, SparseFile},
-    gaps::{Gap, GapCause, GapReader, GapSummary, MarkerGaps, gaps_of_frames},
-};
+use mocapd_acquire::gaps::{Gap, GapCause, GapReader, GapSummary, MarkerGaps, gaps_of_frames};
 use mocapd_take::{
     TakeMap,
     interchange::{column_labels, csv_cell},
@@ -26,6 +23,7 @@ use super::{
     motion_files::open_motion_input,
     output::{plain, plain_path, print_exact},
     paths::{self, InputFormat, InputFormatName},
+    remote::{self, OutputFile},
     values::{LABEL_COLUMNS_MAX, count, thousands},
 };
 
@@ -98,7 +96,7 @@ struct CauseReport {
 enum CsvOutput {
     Nowhere,
     Stdout(String),
-    File(BufWriter<NewFile>),
+    File(BufWriter<OutputFile>),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
@@ -142,7 +140,7 @@ fn file_gaps(job: &Job<'_>, csv: &Mutex<CsvOutput>) -> anyhow::Result<FileReport
     };
     let (found, rows, bytes_read) = match job.input.format()? {
         InputFormat::Take => {
-            let file = SparseFile::open(&job.input.path)?;
+            let file = remote::open(&job.input.path)?;
             let bytes_read = file.len_bytes().with_context(reading)?;
             let reader = GapReader::open(BufReader::new(file)).with_context(reading)?;
             let rows = GapRows::new(reader.take());
@@ -204,7 +202,7 @@ impl CsvOutput {
             Some(path) if !paths::ends_in(path, "csv") => {
                 return Err(paths::unknown_ending(path, ".csv"));
             }
-            Some(path) => Self::File(BufWriter::new(NewFile::create(path)?)),
+            Some(path) => Self::File(BufWriter::new(OutputFile::create(path)?)),
         })
     }
 

@@ -1,7 +1,6 @@
 //! `import`: converts motion files of other tools to takes.
 
 use std::{
-    fs,
     io::{BufReader, BufWriter},
     path::{Path, PathBuf},
 };
@@ -9,7 +8,6 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    files::{self, SparseFile},
     health::TakeHealth,
     inspect::Summary,
     pipeline::{TakeAccount, offline},
@@ -33,6 +31,7 @@ use super::{
     original::{Import, ImportSettings},
     output::{plain, plain_path},
     paths::{self, InputFormatName},
+    remote,
     subject::SubjectArgs,
     values::{CodecArgs, EffortArgs, SizeReport, count, rate, thousands, tolerance_mm},
 };
@@ -136,7 +135,7 @@ impl ImportPlan<'_> {
         let args = self.args;
         let (codec, subject) = (self.settings.codec, self.settings.subject.as_ref());
         let name = &job.input.name;
-        let bytes_read = fs::metadata(&job.input.path).map_or(0, |found| found.len());
+        let bytes_read = remote::len_bytes(&job.input.path).unwrap_or_default();
         let reading = job.phase("reading", bytes_read);
         let mut import = Import::open(job.input, &self.settings, &reading.counter)?;
         let info = import.info();
@@ -197,7 +196,7 @@ impl ImportPlan<'_> {
 /// # Errors
 /// If its length cannot be determined. A take that cannot be read counts as none.
 fn existing(path: &Path, header: &Header) -> anyhow::Result<Option<TakeAccount>> {
-    let Ok(file) = SparseFile::open(path) else { return Ok(None) };
+    let Ok(file) = remote::open(path) else { return Ok(None) };
     let file_bytes = file.len_bytes()?;
     let Ok(summary) = Summary::read_stated(BufReader::new(file)) else { return Ok(None) };
     if summary.take.header.take_id != header.take_id || summary.health() != TakeHealth::Complete {
@@ -218,7 +217,7 @@ fn existing(path: &Path, header: &Header) -> anyhow::Result<Option<TakeAccount>>
 /// # Errors
 /// If a sample is not within the tolerance, or a gap differs.
 fn compare(output: &Path, job: &Job<'_>) -> anyhow::Result<()> {
-    let tolerance_mm = TakeEnds::read(&mut files::open(output)?)?.header.tolerance_mm;
+    let tolerance_mm = TakeEnds::read(&mut remote::open(output)?)?.header.tolerance_mm;
     let report = super::verify::against(output, &job.input.path, tolerance_mm)?;
     ensure!(
         report.is_within(),

@@ -27,6 +27,7 @@ mod paths;
 mod plot;
 mod record;
 mod recover;
+mod remote;
 mod repack;
 mod run;
 mod study;

@@ -1,10 +1,10 @@
 //! Reading takes and motion files whole into memory, for commands that analyse a motion, and writing their output.
 
-use std::{fs, io::BufReader, path::Path, sync::atomic::AtomicU64};
+use std::{io::BufReader, path::Path, sync::atomic::AtomicU64};
 
 use anyhow::Context;
 use mocapd_acquire::{
-    files::{self, CountingFile, NewFile, SparseFile},
+    files::{self, CountingFile},
     pipeline::offline,
     threads,
 };
@@ -27,6 +27,7 @@ use super::{
     original::{MotionSource, header_of, open_motion, read_motion, read_motion_with},
     output::notify,
     paths::{self, InputFormat},
+    remote::{self, OutputFile},
 };
 
 /// Decodes a take. Damage is reported on stderr, and the lost samples are gaps.
@@ -34,7 +35,7 @@ use super::{
 /// # Errors
 /// If it cannot be read.
 pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
-    let file = BufReader::new(SparseFile::open(path)?);
+    let file = BufReader::new(remote::open(path)?);
     let take =
         DecodedTake::read(file).with_context(|| format!("cannot read {}", path.display()))?;
     for problem in &take.problems {
@@ -48,7 +49,7 @@ pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
 /// # Errors
 /// If it cannot be read.
 pub(super) fn open_motion_input(job: &Job<'_>) -> anyhow::Result<(MotionReader<'static>, u64)> {
-    let n_bytes = fs::metadata(&job.input.path).map_or(0, |found| found.len());
+    let n_bytes = remote::len_bytes(&job.input.path).unwrap_or_default();
     let phase = job.phase("reading", n_bytes);
     let source = MotionSource::of(job.input)?;
     let reader = open_motion(&source, &ReadOptions::default(), true, &phase.counter)?;
@@ -68,7 +69,7 @@ pub(super) fn read_picture_source(job: &Job<'_>) -> anyhow::Result<(DecodedTake,
         let take = DecodedTake { motion, kept, settings: None, problems: Vec::new() };
         return Ok((take, n_bytes));
     }
-    let file = SparseFile::open(&job.input.path)?;
+    let file = remote::open(&job.input.path)?;
     let n_bytes = file.len_bytes()?;
     let phase = job.phase("reading", n_bytes);
     let take = DecodedTake::read(BufReader::new(CountingFile::new(file, &phase.counter)))
@@ -136,7 +137,7 @@ pub(super) fn measure_analog(
 /// # Errors
 /// If it cannot be read.
 pub(super) fn read_analog_info(take: &Path) -> anyhow::Result<MotionInfo> {
-    let file = BufReader::new(SparseFile::open(take)?);
+    let file = BufReader::new(remote::open(take)?);
     let frames = TakeFrames::open_with(file, is_needed, files::scratch)
         .with_context(|| format!("cannot read {}", take.display()))?;
     Ok(frames.info().clone())
@@ -154,7 +155,7 @@ pub(super) fn read_original(take: &Path, original: &Path) -> anyhow::Result<Orig
     if paths::is_take(original) {
         return read_samples(original);
     }
-    let frames = TakeFrames::open(BufReader::new(SparseFile::open(take)?))
+    let frames = TakeFrames::open(BufReader::new(remote::open(take)?))
         .with_context(|| format!("cannot read {}", take.display()))?;
     Ok((read_motion_with(original, &read_options(&frames))?, None))
 }
@@ -175,7 +176,7 @@ pub(super) fn file_name(path: &Path) -> String {
 /// # Errors
 /// If it exists or cannot be written.
 pub(super) fn write_new(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let mut file = NewFile::create(path)?;
+    let mut file = OutputFile::create(path)?;
     std::io::Write::write_all(&mut file, bytes)
         .with_context(|| format!("cannot write {}", path.display()))?;
     file.keep()

@@ -1,7 +1,6 @@
 //! Reads motion files of other tools, and imports them as takes.
 
 use std::{
-    fs,
     io::Write,
     path::Path,
     sync::{Arc, atomic::AtomicU64},
@@ -9,8 +8,7 @@ use std::{
 
 use anyhow::{Context, ensure};
 use mocapd_acquire::{
-    files::{self, SparseFile},
-    header,
+    files, header,
     pipeline::{
         TakeAccount,
         offline::{self, SourceFailed},
@@ -27,6 +25,7 @@ use mocapd_take::{
 use super::{
     batch::Input,
     paths::{self, InputFormat},
+    remote,
 };
 
 /// Plausible frame rates, Hz: from time lapse to ballistics.
@@ -100,7 +99,7 @@ pub(super) fn open_motion(
         new_scratch: &files::scratch,
         bytes_read: Arc::clone(bytes_read),
     };
-    let reader = MotionReader::open(source.format, SparseFile::open(source.path)?, &settings)
+    let reader = MotionReader::open(source.format, remote::open(source.path)?, &settings)
         .with_context(|| reading(source.name))?;
     let (name, info) = (source.name.display(), reader.info());
     let rate_hz = info.rate_hz;
@@ -221,7 +220,7 @@ impl<'a> Import<'a> {
         if self.settings.drops_foreign {
             header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
         }
-        header.set_source_bytes(fs::metadata(&self.input.path)?.len());
+        header.set_source_bytes(remote::len_bytes(&self.input.path)?);
         header
             .set_import_id(self.reader.bytes(), subject.as_ref())
             .with_context(|| reading(name))?;

@@ -12,6 +12,8 @@ use mocapd_acquire::files::{FileError, NewFile, folder_of};
 use mocapd_drivers::plain_file::NotAFile;
 use mocapd_take::interchange::{Format, SampledKind};
 
+use super::remote;
+
 /// The format of a file to read, by its extension.
 ///
 /// # Errors
@@ -187,6 +189,9 @@ pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
     if is_dash(path) {
         let message = "cannot write to standard output: name a file (./- for a file named -)";
         return Err(UsageError(message.to_owned()).into());
+    }
+    if let Some(url) = remote::url_of(path)? {
+        return remote::check_output(&url);
     }
     let folder = folder_of(path);
     if !folder.exists() {

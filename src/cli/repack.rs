@@ -1,7 +1,7 @@
 //! `repack`: writes takes again in fewer bytes.
 
 use std::{
-    fs::{self, File},
+    fs::File,
     io::{self, BufReader, BufWriter, Seek},
     path::{Path, PathBuf},
     sync::{Arc, atomic::Ordering},
@@ -26,6 +26,7 @@ use super::{
     },
     edited::open,
     output::plain_path,
+    remote,
     values::{bytes, default_effort, key_distance, resampler, thousands, tolerance},
 };
 
@@ -160,7 +161,7 @@ fn repack_one(
         repack(&source, input, settings, BufWriter::new(&new), &context(&on_rows))
             .with_context(|| format!("cannot repack {}", job.input.name.display()))?
     };
-    let bytes_before = fs::metadata(path).with_context(reading)?.len();
+    let bytes_before = remote::len_bytes(path).with_context(reading)?;
     let is_smaller = written.bytes < bytes_before;
     let is_new = is_smaller || args.asks_for_settings();
     // A folder and standard output get every take, so that none is missing there.
@@ -170,7 +171,7 @@ fn repack_one(
         check(&source, &new, settings, job)?;
         write(output, is_folder, &mut &new)?;
     } else if is_written {
-        write(output, is_folder, &mut files::open(path)?)?;
+        write(output, is_folder, &mut remote::open(path)?)?;
     }
     let report = RepackReport::new(job, output, &written, bytes_before)
         .with_outcome(is_written, is_new, header);

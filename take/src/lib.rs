@@ -34,7 +34,7 @@ pub mod writer;
 
 pub use frames::{TakeFrames, read_motion};
 pub use index::TakeEnds;
-pub use map::TakeMap;
+pub use map::{TakeMap, TakeTail};
 pub use order::ChannelOrder;
 pub use reader::{TakeEvent, TakeReader};
 pub use traversal::TakeTraversal;

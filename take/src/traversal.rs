@@ -348,6 +348,8 @@ pub struct TakeTraversal<R> {
     /// File offset after the last event.
     at: u64,
     progress: Progress,
+    /// File offset of the key stretch of the last seek.
+    sought: u64,
     /// The last stretch.
     current: Option<Span>,
     ended: bool,
@@ -370,7 +372,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
             Decode::All | Decode::Groups(_) => TakeReader::new(),
         };
         let at = MAGIC.len() as u64;
-        Self { input, reader, at, progress, current: None, ended: false }
+        Self { input, reader, at, progress, sought: at, current: None, ended: false }
     }
 
     /// A traversal of a take whose map exists, from its start or from a [key stretch](Self::seek). It does not repeat
@@ -458,7 +460,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
         }
         self.input.seek(SeekFrom::Start(key.offset))?;
         self.reader = TakeReader::from_key(&take.header, key)?;
-        self.at = key.offset;
+        (self.at, self.sought) = (key.offset, key.offset);
         if let Some(decoder) = &mut self.progress.decoder {
             decoder.skip();
         }
@@ -479,6 +481,12 @@ impl<R: Read + Seek> TakeTraversal<R> {
             self.step(|_, _| Ok(()))?;
         }
         Ok(self.current)
+    }
+
+    /// Bytes of the stretches, and of what is between them, since the start or the last [seek](Self::seek).
+    #[must_use]
+    pub fn bytes_read(&self) -> u64 {
+        self.at - self.sought
     }
 
     /// Decodes the stretches that contain any of the rows `rows`, from the last key stretch before them on. `each`

@@ -12,9 +12,13 @@ use anyhow::{Context, bail, ensure};
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{self, FileError};
 use mocapd_service::units;
+use mocapd_store::{ObjectUrl, Store, is_url};
 use mocapd_take::interchange::Format;
 
-use crate::cli::paths::{self, InputFormat};
+use crate::cli::{
+    paths::{self, InputFormat},
+    remote,
+};
 
 /// Which files of a folder a command reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -133,7 +137,10 @@ pub(crate) fn find(
     kinds: FileKinds,
     format: Option<InputFormat>,
 ) -> anyhow::Result<Inputs> {
-    let is_single = matches!(arguments, [one] if !one.is_dir());
+    let is_folder = |path: &PathBuf| -> anyhow::Result<bool> {
+        Ok(remote::url_of(path)?.map_or_else(|| path.is_dir(), |url| url.is_folder()))
+    };
+    let is_single = matches!(arguments, [one] if !is_folder(one)?);
     let (files, unreadable, repeated) = (Vec::new(), Vec::new(), Vec::new());
     let mut inputs = Inputs { files, is_single, unreadable, repeated };
     let mut seen = HashMap::new();
@@ -144,9 +151,12 @@ pub(crate) fn find(
                 UsageError("standard input can only be read once: give `-` once".to_owned())
             );
             inputs.files.push(spool(format, kinds, args.max_input)?);
-        } else if argument.is_dir() {
+        } else if is_folder(argument)? {
             let n_unreadable = inputs.unreadable.len();
-            let found = inputs.add_folder(argument, args.recursive, kinds, &mut seen);
+            let found = match remote::url_of(argument)? {
+                Some(url) => inputs.add_bucket(&url, args.recursive, kinds, &mut seen),
+                None => inputs.add_folder(argument, args.recursive, kinds, &mut seen),
+            };
             if found == 0 && inputs.unreadable.len() == n_unreadable {
                 let hint =
                     if args.recursive { "" } else { "; --recursive includes its subfolders" };
@@ -156,7 +166,7 @@ pub(crate) fn find(
                     kinds.extensions()
                 )));
             }
-        } else if is_single && argument.symlink_metadata().is_err() {
+        } else if is_single && !is_url(argument) && argument.symlink_metadata().is_err() {
             // Before the output is checked: the input is missing.
             return Err(FileError::NotFound(argument.clone()).into());
         } else {
@@ -218,6 +228,35 @@ impl Inputs {
         for path in found {
             let relative = path.strip_prefix(folder).unwrap_or(&path).to_owned();
             self.add_file(path, relative, seen);
+        }
+        n_found
+    }
+
+    /// Adds the objects of a folder in a store, as [`add_folder`](Self::add_folder) does the files of one.
+    fn add_bucket(
+        &mut self,
+        folder: &ObjectUrl,
+        recursive: bool,
+        kinds: FileKinds,
+        seen: &mut HashMap<PathBuf, PathBuf>,
+    ) -> usize {
+        let listed = match Store::of(folder).and_then(|store| store.list(folder, recursive)) {
+            Ok(listed) => listed,
+            Err(error) => {
+                self.unreadable.push(error.to_string());
+                return 0;
+            }
+        };
+        let prefix = folder.key();
+        let mut n_found = 0;
+        for object in listed {
+            let path = PathBuf::from(object.url.to_string());
+            if kinds.includes(&path) {
+                let key = object.url.key();
+                let relative = key.strip_prefix(prefix).unwrap_or(key);
+                self.add_file(path, PathBuf::from(relative), seen);
+                n_found += 1;
+            }
         }
         n_found
     }

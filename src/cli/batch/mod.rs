@@ -30,7 +30,10 @@ pub(crate) use self::{
     inputs::{FileKinds, Input, InputArgs, Inputs},
     outputs::Destination,
 };
-use super::output::{Progress, eprint, json_line, notify, pretty_json, print, print_json_text};
+use super::{
+    output::{Progress, eprint, json_line, notify, pretty_json, print, print_json_text},
+    remote,
+};
 
 /// The report of a command on one file.
 #[derive(Debug, Default)]
@@ -224,6 +227,7 @@ pub(crate) fn run(
                 progress: progress.begin_file(index),
             };
             let result = catch_unwind(AssertUnwindSafe(|| process(&job)));
+            remote::release(&files[index].path);
             let result = result
                 .unwrap_or_else(|_| Err(anyhow!("its processing failed: please report this bug")));
             progress.end_file(index);
@@ -257,6 +261,7 @@ fn run_single(
         messages: RefCell::default(),
         progress: Arc::default(),
     };
+    remote::fetch(&[&input.path])?;
     let report = process(&job)?;
     if batch.json {
         print_json_text(&report.json)?;

@@ -10,11 +10,12 @@ use std::{
 
 use anyhow::{Context, bail};
 use mocapd::outcome::UsageError;
-use mocapd_acquire::files::{self, Kept, NewFile, folder_of};
+use mocapd_acquire::files::{self, Kept, folder_of};
+use mocapd_store::is_url;
 use mocapd_take::interchange::Format;
 
 use super::inputs::{Input, Inputs};
-use crate::cli::{output as stdout, paths};
+use crate::cli::{output as stdout, paths, remote::OutputFile};
 
 /// Where the outputs go.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -130,7 +131,7 @@ pub(crate) trait SeekWrite: Write + Seek {
     fn sync(&mut self) -> io::Result<()>;
 }
 
-impl SeekWrite for NewFile {
+impl SeekWrite for OutputFile {
     fn sync(&mut self) -> io::Result<()> {
         Self::sync(self)
     }
@@ -161,15 +162,17 @@ pub(crate) fn write_whole<T>(
         return Ok((written, Kept::New));
     }
     if !in_folder {
-        let mut file = NewFile::create(output)?;
+        let mut file = OutputFile::create(output)?;
         let written = write(&mut file)?;
         file.keep()?;
         return Ok((written, Kept::New));
     }
-    let folder = folder_of(output);
-    fs::create_dir_all(folder)
-        .with_context(|| format!("cannot create the folder {}", folder.display()))?;
-    let mut file = NewFile::create_or_compare(output)?;
+    if !is_url(output) {
+        let folder = folder_of(output);
+        fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    }
+    let mut file = OutputFile::create_or_compare(output)?;
     let written = write(&mut file)?;
     Ok((written, file.keep_or_compare()?))
 }

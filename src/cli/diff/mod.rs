@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use mocapd::outcome::{DataLostError, Outcome, UsageError};
-use mocapd_acquire::files::{self, CountingFile, SparseFile};
+use mocapd_acquire::files::{self, CountingFile};
 use mocapd_take::{
     TakeFrames,
     compare::{
@@ -26,7 +26,7 @@ use super::{
     motion_files::read_options,
     original::{MotionSource, open_motion},
     output::{Progress, notify, print, print_json},
-    paths,
+    paths, remote,
 };
 use crate::cli::{
     output::plain,
@@ -89,10 +89,6 @@ fn open_frames(path: &Path, read: &Arc<AtomicU64>, wanted: bool) -> anyhow::Resu
     TakeFrames::open_with(input, |_| wanted, files::scratch).with_context(reading)
 }
 
-fn len_bytes(path: &Path) -> anyhow::Result<u64> {
-    Ok(SparseFile::open(path)?.len_bytes()?)
-}
-
 fn compare_motion(
     args: &Args,
     a: &mut Frames,
@@ -111,8 +107,11 @@ fn of_motion_file(args: &Args) -> anyhow::Result<DiffReport> {
     let read = Arc::default();
     // The times of rows are not read.
     let passes = PASSES - 1;
-    let _progress =
-        Progress::follow("comparing", &read, passes * (len_bytes(&args.a)? + len_bytes(&args.b)?));
+    let _progress = Progress::follow(
+        "comparing",
+        &read,
+        passes * (remote::len_bytes(&args.a)? + remote::len_bytes(&args.b)?),
+    );
     let mut a = open_frames(&args.a, &read, false)?;
     let source = MotionSource::file(&args.b)?;
     let mut b = open_motion(&source, &read_options(&a), false, &read)?;
@@ -122,8 +121,11 @@ fn of_motion_file(args: &Args) -> anyhow::Result<DiffReport> {
 
 fn of_takes(args: &Args) -> anyhow::Result<DiffReport> {
     let read = Arc::default();
-    let _progress =
-        Progress::follow("comparing", &read, PASSES * (len_bytes(&args.a)? + len_bytes(&args.b)?));
+    let _progress = Progress::follow(
+        "comparing",
+        &read,
+        PASSES * (remote::len_bytes(&args.a)? + remote::len_bytes(&args.b)?),
+    );
     let mut a = open_frames(&args.a, &read, !args.motion)?;
     let mut b = open_frames(&args.b, &read, !args.motion)?;
     let content = (!args.motion).then(|| {

@@ -4,7 +4,6 @@ mod crop;
 mod format;
 
 use std::{
-    fs,
     io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write},
     ops::Range,
     path::{Path, PathBuf},
@@ -15,10 +14,11 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    files::{self, Kept, NewFile, NewRecording, SparseFile},
+    files::{self, Kept, NewRecording},
     parallel_frames::ParallelFrames,
 };
 use mocapd_service::units;
+use mocapd_store::is_url;
 use mocapd_take::{
     TakeFrames,
     interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz},
@@ -37,6 +37,7 @@ use super::{
     },
     output::plain_path,
     paths,
+    remote::{self, OutputFile},
     values::{TimeOrFormat, bytes, count, split_to, time_or_format},
 };
 
@@ -100,6 +101,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let (format, paths_of_outputs) = plan_outputs(args, name, &destination, &inputs)?;
     format.check_built()?;
+    if let (Format::Bids, Destination::File(path) | Destination::Folder(path)) =
+        (format, &destination)
+        && is_url(path)
+    {
+        let message = "a BIDS dataset is a folder of this machine: export it there, and copy it";
+        bail!(UsageError(message.to_owned()));
+    }
     match &destination {
         Destination::File(path) if format == Format::Bids => {
             // Before a take is read.
@@ -201,7 +209,7 @@ impl ExportPlan<'_> {
         let name = job.input.name.display();
         let output = job.output.context("no output name: please report this bug")?;
         let reading = || format!("cannot read {name}");
-        let file = SparseFile::open(&job.input.path)?;
+        let file = remote::open(&job.input.path)?;
         let bytes_read = file.len_bytes().with_context(reading)?;
         let is_restored = |kind: &str| format.restores(kind);
         let mut frames = TakeFrames::open_with(BufReader::new(file), is_restored, files::scratch)
@@ -215,8 +223,12 @@ impl ExportPlan<'_> {
             )));
         }
         let of_take = frames.info().up;
-        let mut parallel =
-            ParallelFrames::start(&job.input.path, &frames, range.start, job.threads)?;
+        let mut parallel = ParallelFrames::start(
+            &remote::local(&job.input.path)?,
+            &frames,
+            range.start,
+            job.threads,
+        )?;
         let attempt = match &mut parallel {
             None => None,
             Some(parallel) => match self.attempt(parallel, &range, job, output) {
@@ -376,8 +388,8 @@ impl SampledFiles {
             let path = paths::sampled_path(output, table.kind());
             let writing = || format!("cannot write {}", path.display());
             let mut file = match plan.is_folder {
-                true => NewFile::create_or_compare(&path)?,
-                false => NewFile::create(&path)?,
+                true => OutputFile::create_or_compare(&path)?,
+                false => OutputFile::create(&path)?,
             };
             let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut file);
             plan.format.write_sampled(&mut table, frames, &mut buffered).with_context(writing)?;
@@ -403,7 +415,7 @@ impl Drop for SampledFiles {
     fn drop(&mut self) {
         for (path, _) in self.kept.iter().filter(|(_, kept)| *kept == Kept::New) {
             // The output itself failed, with a message of its own.
-            let _removed = fs::remove_file(path);
+            let _removed = remote::remove(path);
         }
     }
 }

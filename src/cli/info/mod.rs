@@ -7,21 +7,25 @@ mod text;
 use std::{
     io::BufReader,
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 use anyhow::Context;
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
-    files::{CountingFile, SparseFile},
+    files::CountingFile,
     health::TakeHealth,
     inspect::{Summary, size_ratio},
     ledger::LedgerDocument,
 };
+use mocapd_store::{ObjectUrl, Store, StoredTake};
 use mocapd_take::{
     interchange::ReadOptions,
+    motion::frame_at,
     reader::TakeBytes,
     record::{Device, Header, ImportSource},
     recovery::RECOVERED,
+    traversal::Decode,
 };
 use serde::Serialize;
 
@@ -34,6 +38,7 @@ use super::{
     batch::{self, Batch, Figures, FileKinds, FileReport, InputArgs, Job},
     damage, motion_file_reports,
     paths::{InputFormat, InputFormatName},
+    remote,
 };
 use crate::cli::{clock::ClockReport, damage::DamageReport, ledger::OutagesReport};
 
@@ -71,13 +76,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 /// When it cannot be read, or is not a take.
 fn take_info(job: &Job<'_>, all_markers: bool) -> anyhow::Result<FileReport> {
     let reading = || format!("cannot read {}", job.input.name.display());
-    let file = SparseFile::open(&job.input.path)?;
+    let file = remote::open(&job.input.path)?;
     let file_bytes = file.len_bytes().with_context(reading)?;
     let phase = job.phase("reading", file_bytes);
     let file = BufReader::new(CountingFile::new(file, &phase.counter));
     let summary = Summary::read_stated(file).with_context(reading)?;
     drop(phase);
-    let report = InfoReport::new(&job.input.name, &summary, file_bytes);
+    let mut report = InfoReport::new(&job.input.name, &summary, file_bytes);
+    report.store = StoreReport::of(&job.input.path, &summary)?;
     if !job.is_json {
         report.problems.iter().for_each(|problem| job.notify(problem));
     }
@@ -131,6 +137,8 @@ struct InfoReport {
     samples: u64,
     raw_bytes: u64,
     file_bytes: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    store: Option<StoreReport>,
     bytes: TakeBytes,
     ratio: f64,
     max_error_mm: f64,
@@ -154,6 +162,40 @@ struct ImportSourceReport {
     unit_given: Option<String>,
     /// The value of `import --up`, if given.
     up_given: Option<String>,
+}
+
+/// What it takes to read a take from object storage.
+#[derive(Debug, Serialize)]
+struct StoreReport {
+    /// Requests for the whole take.
+    requests: u64,
+    /// Bytes received with them.
+    received_bytes: u64,
+    /// Requests for a second of the take, with those that open it.
+    window_requests: u64,
+}
+
+impl StoreReport {
+    /// `None` for a file.
+    fn of(path: &Path, summary: &Summary) -> anyhow::Result<Option<Self>> {
+        let Some(traffic) = remote::traffic(path) else { return Ok(None) };
+        let local = ObjectUrl::parse(&format!("file://{}", remote::local(path)?.display()))?;
+        // A second in the middle of the copy, read as it would be from the store.
+        let mut take = StoredTake::open(&Store::of(&local)?.counted_anew(), &local)?;
+        let n_rows = take.map().n_rows;
+        let end = frame_at(Duration::from_secs(1), summary.take.header.rate_hz);
+        let start = (n_rows / 2).min(n_rows.saturating_sub(end));
+        take.read_rows(
+            &(start..start.saturating_add(end).min(n_rows)),
+            Decode::Nothing,
+            |_, _, _| Ok(()),
+        )?;
+        Ok(Some(Self {
+            requests: traffic.requests,
+            received_bytes: traffic.received_bytes,
+            window_requests: take.reader().store().traffic().requests,
+        }))
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -245,6 +287,7 @@ impl InfoReport {
             samples: summary.samples(),
             raw_bytes: summary.raw_bytes(),
             file_bytes,
+            store: None,
             bytes: TakeBytes { framing: bytes.framing + bytes.lengths, ..bytes },
             ratio: size_ratio(summary.samples(), file_bytes),
             max_error_mm: summary.max_error_mm(),

@@ -50,6 +50,12 @@ pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
     markers(report, &mut line);
     resampler(report, &mut line);
     size(report, &mut line);
+    if let Some(store) = &report.store {
+        let requests = count(store.requests, "request");
+        let received = bytes(store.received_bytes);
+        let window = count(store.window_requests, "request");
+        line("store", &format!("{received} in {requests}; a second of it needs {window}"));
+    }
     for lost in damage::lines(&report.damage) {
         line("lost", &lost);
     }

@@ -27,7 +27,7 @@ pub(crate) use self::{
 };
 use super::{
     output::{notify, print, print_json},
-    paths,
+    paths, remote,
     stop::stop_on_signal,
     subject::SubjectArgs,
     values::{self, CodecArgs},
@@ -95,11 +95,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let options = |split: &SplitValue| split.options(&args.output, args.seconds, args.stretch);
     let series = args.split.as_ref().map(options).transpose()?;
     let first = series.as_ref().map_or_else(|| args.output.clone(), |series| series.names.path(1));
+    remote::refuse_recording(&args.output)?;
     paths::check_take_output(&first)?;
     if let Some(raw) = &args.raw {
         if paths::are_one(raw, &first) {
             return Err(UsageError("--raw and --output name the same file".to_owned()).into());
         }
+        remote::refuse_recording(raw)?;
         paths::check_output(raw)?;
     }
     let subject = args.subject.load()?;

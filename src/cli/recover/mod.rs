@@ -9,15 +9,16 @@ use std::{
 use anyhow::Context;
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
-    files::{CountingFile, Kept, SparseFile},
+    files::{CountingFile, Kept},
     header::SOFTWARE,
     ledger::LedgerDocument,
 };
 use mocapd_take::recovery::{ChunkKindCount, RecoveryScan, repair_start};
 use serde::Serialize;
 
-use super::batch::{
-    self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Job, outputs,
+use super::{
+    batch::{self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Job, outputs},
+    remote,
 };
 use crate::cli::{
     damage::{self, DamageReport},
@@ -63,7 +64,7 @@ fn recover(job: &Job<'_>, is_folder: bool) -> anyhow::Result<FileReport> {
     let name = job.input.name.display();
     let output = job.output.context("no output name: please report this bug")?;
     let reading = || format!("cannot read {name}");
-    let file = SparseFile::open(&job.input.path)?;
+    let file = remote::open(&job.input.path)?;
     let file_bytes = file.len_bytes().with_context(reading)?;
     // The file is read twice: to scan it and to copy it.
     let phase = job.phase("recovering", 2 * file_bytes);

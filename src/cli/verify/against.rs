@@ -5,7 +5,7 @@ use std::{io::BufReader, path::Path, sync::Arc};
 
 use anyhow::Context;
 use mocapd::outcome::UsageError;
-use mocapd_acquire::files::{self, SparseFile};
+use mocapd_acquire::files;
 use mocapd_report::{
     ReportError,
     derivative::{DerivativeError, by_marker},
@@ -23,7 +23,7 @@ use crate::cli::{
     motion_files::{read_options, read_original, read_take},
     original::{MotionSource, open_motion},
     output::plain,
-    paths,
+    paths, remote,
     values::{count, thousands},
 };
 
@@ -64,7 +64,7 @@ pub(crate) fn against(
     tolerance_mm: f64,
 ) -> anyhow::Result<AgainstReport> {
     let open = |path: &Path| {
-        let file = BufReader::new(SparseFile::open(path)?);
+        let file = BufReader::new(remote::open(path)?);
         TakeFrames::open_with(file, is_needed, files::scratch)
             .with_context(|| format!("cannot read {}", path.display()))
     };

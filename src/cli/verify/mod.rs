@@ -12,7 +12,7 @@ use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     clock::LineDeviation,
-    files::{CountingFile, SparseFile},
+    files::CountingFile,
     health::TakeHealth,
     inspect::Summary,
     verdict::{Finding, Verdict},
@@ -32,6 +32,7 @@ use super::{
     motion_file_reports,
     output::{plain, plain_path},
     paths::{self, InputFormat, InputFormatName},
+    remote,
     values::count,
 };
 
@@ -116,7 +117,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 fn verify(args: &Args, job: &Job<'_>) -> anyhow::Result<FileReport> {
     let (take, name) = (&job.input.path, job.input.name.display());
     let reading = || format!("cannot read {name}");
-    let file = SparseFile::open(take)?;
+    let file = remote::open(take)?;
     let bytes_read = file.len_bytes().with_context(reading)?;
     let phase = job.phase("verifying", bytes_read);
     let file = CountingFile::new(file, &phase.counter);

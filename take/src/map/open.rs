@@ -15,7 +15,7 @@ use crate::{
     damage::DamageOrigin,
     index::{Footer, IndexEntry, parse_index},
     reader::{order, record},
-    record::{Header, Record, SummaryRecord},
+    record::{Header, Ledger, Record, SummaryRecord},
     stretch::ROWS_PASSED_MAX,
     traversal::TakeTraversal,
 };
@@ -54,7 +54,7 @@ impl TakeMap {
 /// The map of a take whose footer, index and chunk heads agree exactly; `None` for any other.
 fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
     let file_bytes = input.seek(SeekFrom::End(0))?;
-    let mut chunks = ChunkCursor { input: BufReader::with_capacity(READ_BYTES, input), at: 0 };
+    let mut chunks = ChunkCursor::new(input);
     let Some((footer, keys)) = chunks.end(file_bytes)? else { return Ok(None) };
     chunks.go_to(0)?;
     let mut magic = [0; MAGIC.len()];
@@ -96,18 +96,24 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
             return Ok(None);
         }
     }
-    let last_row = keys.last().map_or(0, |key| key.first_row);
-    // A ledger that is missing or counts other rows needs a traversal.
-    let ledger = map.as_ref().and_then(|map| map.ledger.as_ref());
-    let rows = ledger.map(|ledger| ledger.recorded.saturating_add(ledger.frames_lost()));
-    let is_sound = chunks.at == file_bytes
-        && rows == Some(footer.n_rows)
+    let are_in_order = chunks.at == file_bytes
         && next_key.peek().is_none()
-        && keys.is_sorted_by(|a, b| a.first_row < b.first_row && a.offset < b.offset)
-        && (last_row..=last_row.saturating_add(ROWS_PASSED_MAX)).contains(&footer.n_rows);
-    let Some(mut map) = map.filter(|_| is_sound) else { return Ok(None) };
+        && keys.is_sorted_by(|a, b| a.first_row < b.first_row && a.offset < b.offset);
+    let Some(map) = map.filter(|_| are_in_order) else { return Ok(None) };
+    let mut map = TakeMap { n_rows: footer.n_rows, keys, finished: true, ..map };
     map.restore_order();
-    Ok(Some(TakeMap { n_rows: footer.n_rows, keys, finished: true, ..map }))
+    Ok(map.has_plausible_rows().then_some(map))
+}
+
+impl TakeMap {
+    /// Whether the number of rows is that of the ledger, and possible after the last key stretch. A ledger that is missing
+    /// or counts other rows needs a traversal.
+    pub(super) fn has_plausible_rows(&self) -> bool {
+        let last_row = self.keys.last().map_or(0, |key| key.first_row);
+        let rows = |ledger: &Ledger| ledger.recorded.saturating_add(ledger.frames_lost());
+        self.ledger.as_ref().map(rows) == Some(self.n_rows)
+            && (last_row..=last_row.saturating_add(ROWS_PASSED_MAX)).contains(&self.n_rows)
+    }
 }
 
 /// Adds a chunk other than a stretch. Returns whether it is valid.
@@ -152,13 +158,17 @@ fn is_contradicted(summary: &SummaryRecord, map: &TakeMap) -> bool {
 }
 
 /// Reads a file chunk by chunk.
-struct ChunkCursor<R> {
+pub(super) struct ChunkCursor<R> {
     input: BufReader<R>,
     at: u64,
 }
 
 impl<R: Read + Seek> ChunkCursor<R> {
-    fn go_to(&mut self, offset: u64) -> Result<(), TakeError> {
+    pub(super) fn new(input: R) -> Self {
+        Self { input: BufReader::with_capacity(READ_BYTES, input), at: 0 }
+    }
+
+    pub(super) fn go_to(&mut self, offset: u64) -> Result<(), TakeError> {
         match i64::try_from(i128::from(offset) - i128::from(self.at)) {
             Ok(by) => self.input.seek_relative(by)?,
             Err(_) => drop(self.input.seek(SeekFrom::Start(offset))?),
@@ -167,8 +177,19 @@ impl<R: Read + Seek> ChunkCursor<R> {
         Ok(())
     }
 
+    /// The payload of the chunk at the current position, if it is of type `kind` and whole.
+    pub(super) fn record(&mut self, kind: u8) -> Result<Option<Vec<u8>>, TakeError> {
+        match self.head()? {
+            Some((found, chunk_bytes)) if found == kind => self.payload(chunk_bytes),
+            _ => Ok(None),
+        }
+    }
+
     /// Footer and index, if they end the file.
-    fn end(&mut self, file_bytes: u64) -> Result<Option<(Footer, Vec<IndexEntry>)>, TakeError> {
+    pub(super) fn end(
+        &mut self,
+        file_bytes: u64,
+    ) -> Result<Option<(Footer, Vec<IndexEntry>)>, TakeError> {
         let footer_bytes = Footer::CHUNK_BYTES as u64;
         let Some(footer_at) = file_bytes.checked_sub(footer_bytes) else { return Ok(None) };
         self.input.seek(SeekFrom::Start(footer_at))?;
