@@ -34,6 +34,7 @@ pub use self::{
     file_state::{DisplacedFile, FileState, SettledFile},
     hidden_path::remove_incomplete_outputs,
     new_file::{Kept, NewFile},
+    staging::rename_new,
     take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };
 

@@ -179,20 +179,19 @@ async fn is_whole_within(
     len: u64,
     time: Duration,
 ) -> object_store::Result<bool> {
-    let until = tokio::time::Instant::now() + time;
-    let mut wait = COPY_POLL_MIN;
-    loop {
-        let found = match client.head(path).await {
-            Ok(object) => object.size,
-            Err(Error::NotFound { .. }) => 0,
-            Err(error) => return Err(error),
-        };
-        if found == len || tokio::time::Instant::now() >= until {
-            return Ok(found == len);
+    let has_len = async {
+        let mut wait = COPY_POLL_MIN;
+        loop {
+            match client.head(path).await {
+                Ok(object) if object.size == len => return Ok(()),
+                Ok(_) | Err(Error::NotFound { .. }) => {}
+                Err(error) => return Err(error),
+            }
+            tokio::time::sleep(wait).await;
+            wait = (2 * wait).min(COPY_POLL_MAX);
         }
-        tokio::time::sleep(wait).await;
-        wait = (2 * wait).min(COPY_POLL_MAX);
-    }
+    };
+    tokio::time::timeout(time, has_len).await.map_or(Ok(false), |found| found.map(|()| true))
 }
 
 impl Backend for Cloud {

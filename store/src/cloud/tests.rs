@@ -236,7 +236,7 @@ fn the_source_of_a_copy_that_never_ends_stays() {
 fn web_server(at: u64, n: usize) -> ObjectUrl {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/x", listener.local_addr().unwrap());
-    std::thread::spawn(move || {
+    let serve = move || {
         for connection in listener.incoming() {
             let Ok(mut connection) = connection else { return };
             let mut request = Vec::new();
@@ -257,7 +257,8 @@ fn web_server(at: u64, n: usize) -> ObjectUrl {
                 left -= left.min(1 << 16);
             }
         }
-    });
+    };
+    std::thread::Builder::new().name("web-server".to_owned()).spawn(serve).unwrap();
     ObjectUrl::parse(&url).unwrap()
 }
 

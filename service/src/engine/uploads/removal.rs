@@ -7,12 +7,8 @@ use std::{
     time::Instant,
 };
 
-use mocapd_acquire::files::{FileId, folder_of};
+use mocapd_acquire::files::{FileId, folder_of, rename_new};
 use mocapd_store::{ObjectUrl, Store, StoreError};
-use rustix::{
-    fs::{CWD, RenameFlags, renameat_with},
-    io::Errno,
-};
 
 use super::{Pace, RETRY_MAX, Retry, Uploader, is_of_take};
 use crate::{
@@ -169,15 +165,6 @@ fn remove_if_kept(
 fn set_aside_name(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     path.with_file_name(format!(".{stem}{SET_ASIDE}"))
-}
-
-/// Renames a file, and replaces none.
-fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
-    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // The file system cannot do both at once.
-        Err(Errno::INVAL | Errno::NOSYS) if to.symlink_metadata().is_err() => fs::rename(from, to),
-        other => Ok(other?),
-    }
 }
 
 /// Gives takes their names back whose removal was interrupted.
