@@ -31,7 +31,7 @@ const HEADER_SECTION_VERSION: u16 = 1;
 const STATISTICS_TAG: u64 = 3;
 
 /// The section that holds a [`ChannelOrder`].
-const ORDER_TAG: u64 = 4;
+const ORDER_TAG: u64 = 5;
 
 /// Why a take ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

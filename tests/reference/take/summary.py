@@ -9,7 +9,7 @@ from .errors import Corrupt
 from .range_coder import RangeDecoder
 from .timeline import Number
 
-ENDING, HEADER, STATISTICS, ORDER = 1, 2, 3, 4
+ENDING, HEADER, STATISTICS, ORDER = 1, 2, 3, 5
 ENDINGS = ["stopped", "length", "device ended", "device gone", "disk full", "service stopped", "saved", "cut off",
            "truncated", "unmounted"]  # fmt: skip
 
