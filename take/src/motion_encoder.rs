@@ -35,9 +35,18 @@ use crate::{
 /// states a distance. Stretches in which nothing moves may be longer.
 const STRETCH_S: f64 = 10.0;
 
-/// Most samples of a take, missing ones included, whose channels are ordered: it is held in memory, 13 bytes a sample and
-/// 54 MB at most. 4 194 304 samples are 11 minutes of 50 markers at 120 Hz.
-const ORDERED_SAMPLES_MAX: usize = 1 << 22;
+/// Maximum number of samples of a take, missing ones included, whose channels are ordered: it is held in memory, with 13
+/// bytes a sample, as many again for the room that growing buffers keep, and some 250 bytes for each channel of a part, 8
+/// a sample. 2 097 152 samples take 71 MB at most; they are 5 minutes and 49 seconds of 50 markers at 120 Hz.
+const ORDERED_SAMPLES_MAX: usize = 1 << 21;
+
+/// Minimum number of rows of a stretch of such a take; of fewer, a channel of a part would take more memory than its
+/// samples.
+const ORDERED_ROWS_MIN: usize = 32;
+
+/// Maximum number of channels of such a take: each encoding of a group is followed by one of the whole channel table, which
+/// takes a millisecond for this many.
+const ORDERED_CHANNELS_MAX: usize = 8 * GROUP_CHANNELS;
 
 /// Rows of a stretch at `rate_hz`. A resampler that needs the whole take at once gets a single stretch.
 #[must_use]
@@ -87,6 +96,8 @@ pub struct EncodePlan {
     effort: Effort,
     /// Most rows of a part.
     part_rows: usize,
+    /// Rows of a stretch that is not joined with others.
+    stretch_rows: usize,
     /// Stretches from one key to the next.
     key_every: usize,
     shared: Vec<u8>,
@@ -134,7 +145,9 @@ impl EncodePlan {
             shared = codec.plan(&parts.first_stretch()?)?;
         }
         let effort = header.effort();
-        Ok((Self { n_rows, n_markers, codec, effort, part_rows, key_every, shared }, parts))
+        let plan =
+            Self { n_rows, n_markers, codec, effort, part_rows, stretch_rows, key_every, shared };
+        Ok((plan, parts))
     }
 
     /// Whether parts depend on those before them, so that [one encoder](Self::encoder) must encode them all, in order.
@@ -156,7 +169,8 @@ impl EncodePlan {
     pub fn searches_order(&self) -> bool {
         self.codec.kind == ResamplerKind::Dense
             && self.effort == Effort::MAX
-            && self.n_markers > 2
+            && (3..=ORDERED_CHANNELS_MAX).contains(&self.n_markers)
+            && self.stretch_rows.min(self.n_rows) >= ORDERED_ROWS_MIN
             && self.n_rows.saturating_mul(self.n_markers) <= ORDERED_SAMPLES_MAX
     }
 
@@ -232,7 +246,10 @@ impl PartEncoder<'_> {
         part: &EncodePart,
         order: Option<&GroupOrder>,
     ) -> Result<EncodedPart, TakeError> {
-        self.encode_as(part, part.key, order)
+        // Key parts need nothing of those before them.
+        let continues = self.plan.is_sequential();
+        let group = if continues { part.first_marker / GROUP_CHANNELS } else { 0 };
+        self.encode_with(group, part, part.key, order)
     }
 
     /// Encodes a part as a key block, with its channels in another order.
@@ -244,11 +261,13 @@ impl PartEncoder<'_> {
         part: &EncodePart,
         order: &GroupOrder,
     ) -> Result<EncodedPart, TakeError> {
-        self.encode_as(part, true, Some(order))
+        self.encode_with(0, part, true, Some(order))
     }
 
-    fn encode_as(
+    /// Encodes a part with the encoder of this number.
+    fn encode_with(
         &mut self,
+        number: usize,
         part: &EncodePart,
         key: bool,
         order: Option<&GroupOrder>,
@@ -263,12 +282,11 @@ impl PartEncoder<'_> {
             }
             let EncodedPart { block, tally, reports } = &mut coded;
             let plan = self.plan;
-            let group = if plan.is_sequential() { part.first_marker / GROUP_CHANNELS } else { 0 };
             let new = || plan.codec.encoder_with(self.effort);
-            if self.encoders.len() <= group {
-                self.encoders.resize_with(group + 1, new);
+            if self.encoders.len() <= number {
+                self.encoders.resize_with(number + 1, new);
             }
-            let Some(encoder) = self.encoders.get_mut(group) else { return Ok(coded) };
+            let Some(encoder) = self.encoders.get_mut(number) else { return Ok(coded) };
             encoder.encode(&channels, &plan.shared, key, block, reports)?;
             *tally = BlockTally::of_encoded(block, &channels, reports, encoder.kept_rows());
         }

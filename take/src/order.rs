@@ -57,6 +57,15 @@ impl ChannelOrder {
         self.columns.len()
     }
 
+    /// The order of a table of `n_channels` channels; further ones have the same place in both orders.
+    #[must_use]
+    pub(crate) fn extended(&self, n_channels: usize) -> Self {
+        let further =
+            (self.columns.len()..n_channels).filter_map(|place| u16::try_from(place).ok());
+        let extended = |places: &[u16]| places.iter().copied().chain(further.clone()).collect();
+        Self { columns: extended(&self.columns), rows: extended(&self.rows) }
+    }
+
     /// Whether the table is in the order of the source.
     #[must_use]
     pub fn is_identity(&self) -> bool {

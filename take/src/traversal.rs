@@ -231,7 +231,7 @@ impl Progress {
 
     /// Compares the order of the markers that a summary states with that of the take.
     fn check_order(&mut self, summary: &SummaryRecord) {
-        if summary.order.as_ref().is_some_and(|order| *order != self.take.order) {
+        if summary.contradicts_order(&self.take.order) {
             self.report(match self.take.order.n_channels() {
                 0 => Problem::OrderLost,
                 _ => Problem::OrderContradicted,

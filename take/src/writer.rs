@@ -308,7 +308,11 @@ impl<W: Write> TakeWriter<W> {
     ) -> Result<(), TakeError> {
         self.ledger(ledger)?;
         // Where all channels together are more than a record can hold, a reader has to read them where they were announced.
-        let only_ending = || SummaryRecord { ending: summary.ending.clone(), ..Default::default() };
+        let only_ending = || SummaryRecord {
+            ending: summary.ending.clone(),
+            order: summary.order.clone(),
+            ..Default::default()
+        };
         let payload = summary.to_payload().or_else(|_| only_ending().to_payload())?;
         self.chunk(types::SUMMARY, &payload)?;
         let index_offset = self.offset;

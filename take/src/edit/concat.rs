@@ -88,10 +88,10 @@ fn header_difference(first: &Header, other: &Header) -> Option<String> {
     Some(format!("{what} {found}, not {first}"))
 }
 
-/// Whether the markers are coded in another order than in the first take.
+/// Whether the markers are coded in another order than in the first take; further ones in that of the source.
 fn order_difference(first: &TakeMap, other: &TakeMap) -> Option<String> {
     let row = |row: &usize| first.order.column_of(*row) != other.order.column_of(*row);
-    (0..first.channels.len()).find(row)?;
+    (0..first.channels.len().max(other.channels.len())).find(row)?;
     let message =
         "its markers are coded in another order: import the files with an --effort below 9";
     Some(message.to_owned())

@@ -64,7 +64,7 @@ pub fn cut<W: Write>(
     let header = header_of_part(source, &rows, context)?;
     let mut take = TakeWriter::new(out, &header)?;
     source.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
-    take.order(&source.map().order)?;
+    take.order(&source.map().order.extended(header.channels.len()))?;
     let mut left_out: Vec<String> = source.left_out().collect();
     let first_frame = source.first_frame();
     let frames = first_frame.saturating_add(rows.start)..first_frame.saturating_add(rows.end);

@@ -15,7 +15,7 @@ use crate::{
     damage::DamageOrigin,
     index::{Footer, IndexEntry, parse_index},
     reader::{order, record},
-    record::{Header, Ledger, Record, SummaryRecord},
+    record::{Header, Ledger, Record},
     stretch::ROWS_PASSED_MAX,
     traversal::TakeTraversal,
 };
@@ -127,7 +127,9 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
     };
     match record(kind, payload, offset) {
         // An order that the take states and does not have needs a traversal.
-        Ok(Some(TakeEvent::Summary(summary))) if is_contradicted(&summary, map) => return false,
+        Ok(Some(TakeEvent::Summary(summary))) if summary.contradicts_order(&map.order) => {
+            return false;
+        }
         Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
         Ok(Some(event)) => map.add_content(event, offset, payload.len() as u64),
         // A newer version that a reader may skip.
@@ -150,11 +152,6 @@ fn add_order(map: &mut Option<TakeMap>, payload: &[u8], offset: u64) -> bool {
         // A later version is skipped.
         other => matches!(other, Err(TakeError::Unsupported { .. })),
     }
-}
-
-/// Whether a summary states another order of the markers than the take has.
-fn is_contradicted(summary: &SummaryRecord, map: &TakeMap) -> bool {
-    summary.order.as_ref().is_some_and(|order| *order != map.order)
 }
 
 /// Reads a file chunk by chunk.

@@ -46,7 +46,8 @@ impl TakeTail {
         let Some(header) = summary.header else { return Ok(None) };
         header.check()?;
         let order = summary.order.unwrap_or_default();
-        if !order.is_identity() && order.check(&header, footer.ledger_offset).is_err() {
+        // The header has the markers that appeared later, too.
+        if order.n_channels() > header.channels.len() {
             return Ok(None);
         }
         let mut map = TakeMap {
@@ -120,7 +121,8 @@ mod tests {
         let take = include_bytes!("../../tests/golden/v6/dense-order.mtake");
         let map = TakeMap::open(&mut Cursor::new(take)).unwrap();
         let tail = TakeTail::read(&mut Cursor::new(take)).unwrap().map(|tail| tail.map);
-        let stated = |map: &TakeMap| (map.order.clone(), map.channels.clone(), map.statistics.clone());
+        let stated =
+            |map: &TakeMap| (map.order.clone(), map.channels.clone(), map.statistics.clone());
         assert!(!map.order.is_identity());
         assert_eq!(tail.as_ref().map(stated), Some(stated(&map)));
     }

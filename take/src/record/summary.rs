@@ -190,6 +190,15 @@ pub struct SummaryRecord {
 }
 
 impl SummaryRecord {
+    /// Whether it states another order of the markers than this one of the take. A summary with the channel table states
+    /// the order of it, if that is not the order of the source.
+    pub(crate) fn contradicts_order(&self, order: &ChannelOrder) -> bool {
+        match &self.order {
+            Some(stated) => stated != order,
+            None => self.header.is_some() && !order.is_identity(),
+        }
+    }
+
     /// Encodes the payload of its chunk.
     ///
     /// # Errors

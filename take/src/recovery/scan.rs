@@ -308,6 +308,9 @@ impl RecoveryScanner {
         if let Some(stated) = stated.filter(|_| take.order.n_channels() == 0) {
             take.order = stated;
             take.restore_order();
+            // Nothing of it is lost.
+            let order = ChunkKind::Order as usize;
+            self.recovered[order] += std::mem::take(&mut self.discarded[order]);
         }
         let rows = take.n_rows - self.end_row;
         if rows > 0 {

@@ -159,8 +159,8 @@ def read_take(data):
             take.channels = list(take.header.channels)
             stretches = Stretches(take.header, take)
         elif kind == ORDER and stretches:
-            take.order = read_order(payload)
-            if take.header.device or take.n_rows or len(take.order) != len(take.header.channels):
+            was_there, take.order = take.order is not None, read_order(payload)
+            if take.header.device or take.n_rows or len(take.order) != len(take.header.channels) or was_there:
                 raise Corrupt("an order of other markers")
         elif stretches is None:
             raise Corrupt("a take without a header in front")

@@ -55,9 +55,9 @@ pub(super) fn encode(
         return Ok((own_order, own));
     }
     let ordered = encode_in(take, Some(&order), n_workers, &mut progress)?;
-    progress.finish();
     let bytes = |order, coded| plan.ordered_bytes((info, header), order, parts.iter().zip(coded));
     let is_shorter = bytes(&order, &ordered)? + SAVED_BYTES_MIN <= bytes(&own_order, &own)?;
+    progress.finish();
     Ok(if is_shorter { (order, ordered) } else { (own_order, own) })
 }
 

@@ -181,7 +181,7 @@ mod tests {
         journal.forget_missing(&[], true);
         assert_eq!(journal.0.len(), 0);
         journal.insert(&recovered.name, JournalEntry::of(&recovered, &url, 0));
-        journal.note_removed(&recovered, &[recovered.clone()]);
+        journal.note_removed(&recovered, std::slice::from_ref(&recovered));
         assert_eq!(journal.0.len(), 0);
     }
 }
