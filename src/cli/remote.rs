@@ -85,6 +85,10 @@ pub(super) fn fetch(paths: &[impl AsRef<Path>]) -> anyhow::Result<()> {
 }
 
 fn copied(path: &Path, url: &ObjectUrl, shown: Option<&'static str>) -> anyhow::Result<PathBuf> {
+    if url.is_folder() {
+        let message = format!("{url} is a folder: name an object in it, without a `/` at the end");
+        return Err(UsageError(message).into());
+    }
     let copy = {
         let mut copies = COPIES.lock().unwrap_or_else(PoisonError::into_inner);
         Arc::clone(copies.get_or_insert_default().entry(path.to_owned()).or_default())

@@ -253,6 +253,8 @@ impl Backend for Cloud {
         };
         let (client, slow, copy_max) =
             (Arc::clone(&self.client), Arc::clone(&self.slow), self.copy_max);
+        // Azure copies after it has answered.
+        let is_copied_later = url.scheme() == Scheme::Azure;
         // The parts are put together, and copied, and the copy is waited for.
         let is_whole = wait_up_to(url, 4 * copy_max, async move {
             if let Err(error) = upload.complete().await {
@@ -262,8 +264,11 @@ impl Backend for Cloud {
             let copied = slow.copy_if_not_exists(&from, &path).await;
             let is_whole = match &copied {
                 Ok(()) => is_whole_within(&*client, &path, len, copy_max).await?,
-                // Whatever has this name is not being copied from the temporary object.
-                Err(Error::AlreadyExists { .. }) => true,
+                // A repeated request may find what the first one began to copy; another object of this name needs no source.
+                Err(Error::AlreadyExists { .. }) if !is_copied_later => true,
+                Err(Error::AlreadyExists { .. }) => {
+                    client.head(&path).await.is_ok_and(|found| found.size == len)
+                }
                 // If the copy has begun, its source is still needed.
                 Err(_) => matches!(client.head(&path).await, Err(Error::NotFound { .. })),
             };

@@ -325,6 +325,8 @@ mod tests {
                 order.restore(&mut items);
                 assert_eq!(items, (0..n + 3).collect::<Vec<_>>());
                 assert!((0..n + 3).all(|column| order.column_of(order.row_of(column)) == column));
+                let extended = order.extended(n + 3);
+                assert_eq!(ChannelOrder::from_columns(extended.columns.clone()), Some(extended));
             }
         }
     }

@@ -121,6 +121,9 @@ impl Engine {
             sessions: AtomicU64::new(0),
         });
         lock(&inner.core).arm_requested = arm_at_start;
+        // Whether or not there is an archive now.
+        let directory = inner.core().options.take.directory.clone();
+        uploads::restore_set_aside(&inner, &directory);
         let cut_off = recoveries::cut_off(&inner);
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);

@@ -22,9 +22,10 @@ use std::{
 use mocapd_acquire::{files, health::TakeHealth, pipeline::lock};
 use mocapd_store::{ObjectUrl, Store, StoreError};
 
+pub(super) use self::removal::restore_set_aside;
 use self::{
     journal::{Journal, JournalEntry},
-    removal::{check_apart, restore_set_aside},
+    removal::check_apart,
 };
 use super::{Inner, status::unix_ms};
 use crate::{
@@ -88,6 +89,12 @@ impl Uploads {
         })
     }
 
+    /// Forgets what is known of another archive.
+    fn forget(&self) {
+        lock(&self.states).clear();
+        *lock(&self.error) = None;
+    }
+
     fn set(&self, name: &str, state: UploadState, url: &ObjectUrl, message: String) {
         let upload = TakeUpload { state, url: url.to_string(), message };
         lock(&self.states).insert(name.to_owned(), upload);
@@ -149,7 +156,7 @@ pub(super) fn run(inner: &Arc<Inner>) {
             Some(url) => uploader.step(inner, url, &options.archive, &options.take.directory),
             None => {
                 uploader = Uploader::default();
-                lock(&inner.uploads.states).clear();
+                inner.uploads.forget();
                 false
             }
         };
@@ -172,7 +179,7 @@ impl Uploader {
         let of = (directory.to_owned(), url.clone());
         if self.of.as_ref() != Some(&of) {
             *self = Self { of: Some(of), journal: Journal::read(directory), ..Self::default() };
-            lock(&inner.uploads.states).clear();
+            inner.uploads.forget();
             restore_set_aside(inner, directory);
         }
         let Ok(takes) = inner.list_takes(TAKES_MAX) else { return false };
@@ -182,7 +189,7 @@ impl Uploader {
             return false;
         }
         match next {
-            Some((take, object)) => self.upload(inner, take, &object, config),
+            Some((take, object)) => self.upload(inner, take, (directory, &object), config),
             None => self.remove_local(inner, &takes, url, config),
         }
     }
@@ -199,12 +206,13 @@ impl Uploader {
             let object = url.join(&format!("{}.take", take.name));
             match take.health {
                 TakeHealth::Complete | TakeHealth::Lossy => {}
-                TakeHealth::Damaged | TakeHealth::Unreadable => {
+                // Of one whose health is unknown the file could not be read.
+                TakeHealth::Damaged | TakeHealth::Unreadable | TakeHealth::Unknown => {
                     refuse(inner, take, &object);
                     continue;
                 }
                 // It is uploaded once it is recovered.
-                TakeHealth::CutOff | TakeHealth::Unknown => continue,
+                TakeHealth::CutOff => continue,
             }
             if self.journal.entry(take, &object).is_some() {
                 inner.uploads.set(&take.name, UploadState::Uploaded, &object, String::new());
@@ -234,17 +242,17 @@ impl Uploader {
         &mut self,
         inner: &Inner,
         take: &TakeSummary,
-        object: &ObjectUrl,
+        (directory, object): (&Path, &ObjectUrl),
         config: &ArchiveConfig,
     ) -> bool {
         let name = &take.name;
         inner.uploads.set(name, UploadState::Uploading, object, String::new());
         let sent = || -> Result<bool, StoreError> {
             let unreadable = |error: String| StoreError::Source(error);
-            let path = inner.path_of(name).map_err(|error| unreadable(error.message))?;
+            let path = directory.join(format!("{name}.take"));
             check_apart(&path, object)?;
             let mut file = files::open(&path).map_err(|error| unreadable(format!("{error:#}")))?;
-            let mut pace = Pace::new(inner, object, config.rate_max_bytes_per_s);
+            let mut pace = Pace::new(inner, (directory, object), config);
             Store::of(object)?.upload(object, &mut file, &mut |n| pace.wait(n, true))
         };
         match sent() {
@@ -268,9 +276,8 @@ impl Uploader {
 
     fn succeeded(&mut self, inner: &Inner, name: &str) {
         self.take_retries.remove(name);
-        if self.store_retry.take().is_some() {
-            *lock(&inner.uploads.error) = None;
-        }
+        self.store_retry = None;
+        *lock(&inner.uploads.error) = None;
     }
 
     /// Notes a failure. Returns whether another take can be tried.
@@ -324,32 +331,45 @@ fn refuse(inner: &Inner, take: &TakeSummary, object: &ObjectUrl) {
     }
 }
 
-/// Limits the rate of an upload.
+/// Limits the rate of an upload or of reading back, by the configuration of the moment.
 struct Pace<'a> {
     inner: &'a Inner,
+    directory: &'a Path,
     object: &'a ObjectUrl,
-    bytes_per_s: u64,
-    began: Instant,
-    passed_bytes: u64,
+    config: &'a ArchiveConfig,
+    /// When what has passed is due at the rate. Time that was lost to a slow store is not made up for.
+    due: Instant,
 }
 
 impl<'a> Pace<'a> {
-    fn new(inner: &'a Inner, object: &'a ObjectUrl, bytes_per_s: u64) -> Self {
-        Self { inner, object, bytes_per_s, began: Instant::now(), passed_bytes: 0 }
+    fn new(
+        inner: &'a Inner,
+        (directory, object): (&'a Path, &'a ObjectUrl),
+        config: &'a ArchiveConfig,
+    ) -> Self {
+        Self { inner, directory, object, config, due: Instant::now() }
     }
 
-    /// Waits until `n` more bytes may pass; ends with the service.
+    /// Waits until `n` more bytes may pass. Ends with the service, and where the configuration names another archive or
+    /// folder, or no longer removes local copies as it did.
     fn wait(&mut self, n: usize, is_sent: bool) -> Result<(), StoreError> {
-        self.passed_bytes += n as u64;
-        let due_s = self.passed_bytes as f64 / self.bytes_per_s.max(1) as f64;
-        loop {
-            if self.inner.is_stopping() {
+        self.due = self.due.max(Instant::now());
+        let mut left_bytes = n as f64;
+        while left_bytes > 0.0 {
+            let options = Arc::clone(&self.inner.core().options);
+            let now = &options.archive;
+            if self.inner.is_stopping()
+                || now.url != self.config.url
+                || now.remove_local_after != self.config.remove_local_after
+                || options.take.directory != self.directory
+            {
                 return Err(StoreError::Stopped(self.object.to_string()));
             }
-            if self.began.elapsed().as_secs_f64() >= due_s {
-                break;
-            }
-            std::thread::sleep(PAUSE_STEP.min(Duration::from_secs_f64(due_s)));
+            let bytes_per_s = now.rate_max_bytes_per_s.max(1) as f64;
+            let step_bytes = left_bytes.min(bytes_per_s * PAUSE_STEP.as_secs_f64());
+            self.due += Duration::from_secs_f64(step_bytes / bytes_per_s);
+            left_bytes -= step_bytes;
+            std::thread::sleep(self.due.saturating_duration_since(Instant::now()));
         }
         if is_sent {
             self.inner.uploads.sent_bytes.fetch_add(n as u64, Ordering::Relaxed);

@@ -11,7 +11,7 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{self, Kept, folder_of};
-use mocapd_store::is_url;
+use mocapd_store::{is_url, without_secrets};
 use mocapd_take::interchange::Format;
 
 use super::inputs::{Input, Inputs};
@@ -56,7 +56,7 @@ impl Destination {
             bail!(UsageError(format!(
                 "{} files cannot become one file: give a folder with -o {}/",
                 inputs.files.len(),
-                output.with_extension("").display()
+                without_secrets(&output.with_extension("").to_string_lossy())
             )));
         }
         Ok(Self::Folder(output.to_owned()))

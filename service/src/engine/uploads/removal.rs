@@ -20,6 +20,9 @@ use crate::{
 /// The end of the hidden name that a take has while it is removed.
 const SET_ASIDE: &str = ".removing";
 
+/// Names that are tried for such a take: each is taken only if a take of the name was recorded while it was removed.
+const RESTORED_NAMES_MAX: usize = 100;
+
 impl Uploader {
     /// Removes the local copy of a take that was uploaded long enough ago, once its object was read back and compared.
     /// Returns whether there may be more to do.
@@ -42,7 +45,10 @@ impl Uploader {
         });
         let Some((take, object)) = due else { return false };
         let name = &take.name;
-        match remove_verified(inner, name, &object, config) {
+        let Some(directory) = self.of.as_ref().map(|(directory, _)| directory.clone()) else {
+            return false;
+        };
+        match remove_verified(inner, name, (&directory, &object), config) {
             Ok(true) => {
                 self.succeeded(inner, name);
                 self.journal.note_removed(take, takes);
@@ -115,16 +121,16 @@ pub(super) fn check_apart(take: &Path, object: &ObjectUrl) -> Result<(), StoreEr
 fn remove_verified(
     inner: &Inner,
     name: &str,
-    object: &ObjectUrl,
+    (directory, object): (&Path, &ObjectUrl),
     config: &ArchiveConfig,
 ) -> Result<bool, StoreError> {
     let failed = |error: io::Error| StoreError::Source(error.to_string());
-    let path = inner.path_of(name).map_err(|error| StoreError::Source(error.message))?;
+    let path = directory.join(format!("{name}.take"));
     check_apart(&path, object)?;
     let mut file = File::open(&path).map_err(failed)?;
     let before = file.metadata().map_err(failed)?;
     let store = Store::of(object)?;
-    let mut pace = Pace::new(inner, object, config.rate_max_bytes_per_s);
+    let mut pace = Pace::new(inner, (directory, object), config);
     if !store.has_content(object, &mut file, &mut |n| pace.wait(n, false))? {
         return Ok(false);
     }
@@ -167,16 +173,26 @@ fn set_aside_name(path: &Path) -> PathBuf {
     path.with_file_name(format!(".{stem}{SET_ASIDE}"))
 }
 
-/// Gives takes their names back whose removal was interrupted.
-pub(super) fn restore_set_aside(inner: &Inner, directory: &Path) {
+/// Gives takes their names back whose removal was interrupted; another name if there is a take of theirs by now.
+pub(in crate::engine) fn restore_set_aside(inner: &Inner, directory: &Path) {
     let Ok(entries) = fs::read_dir(directory) else { return };
     for entry in entries.flatten() {
         let name = entry.file_name();
         let Some(name) = name.to_str() else { continue };
         let stem = name.strip_prefix('.').and_then(|name| name.strip_suffix(SET_ASIDE));
         let Some(stem) = stem.filter(|stem| !stem.is_empty()) else { continue };
-        let path = directory.join(format!("{stem}.take"));
-        if let Err(error) = rename_new(&entry.path(), &path) {
+        let names = (1..RESTORED_NAMES_MAX).map(|n| match n {
+            1 => format!("{stem}.take"),
+            _ => format!("{stem}-{n}.take"),
+        });
+        let mut renamed = Ok(());
+        for name in names {
+            renamed = rename_new(&entry.path(), &directory.join(name));
+            if !renamed.as_ref().is_err_and(|error| error.kind() == io::ErrorKind::AlreadyExists) {
+                break;
+            }
+        }
+        if let Err(error) = renamed {
             let message =
                 format!("{} cannot be renamed to {stem}.take: {error}", entry.path().display());
             inner.publish(ServiceEventKind::Warning, &message, Some(stem));

@@ -134,6 +134,23 @@ fn a_store_that_comes_back_gets_the_takes() {
 }
 
 #[test]
+fn an_error_of_a_former_archive_is_forgotten() {
+    let mut rig = Rig::new();
+    // A file where the folder should be.
+    fs::write(rig.path("archive"), b"").unwrap();
+    rig.add("a");
+    rig.start("");
+    while rig.engine().status().archive.unwrap().error.is_none() {
+        std::thread::sleep(PAUSE_STEP);
+    }
+    let elsewhere = rig.config(&rig.path("takes"), &rig.path("elsewhere"), "");
+    rig.engine().reload(EngineOptions::load(&elsewhere).unwrap());
+    rig.wait(&[("a", UploadState::Uploaded)]);
+    let status = rig.engine().status().archive.unwrap();
+    assert!(status.error.is_none(), "{status:?}");
+}
+
+#[test]
 fn an_object_of_other_content_is_kept_and_so_is_the_take() {
     let mut rig = Rig::new();
     fs::create_dir(rig.path("archive")).unwrap();
@@ -308,7 +325,8 @@ fn a_removal_that_was_interrupted_is_undone() {
     fs::write(rig.path("takes/.a.removing"), TAKE).unwrap();
     fs::write(rig.path("takes/.b.removing"), b"another").unwrap();
     rig.start("");
-    rig.wait(&[("a", UploadState::Uploaded), ("b", UploadState::Uploaded)]);
+    let (uploaded, failed) = (UploadState::Uploaded, UploadState::Failed);
+    rig.wait(&[("a", uploaded), ("b", uploaded), ("b-2", failed)]);
     assert_eq!(fs::read(rig.path("takes/b.take")).unwrap(), TAKE);
-    assert_eq!(fs::read(rig.path("takes/.b.removing")).unwrap(), b"another");
+    assert_eq!(fs::read(rig.path("takes/b-2.take")).unwrap(), b"another");
 }
