@@ -105,7 +105,7 @@ pub enum UploadState {
     Uploading,
     /// The take is in the archive.
     Uploaded,
-    /// It cannot be uploaded for a reason of its own; it is tried again.
+    /// It cannot be uploaded, for a reason that concerns it alone; the service tries again.
     Failed,
     /// A state of a later version.
     #[default]

@@ -273,7 +273,7 @@ impl Backend for Cloud {
                 Err(_) => matches!(client.head(&path).await, Err(Error::NotFound { .. })),
             };
             if is_whole {
-                // One that is left is hidden, and harms nobody.
+                // If this fails, a hidden object remains until a lifecycle rule removes it.
                 client.delete(&from).await.ok();
             }
             copied.map(|()| is_whole)

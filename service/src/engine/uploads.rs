@@ -1,4 +1,4 @@
-//! Uploads finished takes to object storage, on a thread of its own at a limited rate, so that a recording does not notice.
+//! Uploads finished takes to object storage, on its own thread and at a limited rate, so that it does not disturb a recording.
 //!
 //! What was uploaded is in a file beside the takes, so that a restart continues. An upload can be repeated at any time: an
 //! object of the same name and content counts as done. Errors are retried, less and less often.

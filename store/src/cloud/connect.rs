@@ -28,7 +28,7 @@ pub(super) const REQUEST_MAX: Duration = Duration::from_secs(60);
 /// Longest time of a request for which a server copies an object: 5 GiB in it are 6 MB/s.
 pub(super) const COPY_MAX: Duration = Duration::from_secs(15 * 60);
 
-/// After this time a failed request is not repeated: whoever waits for it has to know.
+/// After this time a failed request is not repeated, so that its caller learns of the failure.
 const REPEATED_MAX: Duration = Duration::from_secs(30);
 
 /// Longest time of one call: a request, its repetitions, and as much for credentials.
@@ -112,7 +112,7 @@ fn azure(container: &str, request_max: Duration) -> object_store::Result<Arc<dyn
     Ok(Arc::new(builder.build()?))
 }
 
-/// The runtime of all clients, on a thread of its own that starts with the first use.
+/// The runtime of all clients, on its own thread, which starts at the first use.
 pub(super) fn runtime() -> Result<Handle, String> {
     static RUNTIME: Mutex<Option<Handle>> = Mutex::new(None);
     let mut known = RUNTIME.lock().unwrap_or_else(PoisonError::into_inner);
@@ -147,7 +147,7 @@ pub(super) fn wait_up_to<T: Send + 'static>(
 ) -> Result<T, StoreError> {
     let (answer, answered) = sync_channel(1);
     let runtime = runtime().map_err(|detail| unavailable(url, detail))?;
-    // Ends with the call, even where nobody waits for it any more.
+    // Ends with the call, even if its caller has stopped waiting.
     runtime.spawn(async move { answer.send(tokio::time::timeout(call_max, call).await).ok() });
     match answered.recv_timeout(call_max + REPEATED_MAX) {
         Ok(Ok(answer)) => answer.map_err(|error| explain(url, &error)),

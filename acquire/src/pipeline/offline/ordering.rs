@@ -15,7 +15,8 @@ use mocapd_take::{
 
 use super::in_order;
 
-/// Most samples, missing ones included, that an order is searched with: of a longer take stretches at equal distances.
+/// Maximum number of samples, missing ones included, that an order is searched with: of a longer take, evenly spaced
+/// stretches.
 /// 131 072 samples are 22 seconds of 50 markers at 120 Hz; all but three of 20 recorded takes have fewer.
 const SEARCHED_SAMPLES_MAX: usize = 1 << 17;
 

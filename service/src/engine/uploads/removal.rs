@@ -92,7 +92,7 @@ impl Uploader {
         true
     }
 
-    /// Notes that a take was not removed for a reason of its own.
+    /// Notes that one take was not removed, for a reason that concerns it alone.
     fn keep_local(&mut self, inner: &Inner, name: &str, error: &StoreError) -> bool {
         let retry = Retry::after(self.take_retries.get(name).copied());
         if self.take_retries.insert(name.to_owned(), retry).is_none() {
