@@ -22,6 +22,20 @@ export function health(take) {
   return take.is_open ? ["none", "being written"] : HEALTH[take.health] ?? ["watch", take.health];
 }
 
+const UPLOADS = {
+  waiting: "waits to be uploaded",
+  uploading: "is being uploaded",
+  uploaded: "in the archive",
+  failed: "cannot be uploaded",
+};
+
+/** The upload of a take, as a text; empty without an archive. Pure. */
+export function uploadText({ upload }) {
+  if (!upload) return "";
+  const text = UPLOADS[upload.state] ?? upload.state;
+  return upload.message ? `${text}: ${upload.message}` : `${text} (${upload.url})`;
+}
+
 /** The known facts about a take, as one line. Pure. */
 export function takeSummary(take, nowMs) {
   const known = [];
@@ -77,6 +91,7 @@ export class Takes {
       summary: h("p", { class: "note" }),
       glyph: h("span", { class: "glyph", "aria-hidden": "true" }),
       word: h("span"),
+      upload: h("p", { class: "note" }),
       download: h("a", { class: "button", href: path, download: `${name}.take`, "aria-label": `Download ${name}` }, "Download"),
       verify: h("button", { type: "button", "aria-label": `Verify ${name}` }, "Verify"),
       answer: h("p", { class: "note", role: "status" }),
@@ -84,18 +99,20 @@ export class Takes {
     parts.verify.addEventListener("click", () => this.#verify(name, parts));
     parts.element = h("li", { "data-take": name },
       h("div", { class: "take-text" }, h("strong", {}, name), parts.summary,
-        h("p", { class: "level" }, parts.glyph, " ", parts.word), parts.answer),
+        h("p", { class: "level" }, parts.glyph, " ", parts.word), parts.upload, parts.answer),
       h("div", { class: "take-buttons" }, parts.download, parts.verify));
     this.#rows.set(name, parts);
     return parts;
   }
 
-  #update({ element, summary, glyph, word, download, verify }, take) {
+  #update({ element, summary, glyph, word, upload, download, verify }, take) {
     const [level, text] = health(take);
     setText(summary, takeSummary(take, Date.now()));
     setAttribute(element, "data-level", level);
     setText(glyph, GLYPHS[level]);
     setText(word, text);
+    setText(upload, uploadText(take));
+    setHidden(upload, !take.upload);
     setHidden(download, take.is_open);
     setHidden(verify, take.is_open);
   }

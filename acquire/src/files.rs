@@ -34,6 +34,7 @@ pub use self::{
     file_state::{DisplacedFile, FileState, SettledFile},
     hidden_path::remove_incomplete_outputs,
     new_file::{Kept, NewFile},
+    staging::rename_new,
     take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };
 
@@ -190,6 +191,24 @@ pub fn temporary() -> io::Result<File> {
     Ok(unnamed()?.0)
 }
 
+/// A file without a name, as [`temporary`] creates, for this many bytes.
+///
+/// # Errors
+/// If it cannot be created, or its disk has less space; the message says what to do.
+pub fn temporary_for(bytes: u64) -> io::Result<File> {
+    let (file, dir) = unnamed()?;
+    let disk = fs::fstatvfs(&file).ok().filter(|disk| disk.f_blocks > 0);
+    let free = disk.map_or(u64::MAX, |disk| disk.f_bavail.saturating_mul(disk.f_frsize));
+    if free >= bytes {
+        return Ok(file);
+    }
+    let message = format!(
+        "{bytes} bytes are needed in {}, which has {free} free: set TMPDIR to another folder",
+        dir.display()
+    );
+    Err(io::Error::new(io::ErrorKind::StorageFull, message))
+}
+
 /// A file without a name, and its folder.
 fn unnamed() -> io::Result<(File, PathBuf)> {
     let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
@@ -328,6 +347,15 @@ mod tests {
     use std::io::Write;
 
     use super::*;
+
+    #[test]
+    fn a_temporary_file_is_refused_that_does_not_fit() {
+        let mut file = temporary_for(1000).unwrap();
+        file.write_all(&[0; 1000]).unwrap();
+        let error = temporary_for(u64::MAX).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+        assert!(error.to_string().contains("set TMPDIR to another folder"), "{error}");
+    }
 
     #[test]
     fn holes_are_zeros_and_data_is_where_it_was() {

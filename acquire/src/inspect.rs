@@ -71,6 +71,7 @@ impl Summary {
         summary.take.check_samples(&mut input)?;
         let tally = summary.tally.take().unwrap_or_default();
         summary.statistics = tally.finish(summary.take.n_rows);
+        summary.take.order.restore(&mut summary.statistics.channels);
         if !summary.take.damaged {
             summary.compare_statistics();
             summary.check_up_axis(&mut input)?;
@@ -247,7 +248,7 @@ impl Summary {
                     self.stretches += 1;
                     self.claims.stretch(stretch, progress.channels().len());
                     if let Some(tally) = &mut self.tally {
-                        let decoded = StretchTally::of_decoded(stretch, progress.rows());
+                        let decoded = StretchTally::of_decoded(stretch, progress.coded_rows());
                         tally.add(stretch.span, &decoded);
                     }
                 }

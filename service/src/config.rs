@@ -15,17 +15,21 @@ mod tests;
 use std::{
     fmt::{self, Write},
     net::SocketAddr,
-    path::{Path, PathBuf},
+    path::{self, Path, PathBuf},
     time::Duration,
 };
 
 use anyhow::Context;
-use mocapd_acquire::setting::{self, Setting};
+use mocapd_acquire::{
+    files::FileId,
+    setting::{self, Setting},
+};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
     registry::{AttachedDevice, Claim},
     uri::DeviceUri,
 };
+use mocapd_store::ObjectUrl;
 use serde_json::Value as Json;
 
 use self::keys::{KEYS, SECTIONS};
@@ -51,6 +55,8 @@ pub struct Config {
     pub subject: SubjectFiles,
     /// What is kept in memory between takes.
     pub arm: ArmConfig,
+    /// Where finished takes are uploaded to.
+    pub archive: ArchiveConfig,
     /// The HTTP interface.
     pub http: HttpConfig,
     /// Capture triggers.
@@ -112,6 +118,17 @@ pub struct ArmConfig {
     pub include_pre_roll: Duration,
     /// Memory limit of the pre-roll in bytes.
     pub memory_max_bytes: u64,
+}
+
+/// The section `[archive]`.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ArchiveConfig {
+    /// The folder in object storage that finished takes are uploaded to.
+    pub url: Option<ObjectUrl>,
+    /// Limit on the rate of uploads, in bytes per second.
+    pub rate_max_bytes_per_s: u64,
+    /// How long after its upload the local copy of a take is removed; `None` keeps it.
+    pub remove_local_after: Option<Duration>,
 }
 
 /// The section `[http]`.
@@ -242,6 +259,19 @@ impl Config {
         })
     }
 
+    /// Why takes cannot be uploaded as configured: this build lacks the client, or the archive is the takes' folder.
+    #[must_use]
+    pub fn archive_problem(&self) -> Option<String> {
+        let url = self.archive.url.as_ref()?;
+        if let Err(error) = url.check_built() {
+            return Some(format!("archive.url: {error}"));
+        }
+        let archive = place_of(&url.local_path()?)?;
+        (place_of(&self.take.directory)? == archive).then(|| {
+            format!("archive.url: {url} is the takes' folder itself, where an upload is no second copy: set it to a folder elsewhere")
+        })
+    }
+
     /// Warnings about the configuration itself, one line each.
     #[must_use]
     pub fn notes(&self) -> Vec<String> {
@@ -281,6 +311,12 @@ impl Config {
                     .to_owned(),
             );
         }
+        if self.archive.remove_local_after.is_some() && self.archive.url.is_none() {
+            notes.push(
+                "archive.remove_local_after has no effect: archive.url is not set, so no take is uploaded"
+                    .to_owned(),
+            );
+        }
         if self.device.raw_log {
             notes.push(
                 "device.raw_log is on: every byte received while armed is logged, many times the size of the takes"
@@ -289,6 +325,16 @@ impl Config {
         }
         notes
     }
+}
+
+/// Where a folder is or would be created, by whatever path or link: the last folder above it that exists, and the names
+/// from there.
+fn place_of(folder: &Path) -> Option<(FileId, PathBuf)> {
+    let folder = path::absolute(folder).ok()?;
+    folder.ancestors().find_map(|there| {
+        let found = FileId::of(&there.metadata().ok()?);
+        Some((found, folder.strip_prefix(there).ok()?.to_owned()))
+    })
 }
 
 /// An error as one line, with the configuration key that helps.

@@ -71,6 +71,57 @@ pub struct Status {
     pub last_take: Option<TakeSummary>,
     /// The disk that holds the takes' folder.
     pub disk: DiskStatus,
+    /// The upload of finished takes; null without `archive.url`.
+    #[serde(default)]
+    pub archive: Option<ArchiveStatus>,
+}
+
+/// The upload of finished takes to object storage.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct ArchiveStatus {
+    /// Where takes are uploaded to.
+    pub url: String,
+    /// Takes that wait to be uploaded, or are being uploaded.
+    pub waiting: u64,
+    /// Takes in the folder that were uploaded.
+    pub uploaded: u64,
+    /// Takes that cannot be uploaded; the list of takes has the reasons.
+    pub failed: u64,
+    /// Bytes sent since the service was started.
+    pub sent_bytes: u64,
+    /// Failed attempts since the service was started.
+    pub retries: u64,
+    /// Why nothing can be uploaded at present; null if the last attempt succeeded.
+    pub error: Option<String>,
+}
+
+/// How far the upload of a take is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum UploadState {
+    /// It has not begun, or is repeated later.
+    Waiting,
+    /// It is in progress.
+    Uploading,
+    /// The take is in the archive.
+    Uploaded,
+    /// It cannot be uploaded, for a reason that concerns it alone; the service tries again.
+    Failed,
+    /// A state of a later version.
+    #[default]
+    #[serde(other)]
+    Unknown,
+}
+
+/// The upload of a take.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct TakeUpload {
+    /// `waiting`, `uploading`, `uploaded` or `failed`.
+    pub state: UploadState,
+    /// Where it is uploaded to.
+    pub url: String,
+    /// Why the last attempt failed; empty if it did not.
+    pub message: String,
 }
 
 /// The device.
@@ -211,6 +262,9 @@ pub struct TakeSummary {
     /// Details of the ending; mostly empty.
     #[serde(default)]
     pub ending_detail: String,
+    /// Its upload; null without `archive.url`, and for a take that is not finished.
+    #[serde(default)]
+    pub upload: Option<TakeUpload>,
 }
 
 /// The disk that holds the takes' folder.

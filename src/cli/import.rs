@@ -98,12 +98,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let format = args.format.map(Into::into);
     let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::MotionFiles, format)?;
     let destination = Destination::of(args.output.as_deref(), &inputs)?;
-    let paths_of_outputs = destination.paths(&inputs, "take")?;
-    match &destination {
-        Destination::File(path) => paths::check_take_output(path)?,
-        Destination::Stdout => paths::check_stdout(args.json)?,
-        Destination::Folder(_) | Destination::Beside => {}
-    }
+    let paths_of_outputs = destination.take_paths(&inputs, args.json)?;
     let is_stream = destination == Destination::Stdout || inputs.files.iter().any(Input::is_stdin);
     if args.verify && is_stream {
         let message = "--verify reads the source and the take again: give both as files";

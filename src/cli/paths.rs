@@ -10,6 +10,7 @@ use std::{
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{FileError, NewFile, folder_of};
 use mocapd_drivers::plain_file::NotAFile;
+use mocapd_store::without_secrets;
 use mocapd_take::interchange::{Format, SampledKind};
 
 use super::remote;
@@ -83,7 +84,8 @@ pub(super) fn output_format(path: &Path) -> anyhow::Result<Format> {
 
 /// The usage error for a file whose extension is not one of `endings`.
 pub(super) fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {
-    let message = format!("{}: unknown file extension: use {endings}", path.display());
+    let path = path.to_string_lossy();
+    let message = format!("{}: unknown file extension: use {endings}", without_secrets(&path));
     UsageError(message).into()
 }
 
@@ -105,7 +107,7 @@ pub(super) fn check_take_output(path: &Path) -> anyhow::Result<()> {
     if Format::from_extension(path).is_some() {
         anyhow::bail!(UsageError(format!(
             "{}: the output is a take: use .take; `mocapd export` converts takes to other formats",
-            path.display()
+            without_secrets(&path.to_string_lossy())
         )));
     }
     if !is_take(path) && !is_dash(path) {

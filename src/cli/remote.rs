@@ -13,9 +13,10 @@ use std::{
     },
 };
 
+use anyhow::Context;
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{self, Kept, NewFile, SparseFile};
-use mocapd_store::{ObjectUrl, Store, StoreError, TrafficCount, is_url};
+use mocapd_store::{ObjectUrl, Store, StoreError, TrafficCount, is_url, without_secrets};
 
 use super::output::Progress;
 
@@ -84,6 +85,10 @@ pub(super) fn fetch(paths: &[impl AsRef<Path>]) -> anyhow::Result<()> {
 }
 
 fn copied(path: &Path, url: &ObjectUrl, shown: Option<&'static str>) -> anyhow::Result<PathBuf> {
+    if url.is_folder() {
+        let message = format!("{url} is a folder: name an object in it, without a `/` at the end");
+        return Err(UsageError(message).into());
+    }
     let copy = {
         let mut copies = COPIES.lock().unwrap_or_else(PoisonError::into_inner);
         Arc::clone(copies.get_or_insert_default().entry(path.to_owned()).or_default())
@@ -121,7 +126,9 @@ fn download(url: &ObjectUrl, shown: Option<&'static str>) -> anyhow::Result<Obje
     let mut object = store.open(url)?;
     let read = Arc::new(AtomicU64::new(0));
     let _progress = shown.map(|what| Progress::follow(what, &read, object.len_bytes()));
-    let mut copy = CountingCopy { file: files::temporary()?, written: &read };
+    let file = files::temporary_for(object.len_bytes())
+        .with_context(|| format!("cannot copy {url} to a temporary file"))?;
+    let mut copy = CountingCopy { file, written: &read };
     io::copy(&mut object, &mut copy).map_err(|error| match StoreError::of(&error) {
         // Its message names the object.
         Some(found) => found.into(),
@@ -281,5 +288,6 @@ pub(super) fn refuse_recording(output: &Path) -> anyhow::Result<()> {
         return Ok(());
     }
     let message = "a recording is written to a local disk, because a network may stall: record to a file, and have the service upload finished takes with [archive] in its configuration";
-    Err(UsageError(format!("{}: {message}", output.display())).into())
+    let output = output.to_string_lossy();
+    Err(UsageError(format!("{}: {message}", without_secrets(&output))).into())
 }

@@ -26,14 +26,15 @@ use super::{
     },
     edited::open,
     output::plain_path,
-    paths, remote,
+    remote,
     values::{bytes, default_effort, key_distance, resampler, thousands, tolerance},
 };
 
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "What a take decodes to stays the same, bit for bit, and is compared before the new take gets its name: \
-    samples, gaps, times, events, parts of the imported file, ledger, and the errors that its blocks state. Only a \
+    samples, gaps, lost frames, times, events, markers, parts of the imported file, observations of the clocks, ledger, \
+    and the errors that its blocks state. Only a \
     lossless take can be encoded with another resampler, tolerance or effort; for others, import the source again."
 )]
 pub(crate) struct Args {
@@ -58,7 +59,7 @@ pub(crate) struct Args {
     /// Of a lossless take that was imported: longest time from one key stretch to the next, as for `mocapd import`
     #[arg(long, value_name = "TIME", value_parser = key_distance, allow_hyphen_values = true)]
     keys: Option<KeyDistance>,
-    /// Write a copy of a take that cannot be made smaller
+    /// Write a copy of a take that cannot be made smaller, as always to a folder or to standard output
     #[arg(long)]
     copy: bool,
     /// Print one JSON document, or one per line for several takes
@@ -119,13 +120,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let settings = args.settings()?;
     let inputs = batch::inputs::find(&args.takes, &args.input, FileKinds::Takes, None)?;
     let destination = Destination::of(Some(&args.output), &inputs)?;
-    let paths_of_outputs = destination.paths(&inputs, "take")?;
-    match &destination {
-        Destination::File(path) => paths::check_take_output(path)?,
-        Destination::Stdout => paths::check_stdout(args.json)?,
-        Destination::Folder(_) | Destination::Beside => {}
-    }
-    let is_folder = matches!(destination, Destination::Folder(_));
+    let paths_of_outputs = destination.take_paths(&inputs, args.json)?;
     let batch = Batch {
         inputs: &inputs,
         outputs: &paths_of_outputs,
@@ -137,7 +132,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         done: "repacked",
         is_compression: true,
     };
-    batch::run(&batch, |job| repack_one(args, &settings, job, is_folder))
+    batch::run(&batch, |job| repack_one(args, &settings, job, &destination))
 }
 
 fn context(on_rows: &dyn Fn(u64)) -> EditContext<'_> {
@@ -148,7 +143,7 @@ fn repack_one(
     args: &Args,
     settings: &RepackSettings,
     job: &Job<'_>,
-    is_folder: bool,
+    destination: &Destination,
 ) -> anyhow::Result<FileReport> {
     let output = job.output.context("no output name: please report this bug")?;
     let reading = || format!("cannot read {}", job.input.name.display());
@@ -169,17 +164,17 @@ fn repack_one(
     let bytes_before = remote::len_bytes(path).with_context(reading)?;
     let is_smaller = written.bytes < bytes_before;
     let is_new = is_smaller || args.asks_for_settings();
+    // A folder and standard output get every take, so that none is missing there.
+    let is_written = is_new || args.copy || !matches!(destination, Destination::File(_));
+    let is_folder = matches!(destination, Destination::Folder(_));
     if is_new {
-        check(path, &new, settings, job)?;
+        check(&source, &new, settings, job)?;
         write(output, is_folder, &mut &new)?;
-    } else if args.copy {
+    } else if is_written {
         write(output, is_folder, &mut remote::open(path)?)?;
     }
-    let report = RepackReport::new(job, output, &written, bytes_before).with_outcome(
-        is_new || args.copy,
-        is_new,
-        header,
-    );
+    let report = RepackReport::new(job, output, &written, bytes_before)
+        .with_outcome(is_written, is_new, header);
     Ok(FileReport {
         text: report.text(),
         line: report.text(),
@@ -188,7 +183,7 @@ fn repack_one(
             frames: report.frames,
             seconds: report.seconds,
             bytes_read: bytes_before,
-            bytes_written: report.file_bytes,
+            bytes_written: if is_written { report.file_bytes } else { 0 },
             is_unchanged: !is_new,
         },
         ..FileReport::default()
@@ -200,15 +195,16 @@ fn repack_one(
 /// # Errors
 /// If anything differs: a bug, after which nothing is written.
 fn check(
-    old: &Path,
+    source: &SourceTake,
     new: &File,
     settings: Option<&RepackSettings>,
     job: &Job<'_>,
 ) -> anyhow::Result<()> {
     let _phase = job.phase("comparing", 1);
     (&mut &*new).rewind()?;
-    let old = open(old, &Arc::default())?;
-    let found = check_repacked(old, BufReader::new(new), settings, &context(&|_| {}))?;
+    let old = open(&job.input.path, &Arc::default())?;
+    let new = BufReader::new(new);
+    let found = check_repacked(source, old, new, settings, &context(&|_| {}))?;
     if let Some(difference) = found {
         bail!(
             "{}: the repacked take differs, so nothing is written ({difference}): please report this bug",

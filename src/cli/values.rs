@@ -220,8 +220,8 @@ pub(crate) fn default_effort() -> anyhow::Result<Effort> {
 /// The effort of encoding a whole take, and the distance of its key stretches.
 #[derive(Debug, Args)]
 pub(crate) struct EffortArgs {
-    /// Effort of the resampler dense, 1 to 9: higher levels need more time and make smaller files; recordings use 1
-    /// [default: 3]
+    /// Effort of the resampler dense, 1 to 9: higher levels need more time and make smaller files; recordings use 1. Level
+    /// 9 also searches the order of the markers, with the take in memory [default: 3]
     #[arg(long, value_name = "N", value_parser = str::parse::<Effort>)]
     effort: Option<Effort>,
     /// Longest time from one key stretch to the next, 50ms or more, or `none` for the first one only. Reading can start at

@@ -62,17 +62,18 @@ pub trait Backend: fmt::Debug + Send + Sync {
     /// `NotFound`, and those of any request.
     fn len(&self, url: &ObjectUrl) -> Result<u64, StoreError>;
 
-    /// Creates an object.
+    /// Creates an object, in up to two requests; the first time, up to five more find out whether the store respects
+    /// their conditions.
     ///
     /// # Errors
-    /// `Exists`, and those of any request.
+    /// `Exists`, `Replaces`, and those of any request.
     fn create(&self, url: &ObjectUrl, bytes: Vec<u8>) -> Result<(), StoreError>;
 
-    /// Creates an object of several parts, all but the last of the same size: one request for each part, and up to five
-    /// more.
+    /// Creates an object of several parts, all but the last of the same size: one request for each part, and some
+    /// more, as many as the store takes to copy it.
     ///
     /// # Errors
-    /// `Exists`, those of any request, and those of `next_part`, after which nothing of the object is left.
+    /// `Exists`, `Replaces`, those of any request, and those of `next_part`, after which nothing of the object is left.
     fn create_from_parts(
         &self,
         url: &ObjectUrl,

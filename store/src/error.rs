@@ -28,6 +28,11 @@ pub enum StoreError {
     /// An object of this name exists.
     #[error("{0} exists already, and objects are never replaced: choose another name")]
     Exists(String),
+    /// The store does not respect the condition under which objects are created.
+    #[error(
+        "{0}: the store ignores If-None-Match, and would replace objects: use a store, or a version of it, with conditional writes"
+    )]
+    Replaces(String),
     /// No credentials were found.
     #[error("no credentials for {url}: {remedy}")]
     NoCredentials {
@@ -101,7 +106,9 @@ impl From<StoreError> for io::Error {
                 io::ErrorKind::PermissionDenied
             }
             StoreError::TimedOut(_) => io::ErrorKind::TimedOut,
-            StoreError::NotBuilt(_) | StoreError::Unsupported { .. } => io::ErrorKind::Unsupported,
+            StoreError::NotBuilt(_) | StoreError::Replaces(_) | StoreError::Unsupported { .. } => {
+                io::ErrorKind::Unsupported
+            }
             StoreError::InvalidUrl { .. } => io::ErrorKind::InvalidInput,
             _ => io::ErrorKind::Other,
         };

@@ -17,7 +17,7 @@ mod window;
 
 pub use backend::{Backend, ByteRange, ListedObject, ObjectPiece};
 pub use error::StoreError;
-pub use location::{ObjectUrl, is_url};
+pub use location::{ObjectUrl, is_url, without_secrets};
 pub use reader::ObjectReader;
 pub use store::{Store, Traffic, TrafficCount};
 pub use upload::{PART_BYTES, Pace};

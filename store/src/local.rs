@@ -17,7 +17,7 @@ use crate::{
 pub(crate) struct Folders;
 
 fn path_of(url: &ObjectUrl) -> PathBuf {
-    Path::new("/").join(url.key())
+    url.local_path().unwrap_or_default()
 }
 
 fn failed(url: &ObjectUrl, error: &io::Error) -> StoreError {

@@ -1,6 +1,10 @@
 //! URLs of objects and folders in stores.
 
-use std::{fmt, path::Path};
+use std::{
+    borrow::Cow,
+    fmt,
+    path::{Path, PathBuf},
+};
 
 use crate::StoreError;
 
@@ -51,6 +55,42 @@ pub fn is_url(path: &Path) -> bool {
     })
 }
 
+/// A URL as messages quote it: without the user, the password and the query, which may be secret.
+#[must_use]
+pub fn without_secrets(text: &str) -> Cow<'_, str> {
+    let Some((scheme, rest)) = text.split_once("://") else { return Cow::Borrowed(text) };
+    let is_object = ["s3", "gs", "az"].iter().any(|name| scheme.eq_ignore_ascii_case(name));
+    // A password may contain a slash, but only a name in a bucket may contain an `@`.
+    let authority = match rest.split_once('/') {
+        Some((bucket, _)) if is_object => bucket,
+        _ => rest.split(['?', '#']).next().unwrap_or(rest),
+    };
+    let user = authority.rfind('@').map_or(0, |at| at + 1);
+    let queried = rest[user..].find('?').map(|at| user + at).filter(|_| !is_object);
+    if user == 0 && queried.is_none() {
+        return Cow::Borrowed(text);
+    }
+    let mut shown = format!("{scheme}://");
+    if user > 0 {
+        shown.push_str("***@");
+    }
+    shown.push_str(&rest[user..queried.unwrap_or(rest.len())]);
+    if queried.is_some() {
+        shown.push_str("?***");
+    }
+    Cow::Owned(shown)
+}
+
+/// Whether it is the name of a bucket, or a host with or without a port: nothing in it may be a user, a password or a
+/// query, which would be sent to a log with every message.
+fn is_bucket(text: &str, scheme: Scheme) -> bool {
+    let is_refused = |c: char| c.is_control() || c.is_whitespace() || r"@?#\".contains(c);
+    // The address of a host may be in brackets.
+    let port = text.rsplit(']').next().and_then(|text| text.split_once(':'));
+    let is_port = |(_, port): (&str, &str)| scheme == Scheme::Http && port.parse::<u16>().is_ok();
+    !text.contains(is_refused) && port.is_none_or(is_port)
+}
+
 impl ObjectUrl {
     /// Parses a URL.
     ///
@@ -58,7 +98,7 @@ impl ObjectUrl {
     /// `InvalidUrl`.
     pub fn parse(url: &str) -> Result<Self, StoreError> {
         let invalid = |reason: &str| StoreError::InvalidUrl {
-            url: url.to_owned(),
+            url: without_secrets(url).into_owned(),
             reason: reason.to_owned(),
         };
         let (name, rest) = url.split_once("://").ok_or_else(|| invalid("not a URL"))?;
@@ -70,6 +110,11 @@ impl ObjectUrl {
         }
         if scheme != Scheme::File && bucket.is_empty() {
             return Err(invalid("the name of the bucket is missing"));
+        }
+        if !is_bucket(bucket, scheme) {
+            return Err(invalid(
+                r"a bucket or host has no user, password or query (@ ? # \ or :): credentials are read from the environment",
+            ));
         }
         if scheme == Scheme::Http && key.contains(['?', '#']) {
             return Err(invalid("signed URLs and other queries are not supported"));
@@ -89,7 +134,7 @@ impl ObjectUrl {
         match path.to_str() {
             Some(url) => Self::parse(url),
             None => Err(StoreError::InvalidUrl {
-                url: path.to_string_lossy().into_owned(),
+                url: without_secrets(&path.to_string_lossy()).into_owned(),
                 reason: "not UTF-8".to_owned(),
             }),
         }
@@ -105,6 +150,12 @@ impl ObjectUrl {
     #[must_use]
     pub fn root(&self) -> &str {
         &self.root
+    }
+
+    /// The file or folder that a `file://` URL names.
+    #[must_use]
+    pub fn local_path(&self) -> Option<PathBuf> {
+        (self.scheme == Scheme::File).then(|| Path::new("/").join(&self.key))
     }
 
     pub(crate) fn scheme(&self) -> Scheme {
@@ -187,6 +238,31 @@ mod tests {
         ] {
             let error = ObjectUrl::parse(wrong).unwrap_err();
             assert!(matches!(error, StoreError::InvalidUrl { .. }), "{wrong}: {error}");
+        }
+    }
+
+    #[test]
+    fn secrets_in_a_url_are_refused_and_not_quoted() {
+        for (text, quoted) in [
+            ("s3://key:secret@b/x", "s3://***@b/x"),
+            ("https://user:sec/ret@h/x", "https://***@h/x"),
+            ("https://user:secret@h/x?secret", "https://***@h/x?***"),
+            ("https://h/x?sig=secret", "https://h/x?***"),
+            ("https://user:secret/x", "https://user:secret/x"),
+            ("https://h?sig=secret", "https://h?***"),
+            (r"https://h\secret@evil/x", "https://***@evil/x"),
+            ("ftp://user:secret@h/x", "ftp://***@h/x"),
+            ("file://user:secret@h/x", "file://***@h/x"),
+            ("az://c#secret@d/", "az://***@d/"),
+        ] {
+            let Err(StoreError::InvalidUrl { url, .. }) = ObjectUrl::parse(text) else {
+                panic!("{text} is accepted")
+            };
+            assert_eq!(url, quoted);
+        }
+        for text in ["s3://b/a@b?c#d.take", "https://h:80/a@b", "http://[::1]:80/x", "s3://b-1.x/"]
+        {
+            assert_eq!(ObjectUrl::parse(text).unwrap().to_string(), text);
         }
     }
 

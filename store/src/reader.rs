@@ -14,8 +14,7 @@ pub(crate) const TAIL_BYTES: u64 = 64 << 10;
 /// First range of a sequential read: small, because a reader may need only the header.
 const RANGE_BYTES_MIN: u64 = 256 << 10;
 
-/// Longest range of a sequential read, which is held in memory: at 100 MB/s it takes as long as the answers of two
-/// requests.
+/// Longest range, which is held in memory: at 100 MB/s it takes as long as the answers of two requests.
 const RANGE_BYTES_MAX: u64 = 8 << 20;
 
 impl Store {
@@ -111,7 +110,8 @@ impl ObjectReader {
         &self.store
     }
 
-    /// States which ranges will be read: each becomes one request, up to its end. Ranges outside are read as before.
+    /// States which ranges will be read: each becomes one request, up to its end, or one for each 8 MiB of it. Ranges
+    /// outside are read as before.
     pub fn plan(&mut self, ranges: impl Into<Vec<Range<u64>>>) {
         self.planned = ranges.into();
     }
@@ -120,7 +120,7 @@ impl ObjectReader {
     fn fetch(&mut self) -> Result<(), StoreError> {
         let at = self.at;
         let end = match self.planned.iter().find(|range| range.contains(&at)) {
-            Some(range) => range.end,
+            Some(range) => range.end.min(at.saturating_add(RANGE_BYTES_MAX)),
             None => {
                 let follows = at == self.block.end();
                 let grown = (2 * self.range_bytes).min(RANGE_BYTES_MAX);
@@ -131,7 +131,7 @@ impl ObjectReader {
         // What is in memory already is not read again.
         let end = if at < self.tail.at { end.min(self.tail.at) } else { end.min(self.len) };
         let piece = self.store.read(&self.url, &ByteRange::Of(at..end), self.e_tag.as_deref())?;
-        if piece.at != at || piece.bytes.is_empty() || piece.len != self.len {
+        if piece.at != at || piece.bytes.len() as u64 != end - at || piece.len != self.len {
             return Err(StoreError::Changed(self.url.to_string()));
         }
         self.block = Block { at, bytes: piece.bytes };
@@ -232,6 +232,22 @@ mod tests {
         reader.read_exact(&mut piece).unwrap();
         assert_eq!(reader.store().traffic().received_bytes, TAIL_BYTES + 200_000);
         assert_eq!(reader.store().traffic().requests, 3);
+    }
+
+    #[test]
+    fn a_planned_range_is_as_long_as_any_other() {
+        let (_folder, bytes, mut reader) = stored(20_000_000);
+        reader.plan([1000..10_000_000, 10_000_000..19_000_000]);
+        let mut piece = vec![0; 18_000_000];
+        reader.seek(SeekFrom::Start(1000)).unwrap();
+        reader.read_exact(&mut piece[..10]).unwrap();
+        assert_eq!(reader.store().traffic().received_bytes, TAIL_BYTES + RANGE_BYTES_MAX);
+        reader.read_exact(&mut piece[10..]).unwrap();
+        assert!(piece == bytes[1000..18_001_000]);
+        // The tail, 8 MiB and the rest of the first range, 8 MiB of the second.
+        let traffic = reader.store().traffic();
+        let received = TAIL_BYTES + 9_999_000 + RANGE_BYTES_MAX;
+        assert_eq!((traffic.requests, traffic.received_bytes), (4, received));
     }
 
     #[test]

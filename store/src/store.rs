@@ -122,10 +122,10 @@ impl Store {
         self.backend.len(url)
     }
 
-    /// Creates an object in one request.
+    /// Creates an object of one part.
     ///
     /// # Errors
-    /// `Exists`, and those of any request.
+    /// `Exists`, `Replaces`, and those of any request.
     pub fn create(&self, url: &ObjectUrl, bytes: Vec<u8>) -> Result<(), StoreError> {
         writable(url)?;
         self.traffic.request();

@@ -2,8 +2,6 @@
 
 use std::io::{self, Read, Seek, SeekFrom};
 
-use sha2::{Digest, Sha256};
-
 use crate::{ObjectUrl, Store, StoreError, backend::ByteRange};
 
 /// Size of a part, which is held in memory. S3 needs at least 5 MiB, and accepts 10 000 parts: 78 GiB.
@@ -65,10 +63,11 @@ impl Store {
         }
     }
 
-    /// Reads an object back and compares it with `source`, by length and SHA-256.
+    /// Reads an object back and compares it with `source`, byte by byte: a part of one, then the same part of the other,
+    /// so that the pace is that of both.
     ///
     /// # Errors
-    /// `NotFound`; `Source`; those of any request and of `pace`.
+    /// `NotFound`; `Changed` if the object was replaced meanwhile; `Source`; those of any request and of `pace`.
     pub fn has_content(
         &self,
         url: &ObjectUrl,
@@ -81,44 +80,31 @@ impl Store {
             return Ok(false);
         }
         source.rewind().map_err(read_error)?;
-        let mut expected = Sha256::new();
-        let mut piece = vec![0; 1 << 16];
-        loop {
-            let n = source.read(&mut piece).map_err(read_error)?;
-            if n == 0 {
-                break;
-            }
-            expected.update(&piece[..n]);
-        }
-        Ok(self.sha256(url, pace)? == <[u8; 32]>::from(expected.finalize()))
-    }
-
-    /// The SHA-256 of an object.
-    ///
-    /// # Errors
-    /// `NotFound`; those of any request and of `pace`.
-    pub fn sha256(&self, url: &ObjectUrl, pace: Pace<'_>) -> Result<[u8; 32], StoreError> {
-        let mut sha256 = Sha256::new();
-        let len = self.len_bytes(url)?;
         let (mut at, mut e_tag) = (0, None);
+        let mut expected = Vec::new();
         while at < len {
-            let range = ByteRange::Of(at..len.min(at + PART_BYTES as u64));
-            let piece = self.read(url, &range, e_tag.as_deref())?;
-            if piece.bytes.is_empty() || piece.len != len {
+            let range = at..len.min(at + PART_BYTES as u64);
+            let part_len = range.end - range.start;
+            let piece = self.read(url, &ByteRange::Of(range), e_tag.as_deref())?;
+            if piece.at != at || piece.bytes.len() as u64 != part_len || piece.len != len {
                 return Err(StoreError::Changed(url.to_string()));
             }
+            expected.clear();
+            source.take(part_len).read_to_end(&mut expected).map_err(read_error)?;
             pace(piece.bytes.len())?;
-            sha256.update(&piece.bytes);
-            at += piece.bytes.len() as u64;
+            if piece.bytes != expected {
+                return Ok(false);
+            }
+            at += part_len;
             e_tag = piece.e_tag;
         }
-        Ok(sha256.finalize().into())
+        Ok(true)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::{fs, io::Cursor};
+    use std::{cell::Cell, fs, io::Cursor};
 
     use super::*;
 
@@ -157,6 +143,52 @@ mod tests {
             store.remove(&listed.url).unwrap();
         }
         assert_eq!(store.list(&url, true).unwrap(), []);
+    }
+
+    /// Counts what is read of a file.
+    struct Counted<'a>(Cursor<Vec<u8>>, &'a Cell<usize>);
+
+    impl Read for Counted<'_> {
+        fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+            let n = self.0.read(bytes)?;
+            self.1.set(self.1.get() + n);
+            Ok(n)
+        }
+    }
+
+    impl Seek for Counted<'_> {
+        fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+            self.0.seek(to)
+        }
+    }
+
+    #[test]
+    fn a_comparison_reads_the_file_at_the_pace_and_ends_at_the_first_difference() {
+        let (_folder, url, store) = folder();
+        let object = url.join("x");
+        let content: Vec<u8> = (0..3 * PART_BYTES).map(|i| (i % 251) as u8).collect();
+        let create = store.upload(&object, &mut Cursor::new(&content), &mut |_| Ok(()));
+        assert_eq!(create, Ok(true));
+        let read = Cell::new(0);
+        let mut paced = 0;
+        let mut file = Counted(Cursor::new(content.clone()), &read);
+        let same = store.has_content(&object, &mut file, &mut |n| {
+            paced += n;
+            assert_eq!(read.get(), paced, "no byte of the file is read ahead of the pace");
+            Ok(())
+        });
+        assert_eq!((same, paced), (Ok(true), content.len()));
+        read.set(0);
+        let stopped = store
+            .has_content(&object, &mut file, &mut |_| Err(StoreError::Stopped(object.to_string())));
+        assert_eq!(stopped, Err(StoreError::Stopped(object.to_string())));
+        assert_eq!(read.get(), PART_BYTES, "nothing is read once it is stopped");
+        read.set(0);
+        let mut other = content;
+        other[7] ^= 1;
+        let mut file = Counted(Cursor::new(other), &read);
+        assert_eq!(store.has_content(&object, &mut file, &mut |_| Ok(())), Ok(false));
+        assert_eq!(read.get(), PART_BYTES);
     }
 
     #[test]

@@ -53,8 +53,9 @@ pub mod types {
     pub const SUMMARY: u8 = 0x8d;
     pub const SAMPLED_GROUP: u8 = 0x8e;
     pub const SAMPLES: u8 = 0x8f;
+    pub const ORDER: u8 = 0x92;
     /// Every type of version 1.
-    pub const ALL: [u8; 14] = [
+    pub const ALL: [u8; 15] = [
         HEADER,
         CHANNELS,
         STRETCH,
@@ -69,6 +70,7 @@ pub mod types {
         SUMMARY,
         SAMPLED_GROUP,
         SAMPLES,
+        ORDER,
     ];
 }
 

@@ -41,6 +41,15 @@ pub enum Problem {
         /// Number of markers concerned.
         markers: usize,
     },
+    /// The order of the markers in the source, which the summary states, is missing.
+    #[error(
+        "the order of the markers in the source is lost: they are in the order in which they were coded; \
+         `mocapd recover` restores it"
+    )]
+    OrderLost,
+    /// The summary states another order of the markers.
+    #[error("the summary states another order of the markers than the take has")]
+    OrderContradicted,
     /// Stretches are missing, with no damaged bytes in their place.
     #[error("stretches before frame {row} are missing")]
     MissingBefore {

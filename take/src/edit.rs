@@ -80,6 +80,8 @@ pub struct SourceTake {
     tables: Vec<TableSize>,
     /// The first and the last recorded row with their times; `None` in an import.
     ends: Option<[(u64, RowTime); 2]>,
+    /// Whether a stretch has a time line, as those of a recovered import may.
+    has_time_lines: bool,
     /// Types of chunks that this version does not know.
     unknown_chunks: Vec<u8>,
     n_stretches: u64,
@@ -91,16 +93,22 @@ impl SourceTake {
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`; `InvalidArgument` for a take that is damaged or was cut off.
     pub fn read(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
+        let source = Self::scan(input)?;
+        match source.map.problems.first() {
+            Some(problem) => Err(damaged(problem)),
+            None => Ok(source),
+        }
+    }
+
+    /// Reads a take like [`read`](Self::read), but keeps its problems in the map instead of refusing it.
+    fn scan(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
         let mut source = Self::default();
         let traversal = TakeTraversal::without_decoding(input);
         let Progress { take, .. } = traversal.run(|found, progress| {
             source.visit(found, progress);
             Ok(())
         })?;
-        match take.problems.first() {
-            Some(problem) => Err(damaged(problem)),
-            None => Ok(Self { map: take, ..source }),
-        }
+        Ok(Self { map: take, ..source })
     }
 
     /// Everything in the take but its samples.
@@ -118,6 +126,7 @@ impl SourceTake {
             TakeEvent::Stretch(stretch) => {
                 self.n_stretches += 1;
                 let Some(timeline) = &stretch.timeline else { return };
+                self.has_time_lines = true;
                 let (first, last) = (timeline.recorded().next(), timeline.recorded().last());
                 if let Some((first, last)) = first.zip(last) {
                     let first = self.ends.map_or(first, |ends| ends[0]);
@@ -135,8 +144,8 @@ impl SourceTake {
 
     /// The size of the channel table for the stretch from `row` on.
     fn channels_at(&self, row: u64) -> usize {
-        let sizes = self.tables.iter().take_while(|size| size.row <= row);
-        sizes.last().map_or(0, |size| size.n_channels)
+        let n_sizes = self.tables.partition_point(|size| size.row <= row);
+        self.tables[..n_sizes].last().map_or(0, |size| size.n_channels)
     }
 
     /// The number of the first row in the file that the take was imported from.

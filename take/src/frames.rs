@@ -10,6 +10,7 @@ use crate::{
     damage::{Problem, push_problem},
     foreign::content::{Content, ScratchFile, Spool},
     foreign::{Foreign, ForeignPart},
+    interchange::c3d,
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source},
     record::{Event, Header},
@@ -89,7 +90,8 @@ impl<R: Read + Seek> TakeFrames<R> {
                 for lost in stated.chain(&undecodable) {
                     push_problem(&mut map.problems, Problem::of_samples(kind, lost));
                 }
-                info.foreign.push(content);
+                let restored = c3d::reordered(&content, &map.order.inverse())?;
+                info.foreign.push(restored.unwrap_or(content));
             }
         }
         describe(&map.header, &mut info);

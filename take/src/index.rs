@@ -152,7 +152,7 @@ pub struct TakeEnd {
     pub ledger: Option<Ledger>,
     /// How the take ended, if it states that.
     pub ending: Option<TakeEnding>,
-    /// The complete channel table, if the take repeats it at its end.
+    /// The complete channel table, in column order, if the take repeats it at its end.
     pub channels: Option<Vec<Channel>>,
     /// The statistics of the take, if it states them.
     pub statistics: Option<TakeStatistics>,
@@ -205,6 +205,10 @@ impl TakeEnd {
             let summary = chunk.and_then(summary).unwrap_or_default();
             (end.ending, end.statistics) = (summary.ending, summary.statistics);
             end.channels = summary.header.map(|header| header.channels);
+            if let Some(order) = &summary.order {
+                end.channels.iter_mut().for_each(|table| order.restore_table(table));
+                end.statistics.iter_mut().for_each(|found| order.restore_statistics(found));
+            }
         }
         Ok(Some(end))
     }

@@ -11,7 +11,7 @@ use std::{
 pub use self::tail::TakeTail;
 
 use crate::{
-    TakeError, TakeEvent,
+    ChannelOrder, TakeError, TakeEvent,
     damage::{LostRows, Problem, push_problem},
     foreign::ForeignPart,
     index::IndexEntry,
@@ -29,8 +29,10 @@ const GROUPS_MAX: usize = 1 << 13;
 pub struct TakeMap {
     /// The header.
     pub header: Header,
-    /// The complete channel table, in column order.
+    /// The complete channel table, in column order: that of the source.
     pub channels: Vec<Channel>,
+    /// How the take's own table, which is that of the header, is ordered in the source.
+    pub order: ChannelOrder,
     /// Number of rows, including lost ones.
     pub n_rows: u64,
     /// Rows in stretches that were found and have samples; `None` if the stretches were not read. All other rows were
@@ -49,7 +51,7 @@ pub struct TakeMap {
     pub ledger: Option<Ledger>,
     /// How the take ended; `None` in takes of earlier versions, in imports, and in takes that were cut off.
     pub ending: Option<TakeEnding>,
-    /// The statistics that the take states; `None` in takes of earlier versions, and in those that were cut off.
+    /// The statistics that the take states, in column order; `None` in takes of earlier versions, and in those that were cut off.
     pub statistics: Option<TakeStatistics>,
     /// The last fitted clock line of each segment of the device's clock that has one.
     pub clock_lines: Vec<(u32, ClockLine)>,
@@ -82,6 +84,22 @@ impl TakeMap {
             }
         }
         Ok(())
+    }
+
+    /// The channel table as the take has it, in the order in which its channels are coded.
+    #[must_use]
+    pub(crate) fn table(&self) -> Vec<Channel> {
+        let mut table = self.channels.clone();
+        self.order.apply_to_table(&mut table);
+        table
+    }
+
+    /// Puts the channel table and the statistics, read in the order of the take, into that of the source.
+    pub(crate) fn restore_order(&mut self) {
+        self.order.restore_table(&mut self.channels);
+        if let Some(statistics) = &mut self.statistics {
+            self.order.restore_statistics(statistics);
+        }
     }
 
     /// Splits `rows` at key stretches into at most `n` consecutive ranges that can be decoded independently.

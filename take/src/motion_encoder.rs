@@ -5,17 +5,21 @@
 //! stretches continue those before them, and one encoder has them all, in order. One stretch is read at a time, except
 //! for a resampler that needs the whole take.
 
+pub mod order_search;
 mod parts;
 
-use std::io::Write;
+use std::io::{self, Write};
 
-use mocapd_codec::{BlockEncoder, BlockReport, Effort, GROUP_CHANNELS, Position, Settings};
+use mocapd_codec::{
+    BlockEncoder, BlockReport, Effort, GROUP_CHANNELS, Position, ResamplerKind, Settings,
+};
 
-use self::parts::StillSpans;
 pub use self::parts::{EncodePart, EncodeParts};
+use self::{order_search::GroupOrder, parts::StillSpans};
 
 use crate::{
-    TakeError, TakeWriter,
+    ChannelOrder, TakeError, TakeWriter,
+    interchange::c3d,
     motion::{Foreign, FrameSource, Marker, MotionEvent, MotionInfo},
     record::{Channel, Event, Header, Ledger},
     sampled::{EncodedSpan, SamplesPlan},
@@ -30,6 +34,19 @@ use crate::{
 /// Duration of an import's stretches, and so the distance between its key stretches, in seconds, unless the header
 /// states a distance. Stretches in which nothing moves may be longer.
 const STRETCH_S: f64 = 10.0;
+
+/// Maximum number of samples of a take, missing ones included, whose channels are ordered: it is held in memory, with 13
+/// bytes a sample, as many again for the room that growing buffers keep, and some 250 bytes for each channel of a part, 8
+/// a sample. 2 097 152 samples take 71 MB at most; they are 5 minutes and 49 seconds of 50 markers at 120 Hz.
+const ORDERED_SAMPLES_MAX: usize = 1 << 21;
+
+/// Minimum number of rows of a stretch of such a take; of fewer, a channel of a part would take more memory than its
+/// samples.
+const ORDERED_ROWS_MIN: usize = 32;
+
+/// Maximum number of channels of such a take: each encoding of a group is followed by one of the whole channel table, which
+/// takes a millisecond for this many.
+const ORDERED_CHANNELS_MAX: usize = 8 * GROUP_CHANNELS;
 
 /// Rows of a stretch at `rate_hz`. A resampler that needs the whole take at once gets a single stretch.
 #[must_use]
@@ -62,6 +79,14 @@ pub struct EncodedPart {
     pub reports: Vec<BlockReport>,
 }
 
+impl EncodedPart {
+    /// Size of its block in bytes.
+    #[must_use]
+    pub fn n_bytes(&self) -> u64 {
+        self.block.len() as u64
+    }
+}
+
 /// The settings and shared bytes that all parts of one motion are encoded with.
 #[derive(Debug)]
 pub struct EncodePlan {
@@ -71,6 +96,8 @@ pub struct EncodePlan {
     effort: Effort,
     /// Most rows of a part.
     part_rows: usize,
+    /// Rows of a stretch that is not joined with others.
+    stretch_rows: usize,
     /// Stretches from one key to the next.
     key_every: usize,
     shared: Vec<u8>,
@@ -118,7 +145,9 @@ impl EncodePlan {
             shared = codec.plan(&parts.first_stretch()?)?;
         }
         let effort = header.effort();
-        Ok((Self { n_rows, n_markers, codec, effort, part_rows, key_every, shared }, parts))
+        let plan =
+            Self { n_rows, n_markers, codec, effort, part_rows, stretch_rows, key_every, shared };
+        Ok((plan, parts))
     }
 
     /// Whether parts depend on those before them, so that [one encoder](Self::encoder) must encode them all, in order.
@@ -134,10 +163,59 @@ impl EncodePlan {
         n_samples * (size_of::<Position>() + size_of::<bool>())
     }
 
+    /// Whether an order of the channels is searched for: with `dense` at the greatest effort, for as many samples as may
+    /// be in memory, and where a channel can be predicted from others.
+    #[must_use]
+    pub fn searches_order(&self) -> bool {
+        self.codec.kind == ResamplerKind::Dense
+            && self.effort == Effort::MAX
+            && (3..=ORDERED_CHANNELS_MAX).contains(&self.n_markers)
+            && self.stretch_rows.min(self.n_rows) >= ORDERED_ROWS_MIN
+            && self.n_rows.saturating_mul(self.n_markers) <= ORDERED_SAMPLES_MAX
+    }
+
+    /// Size in bytes of a take whose channels are in `order`, without their samples and foreign parts.
+    ///
+    /// # Errors
+    /// Those of [`MotionWriter`].
+    pub fn table_bytes(
+        &self,
+        described: (&MotionInfo, &Header),
+        order: &ChannelOrder,
+    ) -> Result<u64, TakeError> {
+        Ok(MotionWriter::begin_in(self, described, order.clone(), io::sink())?.finish()?.2)
+    }
+
+    /// Size in bytes of a take with these parts, whose channels are in `order`, and of its foreign parts those that depend
+    /// on the order.
+    ///
+    /// # Errors
+    /// Those of [`MotionWriter`].
+    pub fn ordered_bytes<'p>(
+        &self,
+        (info, header): (&MotionInfo, &Header),
+        order: &ChannelOrder,
+        parts: impl IntoIterator<Item = (&'p EncodePart, &'p EncodedPart)>,
+    ) -> Result<u64, TakeError> {
+        let mut writer = MotionWriter::begin_in(self, (info, header), order.clone(), io::sink())?;
+        for part in info.foreign.iter().filter(|part| c3d::is_by_marker(part)) {
+            let moved = writer.ordered(part)?;
+            writer.take.foreign(moved.as_ref().unwrap_or(part))?;
+        }
+        parts.into_iter().try_for_each(|(part, coded)| writer.push(part, coded))?;
+        Ok(writer.finish()?.2)
+    }
+
     /// An encoder of parts. Each thread needs its own.
     #[must_use]
     pub fn encoder(&self) -> PartEncoder<'_> {
-        PartEncoder { plan: self, encoders: Vec::new() }
+        self.encoder_with(self.effort)
+    }
+
+    /// An encoder of parts like [`encoder`](Self::encoder), with another effort.
+    #[must_use]
+    pub fn encoder_with(&self, effort: Effort) -> PartEncoder<'_> {
+        PartEncoder { plan: self, effort, encoders: Vec::new() }
     }
 }
 
@@ -145,6 +223,7 @@ impl EncodePlan {
 #[derive(Debug)]
 pub struct PartEncoder<'a> {
     plan: &'a EncodePlan,
+    effort: Effort,
     /// One for each group of channels if parts continue those before them; else one for all.
     encoders: Vec<Box<dyn BlockEncoder>>,
 }
@@ -155,19 +234,60 @@ impl PartEncoder<'_> {
     /// # Errors
     /// `Codec`.
     pub fn encode(&mut self, part: &EncodePart) -> Result<EncodedPart, TakeError> {
+        self.encode_in(part, None)
+    }
+
+    /// Encodes a part like [`encode`](Self::encode), with its channels in another order.
+    ///
+    /// # Errors
+    /// `Codec`.
+    pub fn encode_in(
+        &mut self,
+        part: &EncodePart,
+        order: Option<&GroupOrder>,
+    ) -> Result<EncodedPart, TakeError> {
+        // Key parts need nothing of those before them.
+        let continues = self.plan.is_sequential();
+        let group = if continues { part.first_marker / GROUP_CHANNELS } else { 0 };
+        self.encode_with(group, part, part.key, order)
+    }
+
+    /// Encodes a part as a key block, with its channels in another order.
+    ///
+    /// # Errors
+    /// `Codec`.
+    pub fn encode_key(
+        &mut self,
+        part: &EncodePart,
+        order: &GroupOrder,
+    ) -> Result<EncodedPart, TakeError> {
+        self.encode_with(0, part, true, Some(order))
+    }
+
+    /// Encodes a part with the encoder of this number.
+    fn encode_with(
+        &mut self,
+        number: usize,
+        part: &EncodePart,
+        key: bool,
+        order: Option<&GroupOrder>,
+    ) -> Result<EncodedPart, TakeError> {
         let mut coded = EncodedPart::default();
         if part.n_markers > 0 {
             coded.reports.resize(part.n_markers, BlockReport::default());
-            let channels = part.rows()?;
+            let mut channels = part.rows()?;
+            if let Some(order) = order {
+                let rows = order.iter().filter_map(|&channel| channels.get(usize::from(channel)));
+                channels = rows.copied().collect();
+            }
             let EncodedPart { block, tally, reports } = &mut coded;
             let plan = self.plan;
-            let group = if plan.is_sequential() { part.first_marker / GROUP_CHANNELS } else { 0 };
-            let new = || plan.codec.encoder_with(plan.effort);
-            if self.encoders.len() <= group {
-                self.encoders.resize_with(group + 1, new);
+            let new = || plan.codec.encoder_with(self.effort);
+            if self.encoders.len() <= number {
+                self.encoders.resize_with(number + 1, new);
             }
-            let Some(encoder) = self.encoders.get_mut(group) else { return Ok(coded) };
-            encoder.encode(&channels, &plan.shared, part.key, block, reports)?;
+            let Some(encoder) = self.encoders.get_mut(number) else { return Ok(coded) };
+            encoder.encode(&channels, &plan.shared, key, block, reports)?;
             *tally = BlockTally::of_encoded(block, &channels, reports, encoder.kept_rows());
         }
         Ok(coded)
@@ -179,6 +299,7 @@ impl PartEncoder<'_> {
 pub struct MotionWriter<'a, W> {
     plan: &'a EncodePlan,
     take: TakeWriter<W>,
+    order: ChannelOrder,
     front: StretchHeaderWriter,
     payload: Vec<u8>,
     tally: BlockTally,
@@ -212,21 +333,52 @@ impl<'a, W: Write> MotionWriter<'a, W> {
         header: &Header,
         out: W,
     ) -> Result<Self, TakeError> {
-        let mut take = TakeWriter::new(out, header)?;
+        Self::begin_in(plan, (info, header), ChannelOrder::default(), out)
+    }
+
+    /// Begins a take like [`begin`](Self::begin), whose parts were encoded with their channels in `order`. `header` has
+    /// them in that of the source.
+    ///
+    /// # Errors
+    /// Those of [`begin`](Self::begin).
+    pub fn begin_in(
+        plan: &'a EncodePlan,
+        (info, header): (&MotionInfo, &Header),
+        order: ChannelOrder,
+        out: W,
+    ) -> Result<Self, TakeError> {
+        let mut header = header.clone();
+        order.apply_to_table(&mut header.channels);
+        let mut take = TakeWriter::new(out, &header)?;
         info.subject.iter().try_for_each(|subject| take.subject(subject))?;
-        Ok(Self::continuing(plan, header, take))
+        take.order(&order)?;
+        Ok(Self::continuing(plan, &header, order, take))
     }
 
     /// Continues a take of which everything that precedes its stretches is written.
-    pub(crate) fn continuing(plan: &'a EncodePlan, header: &Header, take: TakeWriter<W>) -> Self {
+    pub(crate) fn continuing(
+        plan: &'a EncodePlan,
+        header: &Header,
+        order: ChannelOrder,
+        take: TakeWriter<W>,
+    ) -> Self {
         let front = StretchHeaderWriter::new(header.stretch_rows);
         let (payload, tally) = (Vec::new(), BlockTally::default());
-        Self { plan, take, front, payload, tally, n_samples: 0 }
+        Self { plan, take, order, front, payload, tally, n_samples: 0 }
     }
 
     /// The take, to write what follows its stretches.
     pub(crate) fn into_take(self) -> TakeWriter<W> {
         self.take
+    }
+
+    /// A foreign part that has something for each marker, in the order in which the markers are coded; `None` for one that
+    /// stays as it is.
+    ///
+    /// # Errors
+    /// Those of the scratch file that the part may be in.
+    pub fn ordered(&self, part: &Foreign) -> Result<Option<Foreign>, TakeError> {
+        Ok(c3d::reordered(part, &self.order)?)
     }
 
     /// Writes a foreign part. Of one with samples it writes the description, and returns what is to be encoded: the

@@ -1,6 +1,7 @@
 //! A sans-io reader of takes: the caller pushes bytes in and takes events out. Damage is an event; reading continues
 //! after it.
 
+mod buffer;
 mod chunks;
 mod damage;
 
@@ -8,12 +9,15 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 
 use serde::Serialize;
 
-pub(crate) use self::{chunks::record, damage::repair_head};
+pub(crate) use self::{
+    chunks::{order, record},
+    damage::repair_head,
+};
 
-use self::{chunks::LongChunk, damage::Damage};
+use self::{buffer::ReadBuffer, chunks::LongChunk, damage::Damage};
 use crate::{
-    NotATake, TakeError,
-    chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, WINDOW_BYTES, types},
+    ChannelOrder, NotATake, TakeError,
+    chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
     record::{Channel, Clock, Event, Header, Ledger, SampledGroup, Subject, SummaryRecord},
@@ -28,6 +32,8 @@ pub enum TakeEvent<'a> {
     Header(Box<Header>),
     /// Further entries of the channel table.
     Channels(Vec<Channel>),
+    /// The order of the markers of the header in the source.
+    Order(ChannelOrder),
     /// A stretch, with its blocks still encoded.
     Stretch(Stretch<'a>),
     /// A stretch that continues a missing or damaged one: its rows are unknown, and its blocks cannot be decoded.
@@ -90,18 +96,15 @@ pub enum TakeEvent<'a> {
     },
 }
 
-/// Largest buffer in ordinary use: a search window, and a read pushed while the window lacks a byte.
-const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
-
-/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`] after damage, for any
-/// lengths that the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held only if it is
-/// a stretch, and only once its CRC is known to match.
+/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`](chunk::WINDOW_BYTES) after
+/// damage, for any lengths that the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held
+/// only if it is a stretch, and only once its CRC is known to match.
 ///
 /// To check that, the reader scans ahead and then [asks for earlier bytes again](Self::seek_request); no chunk is read
 /// more than twice.
 #[derive(Debug, Default)]
 pub struct TakeReader {
-    buffer: Vec<u8>,
+    buffer: ReadBuffer,
     /// Prefix CRCs of `buffer`.
     prefixes: PrefixCrcs,
     /// Bytes at the front of `buffer` that were processed.
@@ -114,6 +117,8 @@ pub struct TakeReader {
     chain: Option<StretchChain>,
     /// Entries of the channel table so far.
     n_channels: usize,
+    /// The header's channels, while an order of them may follow: in an import, before the first order and stretch.
+    orderable: Option<usize>,
     bytes: TakeBytes,
     /// A damaged region whose end is being searched for.
     damage: Option<Damage>,
@@ -134,8 +139,6 @@ pub struct TakeReader {
     had_damage: bool,
     /// Whether neither times nor foreign parts are decoded.
     skips_content: bool,
-    /// What [`feed`] reads into.
-    piece: Vec<u8>,
 }
 
 impl TakeReader {
@@ -167,22 +170,21 @@ impl TakeReader {
 
     /// Appends bytes of the file, in order, in pieces of any size.
     pub fn push(&mut self, bytes: &[u8]) {
+        self.space(bytes.len()).copy_from_slice(bytes);
+        self.buffer.fill(bytes.len());
+    }
+
+    /// Space for the next `n` bytes of the file. The bytes that are no longer needed make room for it.
+    fn space(&mut self, n: usize) -> &mut [u8] {
         let done = self.consumed();
         // Waiting for a quarter of the buffer moves each byte only a few times.
         if done >= self.buffer.len() / 4 {
-            self.buffer.drain(..done);
+            self.buffer.remove_front(done);
             self.prefixes.drain(done);
             self.base += done as u64;
             self.used -= done;
         }
-        let (capacity, needed) = (self.buffer.capacity(), self.buffer.len() + bytes.len());
-        if needed > capacity {
-            // A vector would double its capacity; near the window size less is enough.
-            let grown = if capacity < WINDOW_BYTES { 2 * capacity } else { capacity / 4 * 5 };
-            let grown = if needed > PUSHED_MAX { grown } else { grown.min(PUSHED_MAX) };
-            self.buffer.reserve_exact(grown.max(needed) - self.buffer.len());
-        }
-        self.buffer.extend_from_slice(bytes);
+        self.buffer.space(n)
     }
 
     /// The file offset from which the caller must push next, if it is not where the last bytes ended. Each request is
@@ -293,7 +295,7 @@ impl TakeReader {
 /// Bytes by purpose. Their sum is the number of bytes read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct TakeBytes {
-    /// Magic, HEADER and CHANNELS.
+    /// Magic, HEADER, CHANNELS and ORDER.
     pub header: u64,
     /// Blocks of stretches, and the bytes that these share.
     pub blocks: u64,
@@ -326,7 +328,7 @@ impl TakeBytes {
     /// Adds a chunk of `len` bytes.
     fn add(&mut self, event: &TakeEvent<'_>, len: u64) {
         let counter = match event {
-            TakeEvent::Header(_) | TakeEvent::Channels(_) => &mut self.header,
+            TakeEvent::Header(_) | TakeEvent::Channels(_) | TakeEvent::Order(_) => &mut self.header,
             TakeEvent::Stretch(stretch) => {
                 let sizes = stretch.sizes;
                 self.time_line += sizes.time_line;
@@ -425,11 +427,9 @@ pub fn feed(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(
     if let Some(offset) = reader.seek_request() {
         input.seek(SeekFrom::Start(offset))?;
     }
-    // Kept by the reader, because zeros in a new one cost as much as the checksums of what is read.
-    let mut piece = std::mem::take(&mut reader.piece);
-    piece.resize(READ_BYTES, 0);
+    let space = reader.space(READ_BYTES);
     let n = loop {
-        match input.read(&mut piece) {
+        match input.read(space) {
             Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
             other => break other?,
         }
@@ -437,9 +437,8 @@ pub fn feed(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(
     if n == 0 {
         reader.finish();
     } else {
-        reader.push(&piece[..n]);
+        reader.buffer.fill(n);
     }
-    reader.piece = piece;
     Ok(())
 }
 

@@ -53,6 +53,7 @@ enum OutputChunk {
 pub enum ChunkKind {
     Header,
     Channels,
+    Order,
     Stretch,
     Event,
     Ledger,
@@ -69,9 +70,10 @@ pub enum ChunkKind {
 }
 
 /// Every kind with its chunk type and its name in reports.
-const KINDS: [(ChunkKind, Option<u8>, &str); 14] = [
+const KINDS: [(ChunkKind, Option<u8>, &str); 15] = [
     (ChunkKind::Header, Some(types::HEADER), "header"),
     (ChunkKind::Channels, Some(types::CHANNELS), "channel table"),
+    (ChunkKind::Order, Some(types::ORDER), "order"),
     (ChunkKind::Stretch, Some(types::STRETCH), "stretch"),
     (ChunkKind::Event, Some(types::EVENT), "event"),
     (ChunkKind::Ledger, Some(types::LEDGER), "ledger"),
@@ -289,6 +291,7 @@ impl RecoveryScan {
         let note = format!("by {software}: {}", self.loss_summary());
         header.settings.push((RECOVERED.to_owned(), note.clone()));
         let mut take = TakeWriter::new(output, &header)?;
+        take.order(&self.order)?;
         let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
         let times = TimelineEncoder::new(tick_hz, header.rate_hz);
         let mut headers = StretchHeaderWriter::with_times(header.stretch_rows, times);
@@ -325,10 +328,13 @@ impl RecoveryScan {
         if self.lost_anything() {
             take.event(&host_event(self.rows, format!("recovered {note}")))?;
         }
+        let mut table = self.channels.clone();
+        self.order.apply_to_table(&mut table);
         let summary = SummaryRecord {
             ending: self.ending.clone(),
-            header: Some(Box::new(Header { channels: self.channels.clone(), ..header })),
+            header: Some(Box::new(Header { channels: table, ..header })),
             statistics: Some(self.statistics.clone()),
+            order: Some(self.order.clone()).filter(|order| !order.is_identity()),
         };
         take.close_with(&self.ledger, &summary)?;
         Ok(take.bytes())

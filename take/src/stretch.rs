@@ -29,8 +29,8 @@ use crate::{
 pub const ROWS_MAX: u64 = 1 << 22;
 
 /// Maximum number of rows of a stretch of a live kind. Imports have the longest: ten seconds, which exceed this only
-/// above 13 kHz and are then cut, and five minutes where nothing moves, of at most 2^20 samples. A recording has half a
-/// second, and at most as many rows as a time line can hold.
+/// above 13 kHz and are then cut, and five minutes where nothing moves or keys are far apart, of at most 2^20 samples. A
+/// recording has half a second, and at most as many rows as a time line can hold.
 pub const LIVE_ROWS_MAX: u64 = 1 << 17;
 
 /// Maximum number of recorded rows of a stretch with a time line: ten times half a second at 10 kHz; 1.5 MB in memory.
@@ -280,9 +280,18 @@ impl StretchDecoder {
 
     /// The rows of the last decoded stretch, by channel; `None` for a channel without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
-        self.groups.iter().flat_map(|group| {
-            let rows = group.as_ref().map_or(&[][..], |group| &group.rows);
-            rows.iter().map(Some).chain(iter::repeat(None)).take(GROUP_CHANNELS)
+        self.rows_in(|column| column)
+    }
+
+    /// The rows like [`rows`](Self::rows), in another order of channels: `row_of` gives the channel at each place.
+    pub(crate) fn rows_in(
+        &self,
+        row_of: impl Fn(usize) -> usize,
+    ) -> impl Iterator<Item = Option<&DecodedRows>> {
+        (0..self.groups.len() * GROUP_CHANNELS).map(move |column| {
+            let channel = row_of(column);
+            let group = self.groups.get(channel / GROUP_CHANNELS)?.as_ref()?;
+            group.rows.get(channel % GROUP_CHANNELS)
         })
     }
 }

@@ -20,7 +20,7 @@ use crate::{
     index::IndexEntry,
     map::TakeMap,
     reader::{TakeInput, feed},
-    record::Channel,
+    record::{Channel, SummaryRecord},
     stretch::{Span, Stretch, StretchDecoder},
     table::ChannelTable,
     timeline::Timeline,
@@ -88,7 +88,7 @@ enum ProblemScope {
 }
 
 impl Progress {
-    /// The channel table so far.
+    /// The channel table so far, in the order in which its channels are coded.
     #[must_use]
     pub fn channels(&self) -> &[Channel] {
         self.table.channels()
@@ -106,8 +106,14 @@ impl Progress {
         self.losses.rows_min()
     }
 
-    /// The rows of the last decoded stretch, by channel; `None` for a channel without samples in it.
+    /// The rows of the last decoded stretch, by column of the source; `None` for one without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
+        let order = &self.take.order;
+        self.decoder.iter().flat_map(|decoder| decoder.rows_in(|column| order.row_of(column)))
+    }
+
+    /// The rows like [`rows`](Self::rows), in the order in which they are coded: that of [`channels`](Self::channels).
+    pub fn coded_rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
         self.decoder.iter().flat_map(StretchDecoder::rows)
     }
 
@@ -186,6 +192,8 @@ impl Progress {
                 self.announce(&header.channels);
             }
             TakeEvent::Channels(more) => self.announce(more),
+            TakeEvent::Order(order) if self.builds_map() => self.take.order.clone_from(order),
+            TakeEvent::Summary(summary) if self.builds_map() => self.check_order(summary),
             TakeEvent::Stretch(stretch) => return Ok(self.stretch(offset, stretch)),
             TakeEvent::Unplaced { missing_before, n_rows, rows_min } => {
                 let from_row = self.n_rows();
@@ -219,6 +227,16 @@ impl Progress {
             _ => {}
         }
         Ok((false, None))
+    }
+
+    /// Compares the order of the markers that a summary states with that of the take.
+    fn check_order(&mut self, summary: &SummaryRecord) {
+        if summary.contradicts_order(&self.take.order) {
+            self.report(match self.take.order.n_channels() {
+                0 => Problem::OrderLost,
+                _ => Problem::OrderContradicted,
+            });
+        }
     }
 
     fn stretch(&mut self, offset: u64, stretch: &Stretch<'_>) -> (bool, Option<LostEntries>) {
@@ -317,6 +335,7 @@ impl Progress {
         self.take.n_rows = self.losses.end_row;
         self.take.damage = self.losses.lost.take().unwrap_or_default();
         self.take.channels = self.table.channels().to_vec();
+        self.take.restore_order();
     }
 }
 
@@ -367,6 +386,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
         let scope = if is_scanned { ProblemScope::Decoding } else { ProblemScope::Unscanned };
         let mut progress = Progress::new(decode, scope);
         progress.take.header = map.header.clone();
+        progress.take.order = map.order.clone();
         progress.take.keys.clone_from(&map.keys);
         progress.start_decoding()?;
         Ok(Self::with(input, progress))
@@ -497,7 +517,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(())
     }
 
-    /// The rows of the last stretch, by channel; `None` for a channel without samples in it.
+    /// The rows of the last stretch, by column of the source; `None` for one without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
         self.progress.rows()
     }

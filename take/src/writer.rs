@@ -5,7 +5,7 @@ use std::io::{Read, Write};
 use crc32fast::Hasher;
 
 use crate::{
-    TakeError, chunk,
+    ChannelOrder, TakeError, chunk,
     chunk::types,
     foreign::{ForeignPayload, check_length},
     index::{Footer, IndexEntry, index_payload},
@@ -38,6 +38,8 @@ pub struct TakeWriter<W> {
     ledger_offset: u64,
     /// The header, with the complete channel table.
     header: Header,
+    /// The order of the markers in the source, if it is not that of the table.
+    order: Option<ChannelOrder>,
     /// The parameters of the imported file.
     parameters: Parameters,
     /// Groups of sampled channels so far.
@@ -66,6 +68,7 @@ impl<W: Write> TakeWriter<W> {
             n_rows: 0,
             ledger_offset: 0,
             header: header.clone(),
+            order: None,
             parameters: Parameters::default(),
             n_groups: 0,
             tally: TakeTally::default(),
@@ -83,6 +86,22 @@ impl<W: Write> TakeWriter<W> {
     /// `Io`; `InvalidArgument` for more or longer documents than a take can hold.
     pub fn subject(&mut self, subject: &Subject) -> Result<(), TakeError> {
         self.record(subject)
+    }
+
+    /// Writes the order of the markers in the source, once, before the first stretch; nothing if it is that of the table in
+    /// the header.
+    ///
+    /// # Errors
+    /// `Io`; `InvalidArgument` if it is not an order of the markers of the header.
+    pub fn order(&mut self, order: &ChannelOrder) -> Result<(), TakeError> {
+        if order.is_identity() {
+            return Ok(());
+        }
+        order
+            .check(&self.header, self.offset)
+            .map_err(|error| TakeError::InvalidArgument(error.to_string()))?;
+        self.order = Some(order.clone());
+        self.chunk(types::ORDER, &order.to_payload())
     }
 
     /// Appends channels to the channel table.
@@ -277,7 +296,8 @@ impl<W: Write> TakeWriter<W> {
     pub fn close(&mut self, ledger: &Ledger, ending: Option<TakeEnding>) -> Result<(), TakeError> {
         let header = Some(Box::new(std::mem::take(&mut self.header)));
         let statistics = Some(std::mem::take(&mut self.tally).finish(self.n_rows));
-        self.close_with(ledger, &SummaryRecord { ending, header, statistics })
+        let order = self.order.take();
+        self.close_with(ledger, &SummaryRecord { ending, header, statistics, order })
     }
 
     /// Closes the take like [`close`](Self::close), with another summary.
@@ -288,7 +308,11 @@ impl<W: Write> TakeWriter<W> {
     ) -> Result<(), TakeError> {
         self.ledger(ledger)?;
         // Where all channels together are more than a record can hold, a reader has to read them where they were announced.
-        let only_ending = || SummaryRecord { ending: summary.ending.clone(), ..Default::default() };
+        let only_ending = || SummaryRecord {
+            ending: summary.ending.clone(),
+            order: summary.order.clone(),
+            ..Default::default()
+        };
         let payload = summary.to_payload().or_else(|_| only_ending().to_payload())?;
         self.chunk(types::SUMMARY, &payload)?;
         let index_offset = self.offset;

@@ -328,6 +328,7 @@ fn statistics_take_at_most_300_bytes_and_12_per_marker() {
                 ending: ending.clone(),
                 header: Some(Box::new(header.clone())),
                 statistics: Some(statistics),
+                order: None,
             };
             let payload = summary.to_payload().unwrap();
             assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), summary);

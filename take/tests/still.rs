@@ -337,7 +337,8 @@ fn repacked(
     let source = SourceTake::read(&mut Cursor::new(take))?;
     let mut out = Vec::new();
     let report = repack(&source, Cursor::new(take), settings, &mut out, &context())?;
-    let found = check_repacked(Cursor::new(take), Cursor::new(&out), settings, &context())?;
+    let old = Cursor::new(take);
+    let found = check_repacked(&source, old, Cursor::new(&out), settings, &context())?;
     assert_eq!(found, None);
     assert_eq!(report.bytes, out.len() as u64);
     Ok((out, report))

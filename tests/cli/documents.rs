@@ -362,7 +362,7 @@ fn config_check() {
     let folder = Folder::new();
     // Every key that the page has, and one of each list.
     let all = "[device]\nrate_hz = 240\n[subject]\nname = 'S01'\nskeleton = 's.json'\nface = 'f.json'\nface_markers = 'm.json'\n\
-               [take]\nmax_length = '1h'\n[http]\ntoken_file = 'token'\nallowed_hosts = ['rig.lab']\n\
+               [take]\nmax_length = '1h'\n[archive]\nurl = 'file:///srv/archive/'\nremove_local_after = '168h'\n[http]\ntoken_file = 'token'\nallowed_hosts = ['rig.lab']\n\
                [trigger]\nlisten = '0.0.0.0:8989'\nsend_to = ['10.0.0.1:8989']\n";
     folder.write("left.toml", all);
     folder.write("token", "0123456789abcdef\n");
@@ -374,7 +374,7 @@ fn config_check() {
     assert_eq!(checked.stderr, "");
     folder.write(
         "lossless.toml",
-        all.replace("[http]", "lossless = true\n[http]") + "allow_from = ['::1']\n",
+        all.replace("[archive]", "lossless = true\n[archive]") + "allow_from = ['::1']\n",
     );
     let lossless = folder.run(&["config", "check", "lossless.toml", "--json"]).with_code(0);
     folder.write("wrong.toml", "[arm]\npre_roll = 10\n[log]\nlevl = 1\n");

@@ -349,6 +349,18 @@ fn a_take_that_cannot_be_smaller_is_written_only_on_request() {
     let report = copied.with_code(0).json();
     assert_eq!((&report["written"], &report["repacked"]), (&true.into(), &false.into()));
     assert_eq!(folder.read("a.take"), folder.read("b.take"));
+    // Standard output and folders have every take.
+    let piped = folder.command(&["repack", "a.take", "-o", "-"]).output().unwrap();
+    assert_eq!((piped.status.code(), piped.stdout), (Some(0), folder.read("a.take")));
+    std::fs::create_dir(folder.path("takes")).unwrap();
+    for name in ["takes/a.take", "takes/b.take"] {
+        std::fs::copy(folder.path("a.take"), folder.path(name)).unwrap();
+    }
+    let ran = folder.run(&["repack", "takes", "-o", "out"]).with_code(0);
+    assert_mentions(&ran.stdout, &["copied to out/a.take", "copied to out/b.take"]);
+    for name in ["out/a.take", "out/b.take"] {
+        assert_eq!(folder.read(name), folder.read("a.take"), "{name}");
+    }
     // Nothing is overwritten, and damaged takes are refused.
     folder.run(&["repack", "a.take", "-o", "b.take", "--copy"]).with_code(1);
     let bytes = folder.read("a.take");

@@ -4,6 +4,7 @@ use std::{
     collections::BTreeSet,
     io::{Read, Write},
     net::{SocketAddr, TcpStream, UdpSocket},
+    path::Path,
     time::{Duration, Instant},
 };
 
@@ -71,6 +72,30 @@ impl Scene {
         false
     }
 
+    /// The upload of a take that is recorded now, once it has begun; null if the take has left the folder.
+    fn uploaded(&mut self) -> serde_json::Value {
+        self.start();
+        self.stop();
+        let name = format!("take-{}", self.takes);
+        let begun = Instant::now();
+        loop {
+            let takes = self.service.get("/v1/takes");
+            let take = takes.as_array().unwrap().iter().find(|take| take["name"] == name.as_str());
+            let upload = take.map_or(serde_json::Value::Null, |take| take["upload"].clone());
+            if take.is_none() || upload["state"] == "uploading" || upload["state"] == "uploaded" {
+                return upload;
+            }
+            assert!(begun.elapsed() < GIVE_UP, "{upload}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    fn has_take(&self, number: u32) -> bool {
+        let takes = self.service.get("/v1/takes");
+        let name = format!("take-{number}");
+        takes.as_array().unwrap().iter().any(|take| take["name"] == name.as_str())
+    }
+
     /// What the peer receives about a take.
     fn announced(&mut self) -> String {
         self.start();
@@ -97,18 +122,19 @@ impl Scene {
 struct Row {
     key: &'static str,
     value: String,
-    /// The triggers' part of the configuration before it.
-    trigger: String,
+    /// The part of its section, or of the triggers', before it.
+    before: String,
     is_so: fn(&mut Scene) -> bool,
 }
 
-fn rows(triggers: SocketAddr, peer: SocketAddr) -> Vec<Row> {
-    let row = |key, value: &str, trigger: &str, is_so| Row {
+fn rows(triggers: SocketAddr, peer: SocketAddr, archive: &Path) -> Vec<Row> {
+    let row = |key, value: &str, before: &str, is_so| Row {
         key,
         value: value.to_owned(),
-        trigger: trigger.to_owned(),
+        before: before.to_owned(),
         is_so,
     };
+    let url = format!("url = 'file://{}/'", archive.display());
     let listen = format!("listen = '{triggers}'");
     let send_to = format!("send_to = ['{peer}']");
     vec![
@@ -135,6 +161,19 @@ fn rows(triggers: SocketAddr, peer: SocketAddr) -> Vec<Row> {
             !scene.is_triggered(0)
         }),
         row("trigger.delay_max", "delay_max = '0s'", &listen, |scene| !scene.is_triggered(100)),
+        row("archive.url", &url, "", |scene| !scene.service.get("/v1/status")["archive"].is_null()),
+        row("archive.remove_local_after", "remove_local_after = '0s'", &url, |scene| {
+            scene.uploaded();
+            std::thread::sleep(2 * QUIET);
+            !scene.has_take(scene.takes)
+        }),
+        // A take needs more than a second at this rate.
+        row("archive.rate_max", "rate_max = '1KiB'", &url, |scene| {
+            let is_uploading = scene.uploaded()["state"] == "uploading";
+            std::thread::sleep(2 * QUIET);
+            let status = scene.service.get("/v1/status");
+            is_uploading && status["archive"]["waiting"] == 1
+        }),
         row("log.level", "level = 'error'", "", |scene| {
             let before = scene.folder.text("rig.log");
             scene.start();
@@ -148,7 +187,8 @@ fn rows(triggers: SocketAddr, peer: SocketAddr) -> Vec<Row> {
 /// Every section with what a row says, and without.
 fn config(base: &str, row: &Row, has_value: bool) -> String {
     let (section, _) = row.key.split_once('.').unwrap();
-    let base = base.replacen("[trigger]", &format!("[trigger]\n{}", row.trigger), 1);
+    let around = if section == "archive" { "[archive]" } else { "[trigger]" };
+    let base = base.replacen(around, &format!("{around}\n{}", row.before), 1);
     match has_value {
         true => base.replacen(&format!("[{section}]"), &format!("[{section}]\n{}", row.value), 1),
         false => base,
@@ -160,17 +200,17 @@ fn keys_that_apply_at_once_do() {
     let free = || UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let (triggers, peer) = (free(), UdpSocket::bind("127.0.0.1:0").unwrap());
     peer.set_read_timeout(Some(QUIET)).unwrap();
-    let rows = rows(triggers, peer.local_addr().unwrap());
+    let folder = Folder::new();
+    let rows = rows(triggers, peer.local_addr().unwrap(), &folder.path("archive"));
     let at_once = KEYS.iter().filter(|key| key.when == ReloadPolicy::Now).map(|key| key.path);
     let tried: BTreeSet<_> = rows.iter().map(|row| row.key).collect();
     assert_eq!(tried, at_once.collect(), "each key that is taken over at once has a row here");
 
-    let folder = Folder::new();
     let device = Simulated::endless(JumpSpec::new(1, 120.0).generate().unwrap().motion);
     let http = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let base = format!(
         "[rig]\n[device]\nuri = '{}'\n[take]\ndirectory = '{}'\nkeep_free = '0B'\n\
-         [http]\nlisten = '{http}'\nsocket = '{}'\n[trigger]\n[log]\n",
+         [http]\nlisten = '{http}'\nsocket = '{}'\n[trigger]\n[archive]\n[log]\n",
         device.uri(),
         folder.path("takes").display(),
         folder.path("rig.sock").display()

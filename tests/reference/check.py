@@ -152,7 +152,7 @@ def golden_words(take):
             f"{group.samples_per_frame} a frame, {group.rate_hz!r} Hz, from frame {group.first_frame}, "
             f"{group.n_samples} samples, {digest(channels)}{f', bounds {group.bounds}' if group.bounds else ''}"
         )
-    for kind, data in parts(take.groups):
+    for kind, data in parts(take.groups, take.order):
         yield f"part {kind}: {len(data)} bytes, {digest([data])}"
 
 

@@ -92,14 +92,14 @@ fn a_mark_is_one_line_of_the_log() {
     ctl(&folder, &["mark", HOSTILE]).with_code(0);
     events_are_exact_and_command_no_terminal(&folder);
     let watched = ctl(&folder, &["status", "--json"]).with_code(0);
-    assert_eq!(unsafe_characters(&watched.stdout), [], "{watched:?}");
+    assert_eq!(unsafe_characters(&watched.stdout), Vec::<char>::new(), "{watched:?}");
     let stopped = ctl(&folder, &["stop"]);
     assert!(matches!(stopped.code, Some(0 | 3)), "{stopped:?}");
     service.end();
     let log = folder.text("log");
     let forged: Vec<_> = log.lines().filter(|line| line.contains("forged")).collect();
     assert!(!forged.is_empty() && forged.iter().all(|line| line.contains("first")), "{log}");
-    assert_eq!(unsafe_characters(&log), [], "{log:?}");
+    assert_eq!(unsafe_characters(&log), Vec::<char>::new(), "{log:?}");
     // The take has it exactly.
     let take = read(&folder.path("takes/walk.take"));
     assert!(take.take.events.iter().any(|event| event.text == HOSTILE), "{:?}", take.take.events);
@@ -124,7 +124,7 @@ fn events_are_exact_and_command_no_terminal(folder: &Folder) {
         assert!(began.elapsed() < Duration::from_secs(20), "{text:?}");
         std::thread::sleep(Duration::from_millis(20));
     };
-    assert_eq!(unsafe_characters(&line), [], "{line:?}");
+    assert_eq!(unsafe_characters(&line), Vec::<char>::new(), "{line:?}");
     let event: serde_json::Value = serde_json::from_str(&line).unwrap();
     assert!(event["message"].as_str().unwrap().contains(HOSTILE), "{line:?}");
 }
@@ -150,13 +150,13 @@ fn names_of_files_and_labels_do_not_control_the_terminal() {
     ] {
         let ran = folder.run(args);
         for text in [&ran.stdout, &ran.stderr] {
-            assert_eq!(unsafe_characters(text), [], "{args:?}: {text:?}");
+            assert_eq!(unsafe_characters(text), Vec::<char>::new(), "{args:?}: {text:?}");
             assert!(!text.lines().any(|line| line.starts_with("2026-01-01")), "{args:?}: {text:?}");
         }
     }
     // JSON escapes them, and keeps the exact text.
     let ran = folder.run(&["info", &name, "--json"]).with_code(0);
-    assert_eq!(unsafe_characters(&ran.stdout), [], "{ran:?}");
+    assert_eq!(unsafe_characters(&ran.stdout), Vec::<char>::new(), "{ran:?}");
     assert_eq!(ran.json()["channels"][0]["label"], HOSTILE);
 }
 
@@ -176,7 +176,7 @@ fn labels_in_a_csv_file_are_text_and_come_back() {
         let command = ["export", "a.take", "-o", &name, "--layout", layout];
         folder.run(&command).with_code(0);
         let csv = folder.text(&name);
-        assert_eq!(unsafe_characters(&csv), []);
+        assert_eq!(unsafe_characters(&csv), Vec::<char>::new());
         let found = Format::Csv.read(csv.as_bytes()).unwrap();
         let found: Vec<&str> =
             found.info.markers.iter().map(|marker| marker.label.as_str()).collect();

@@ -4,7 +4,7 @@ use std::{io::Write, path::Path, sync::Arc, time::Duration};
 
 use mocapd_acquire::{files::TakeFile, health::TakeHealth, heartbeat::Heartbeat, inspect::Summary};
 use mocapd_service::{
-    config::{ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig},
+    config::{ArchiveConfig, ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig},
     control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
     engine::{Engine, EngineOptions},
     live::LiveMessage,
@@ -38,6 +38,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
             include_pre_roll: Duration::ZERO,
             memory_max_bytes: 64 << 20,
         },
+        archive: ArchiveConfig::default(),
     }
 }
 

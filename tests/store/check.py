@@ -2,7 +2,9 @@
 """Tests takes in object storage against moto's S3 server: every command, what is created and never replaced, errors, and
 the requests and bytes of windows.
 
-    check.py --mocapd target/debug/mocapd --windows target/debug/examples/windows
+    check.py --mocapd target/debug/mocapd --mocapd-sim target/debug/mocapd-sim --windows target/debug/examples/windows
+
+With --mocapd-sim, a service records a simulated device and uploads its takes while the store hangs, fails and comes back.
 """
 
 import argparse
@@ -12,32 +14,65 @@ import math
 import subprocess
 import sys
 import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import uploads
 from s3 import ANYBODY, BUCKET, Store
 
 results = []
+began = time.monotonic()
 
 
 def main():
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--mocapd", required=True, type=Path)
     arguments.add_argument("--windows", required=True, type=Path, help="the example `windows` of the crate mocapd-store")
+    arguments.add_argument("--mocapd-sim", type=Path)
+    arguments.add_argument("--only-uploads", action="store_true")
     options = arguments.parse_args()
+    # A rig waits for a store most of the time: the commands have another one meanwhile.
+    with ThreadPoolExecutor() as pool:
+        checks = [pool.submit(with_store, check_uploads, options)] if options.mocapd_sim else []
+        if not options.only_uploads:
+            checks += [pool.submit(with_store, check, options) for check in (check_commands, check_windows)]
+        for check in checks:
+            check.result()
+    finish()
+
+
+def with_store(check, options):
     with tempfile.TemporaryDirectory(prefix="mocapd-store-") as folder, Store(folder) as store:
-        check = Check(options, Path(folder), store)
-        check.created_once()
-        check.every_command()
-        check.folders()
-        check.parts()
-        check.windows()
-        check.refusals()
+        check(options, Path(folder), store)
+
+
+def check_uploads(options, folder, store):
+    uploads.check(report, options.mocapd, options.mocapd_sim, folder / "rig", store)
+
+
+def check_commands(options, folder, store):
+    check = Check(options, folder, store)
+    check.created_once()
+    check.every_command()
+    check.folders()
+    check.parts()
+    check.refusals()
+
+
+def check_windows(options, folder, store):
+    Check(options, folder, store).windows()
+
+
+def finish():
+    # CI adds up the last lines of all checks.
+    print(f"in {time.monotonic() - began:.0f} s")
     print(f"{results.count(True)} passed, {results.count(False)} failed")
     sys.exit(False in results)
 
 
 def report(check, passed, details=""):
-    print(f"{'good' if passed else 'BAD '}  {check}")
+    print(f"{time.monotonic() - began:5.1f} s  {'good' if passed else 'BAD '}  {check}")
     if not passed:
         print(details)
     results.append(bool(passed))
@@ -200,6 +235,15 @@ class Check:
         ]:
             ran = self.run(*arguments)
             report(f"{what} is refused", ran.returncode == code and words in ran.stderr, f"{ran.returncode}: {ran.stderr}")
+        ran = self.run("info", "https://me:secret@host/walk.take")
+        refused = ran.returncode == 2 and "secret" not in ran.stderr and "***@host" in ran.stderr
+        report("a password in a URL is refused and not shown", refused, f"{ran.returncode}: {ran.stderr}")
+        self.store.mode = "replaces"
+        ran = self.run("import", self.csv, "-o", self.url("c/walk.take"))
+        self.store.mode = "works"
+        left = [name for name in self.store.objects() if name.startswith("c/")]
+        refused = ran.returncode == 1 and "ignores If-None-Match" in ran.stderr
+        report("a store that ignores conditions gets no object", refused and not left, f"{ran.returncode}: {ran.stderr}{left}")
         nobody = {name: value for name, value in stopped.items() if not name.startswith("AWS_")}
         nobody |= {"AWS_METADATA_ENDPOINT": "http://127.0.0.1:9/", "AWS_ENDPOINT_URL": self.store.url}
         ran = self.run("info", url, environment=nobody)

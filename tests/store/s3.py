@@ -15,7 +15,8 @@ ANYBODY = {"Authorization": "AWS4-HMAC-SHA256 Credential=test/20260101/us-east-1
 
 
 class Store:
-    """The store. `mode` is "works", "hangs" (requests are accepted and not answered) or "fails" (with status 503)."""
+    """The store. `mode` is "works", "hangs" (requests are accepted and not answered), "fails" (with status 503) or
+    "replaces" (conditions of creations are ignored)."""
 
     def __init__(self, folder):
         self.folder, self.mode, self.requests = Path(folder), "works", []
@@ -72,7 +73,10 @@ class Store:
             request.send_header("Content-Length", "0")
             request.end_headers()
             return
-        status, headers, answer = self.ask(request.command, request.path, body, dict(request.headers))
+        passed = dict(request.headers)
+        if self.mode == "replaces":
+            passed = {name: value for name, value in passed.items() if name.lower() != "if-none-match"}
+        status, headers, answer = self.ask(request.command, request.path, body, passed)
         request.send_response(status)
         for name, value in headers:
             if name.lower() not in ("transfer-encoding", "connection", "content-length", "server", "date"):

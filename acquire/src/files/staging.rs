@@ -215,7 +215,10 @@ fn link_or_move(from: &Path, to: &Path) -> io::Result<()> {
 }
 
 /// Renames a file or folder to a name that must not exist.
-pub(super) fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
+///
+/// # Errors
+/// `AlreadyExists` if it does, and those of the file system.
+pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
         // Some network file systems do not support this rename. The plain one refuses folders that are not empty.
         Err(Errno::INVAL | Errno::NOSYS) if to.symlink_metadata().is_err() => fs::rename(from, to),

@@ -99,17 +99,24 @@ impl Distribution {
         if least < c { least } else { c }
     }
 
+    /// The distribution function of each part. Step by step for all parts, which are then computed side by side.
     #[inline(always)]
     fn parts(&self, error: f64) -> [f64; PARTS] {
-        std::array::from_fn(|part| {
-            let u = error * self.inverse_widths[part];
-            let c = 1.0 / (1.0 + u * u);
-            let mut sum = COEFFICIENTS[7][part];
-            for power in (0..7).rev() {
-                sum = sum * c + COEFFICIENTS[power][part];
+        let (mut u, mut c) = ([0.0; PARTS], [0.0; PARTS]);
+        for part in 0..PARTS {
+            u[part] = error * self.inverse_widths[part];
+            c[part] = 1.0 / (1.0 + u[part] * u[part]);
+        }
+        let mut sums = COEFFICIENTS[7];
+        for coefficients in COEFFICIENTS[..7].iter().rev() {
+            for part in 0..PARTS {
+                sums[part] = sums[part] * c[part] + coefficients[part];
             }
-            0.5 + 0.5 * (u * c.sqrt() * sum)
-        })
+        }
+        for part in 0..PARTS {
+            sums[part] = 0.5 + 0.5 * (u[part] * c[part].sqrt() * sums[part]);
+        }
+        sums
     }
 
     /// The probability of an error below this.

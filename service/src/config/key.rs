@@ -2,6 +2,7 @@
 
 use std::{net::SocketAddr, ops::RangeInclusive, path::PathBuf, time::Duration};
 
+use mocapd_store::without_secrets;
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 use toml::de::DeValue;
@@ -13,7 +14,7 @@ use super::{
 use crate::units::{self, duration_text, size_text};
 
 /// Longest path in bytes: Linux allows no more.
-const PATH_BYTES_MAX: usize = 4096;
+pub(super) const PATH_BYTES_MAX: usize = 4096;
 
 /// Longest reason in a message, in characters: a reason may quote a text of any length.
 const REASON_MAX: usize = 300;
@@ -299,7 +300,8 @@ impl<'a> RawValue<'a> {
 /// Describes the value that was found, with a bounded length.
 pub(super) fn found(value: &DeValue<'_>) -> String {
     match value {
-        DeValue::String(text) => format!("\"{}\"", excerpt(text)),
+        // A URL may have a password, although none is accepted.
+        DeValue::String(text) => format!("\"{}\"", excerpt(&without_secrets(text))),
         DeValue::Integer(_) => whole(value).map_or_else(
             || "a whole number with too many digits".to_owned(),
             |number| format!("the number {number}"),

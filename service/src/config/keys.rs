@@ -3,18 +3,20 @@
 use std::{
     fmt::Write,
     net::{IpAddr, SocketAddr},
-    path::PathBuf,
+    path::{Path, PathBuf},
     time::Duration,
 };
 
 use mocapd_acquire::pipeline::{STRETCH_LENGTHS, SYNC_MAX};
 use mocapd_codec::{ResamplerKind, Tolerance};
+use mocapd_store::{ObjectUrl, is_url};
 use serde_json::json;
 
 use super::{
     DeviceChoice, NameTemplate,
     key::{
-        ConfigValue, DefaultValue, Field, Key, Read, ReloadPolicy, ValueType, address, field, path,
+        ConfigValue, DefaultValue, Field, Key, PATH_BYTES_MAX, Read, ReloadPolicy, ValueType,
+        address, field, path,
     },
     problem::suggestion,
 };
@@ -32,6 +34,7 @@ pub const SECTIONS: &[(&str, &str)] = &[
         "arm",
         "What is kept in memory between takes, so that a take can begin before its start command.",
     ),
+    ("archive", "Upload of finished takes to object storage."),
     ("http", "The HTTP interface: its addresses, and who may use it."),
     ("trigger", "Capture triggers over UDP, received and sent."),
     ("log", "How much is logged."),
@@ -95,7 +98,11 @@ keys! {
         DefaultValue::Dynamic {
             description: "`$STATE_DIRECTORY` if set (systemd sets it), otherwise `\".\"`",
             example: "\"/var/lib/mocapd\"",
-        }, ReloadPolicy::NextTake, field!(take.directory);
+        }, ReloadPolicy::NextTake,
+        Field {
+            read: |config, raw| raw.text(takes_folder).map(|folder| config.take.directory = folder),
+            to_json: |config| config.take.directory.to_json(),
+        };
     /// Name of a take that is started without one.
     /// Names that begin with the date sort by time; if a name exists, a number is appended, because takes are never overwritten.
     take.name: ValueType::Text(
@@ -186,6 +193,22 @@ keys! {
     /// Ten minutes of two hundred markers at 1000 Hz, stored bit for bit, would need more than a gigabyte.
     arm.memory_max: ValueType::Size(1 << 20..=64 << 30),
         DefaultValue::Text("256MiB"), ReloadPolicy::NextArm, field!(arm.memory_max_bytes);
+    /// Folder in object storage that finished takes are uploaded to, as `NAME.take`; if absent, none are.
+    /// A take in a bucket survives this machine; credentials are those of the environment (docs/archive.md).
+    archive.url: ValueType::Text("the URL of a folder: s3://BUCKET/FOLDER/, gs://BUCKET/FOLDER/, az://CONTAINER/FOLDER/ or file:///FOLDER/"),
+        DefaultValue::Absent("\"s3://lab-takes/left/\""), ReloadPolicy::Now,
+        Field {
+            read: |config, raw| raw.text(archive_url).map(|url| config.archive.url = Some(url)),
+            to_json: |config| config.archive.url.as_ref().map(|url| json!(url.to_string())),
+        };
+    /// Limit on the rate of uploads, per second, also while nothing is recorded.
+    /// A recording must not notice them, nor the other users of the line: a minute of forty markers takes less than a second at this rate.
+    archive.rate_max: ValueType::Size(1 << 10..=10 << 30),
+        DefaultValue::Text("8MiB"), ReloadPolicy::Now, field!(archive.rate_max_bytes_per_s);
+    /// How long after its upload the local copy of a take is removed; if absent, local copies are kept.
+    /// The object is read back first, and compared with the take.
+    archive.remove_local_after: ValueType::Time(Duration::ZERO..=Duration::from_secs(8760 * 3600)),
+        DefaultValue::Absent("\"168h\""), ReloadPolicy::Now, field!(archive.remove_local_after);
     /// Unix socket of the HTTP interface; `""` for none.
     /// The permissions of its folder decide who may use it, so it needs no token.
     http.socket: ValueType::Text("the path of a Unix socket of at most 107 bytes, or \"\" for none"),
@@ -256,6 +279,29 @@ pub(super) fn rig_name(text: &str) -> Read<String> {
         && text.starts_with(char::is_alphanumeric)
         && text.chars().all(is_part);
     if is_name { Ok(text.to_owned()) } else { Err(None) }
+}
+
+/// Checks the folder for takes, which a network may not stall.
+fn takes_folder(text: &str) -> Read<PathBuf> {
+    if is_url(Path::new(text)) {
+        return Err(Some(
+            "takes are recorded to a local disk, because a network may stall: set archive.url, and finished takes are uploaded"
+                .to_owned(),
+        ));
+    }
+    if text.is_empty() { Err(None) } else { path(text, PATH_BYTES_MAX).map_err(Some) }
+}
+
+fn archive_url(text: &str) -> Read<ObjectUrl> {
+    let mut text = text.to_owned();
+    if !text.ends_with('/') {
+        text.push('/');
+    }
+    let url = ObjectUrl::parse(&text).map_err(|error| Some(error.to_string()))?;
+    if !url.is_writable() {
+        return Err(Some("a web server is read only".to_owned()));
+    }
+    Ok(url)
 }
 
 fn device_choice(text: &str) -> Read<DeviceChoice> {

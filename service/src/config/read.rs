@@ -18,8 +18,8 @@ use toml::{
 };
 
 use super::{
-    ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig, NameTemplate,
-    PROBLEMS_MAX, SourceLocation, TakeConfig, TriggerConfig,
+    ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig,
+    NameTemplate, PROBLEMS_MAX, SourceLocation, TakeConfig, TriggerConfig,
     key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
@@ -90,7 +90,11 @@ impl Config {
     /// # Errors
     /// The file cannot be read, or it has problems: all of them.
     pub fn check(file: &Path, overrides: &Overrides) -> Result<Self, ConfigError> {
-        Self::read_file(file, overrides, |config| config.subject.problems())
+        Self::read_file(file, overrides, |config| {
+            let mut problems = config.subject.problems();
+            problems.extend(config.archive_problem().map(|problem| ("archive.url", problem)));
+            problems
+        })
     }
 
     fn read_file(
@@ -189,6 +193,7 @@ impl Config {
             },
             subject: SubjectFiles::default(),
             arm: ArmConfig::default(),
+            archive: ArchiveConfig::default(),
             http: HttpConfig::default(),
             trigger: TriggerConfig::default(),
             log_level: Level::default(),

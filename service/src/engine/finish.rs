@@ -271,7 +271,9 @@ mod tests {
         super::{Engine, EngineOptions, session::OpenTake},
         *,
     };
-    use crate::config::{ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig};
+    use crate::config::{
+        ArchiveConfig, ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig,
+    };
     use mocapd_acquire::{
         files::{FileId, TakeFile},
         heartbeat::Heartbeat,
@@ -300,6 +302,7 @@ mod tests {
             },
             subject: None,
             arm: ArmConfig { memory_max_bytes: 1 << 20, ..ArmConfig::default() },
+            archive: ArchiveConfig::default(),
         };
         Engine::start(options, &Heartbeat::default()).unwrap()
     }

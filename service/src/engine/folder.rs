@@ -115,6 +115,7 @@ impl Inner {
                 summary.ending_detail.clone_from(&last.ending_detail);
             }
         }
+        self.uploads.complete(&mut summaries);
         Ok(summaries)
     }
 

@@ -5,6 +5,7 @@
 //! mocapd-hub     passes frames to viewers and to the marker statistics
 //! mocapd-watch   ends takes at their maximum length or when the disk or device fails; publishes events
 //! mocapd-recover recovers the takes that a killed service left, then ends
+//! mocapd-upload  uploads finished takes to an archive; it may wait for the network, and nothing waits for it
 //! callers        start, stop, mark: one command at a time
 //! ```
 //!
@@ -21,6 +22,7 @@ mod recoveries;
 mod session;
 mod status;
 mod supervisor;
+mod uploads;
 mod watcher;
 
 use std::{
@@ -46,6 +48,7 @@ use self::{
     idempotency::IdempotentReplies,
     quality::MarkerStatistics,
     session::{Core, Rates},
+    uploads::Uploads,
 };
 use super::{
     control::{
@@ -55,7 +58,8 @@ use super::{
     status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
 };
 use crate::config::{
-    ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig, auto_device,
+    ArchiveConfig, ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig,
+    auto_device,
 };
 
 /// Longest wait for the previous command, which may be waiting for a stalled disk.
@@ -85,6 +89,7 @@ struct Inner {
     statistics: Mutex<MarkerStatistics>,
     /// Summaries of the takes in the folder.
     summaries: Mutex<SummaryCache>,
+    uploads: Uploads,
     rates: Rates,
     stopping: AtomicBool,
     began: Instant,
@@ -108,6 +113,7 @@ impl Engine {
             viewers: Viewers::default(),
             statistics: Mutex::new(MarkerStatistics::default()),
             summaries: Mutex::default(),
+            uploads: Uploads::default(),
             rates: Rates::default(),
             stopping: AtomicBool::new(false),
             began: Instant::now(),
@@ -115,6 +121,9 @@ impl Engine {
             sessions: AtomicU64::new(0),
         });
         lock(&inner.core).arm_requested = arm_at_start;
+        // Whether or not there is an archive now.
+        let directory = inner.core().options.take.directory.clone();
+        uploads::restore_set_aside(&inner, &directory);
         let cut_off = recoveries::cut_off(&inner);
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);
@@ -125,6 +134,9 @@ impl Engine {
             // It ends when it is done, or with the service.
             drop(threads::spawn("mocapd-recover", run)?);
         }
+        let uploading = Arc::clone(&inner);
+        // It may wait for a store that does not answer, so the end of the service does not wait for it.
+        drop(threads::spawn("mocapd-upload", move || uploads::run(&uploading))?);
         let threads = vec![
             threads::spawn("mocapd-hub", move || hub.run())?,
             threads::spawn("mocapd-rig", move || supervisor::run(&supervised, &sessions))?,
@@ -312,20 +324,26 @@ pub struct EngineOptions {
     pub subject: Option<Arc<Subject>>,
     /// What is kept in memory between takes.
     pub arm: ArmConfig,
+    /// Where finished takes are uploaded to.
+    pub archive: ArchiveConfig,
 }
 
 impl EngineOptions {
     /// Takes the options from a configuration, and reads the subject's files.
     ///
     /// # Errors
-    /// If a file of the subject is missing or invalid.
+    /// If a file of the subject is missing or invalid, or this build cannot use the archive's store.
     pub fn load(config: &Config) -> anyhow::Result<Self> {
+        if let Some(problem) = config.archive_problem() {
+            return Err(anyhow!(problem));
+        }
         Ok(Self {
             rig: config.rig_name.clone(),
             device: config.device.clone(),
             take: config.take.clone(),
             subject: config.subject.load().context("[subject]")?.map(Arc::new),
             arm: config.arm.clone(),
+            archive: config.archive.clone(),
         })
     }
 

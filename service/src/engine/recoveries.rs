@@ -14,7 +14,7 @@ use mocapd_acquire::{
 };
 use mocapd_take::recovery::{RecoveryScan, repair_start};
 
-use super::{Inner, folder::summary_of};
+use super::{Inner, folder::summary_of, uploads};
 use crate::status::{ServiceEventKind, TakeSummary};
 
 /// Most takes that are recovered at startup. Older ones are left to `mocapd recover`.
@@ -31,7 +31,10 @@ const RECOVERED_MAX: u32 = 100;
 pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
     let Ok(takes) = inner.list_takes(TAKES_MAX) else { return Vec::new() };
     let is_cut_off = |take: &TakeSummary| take.health == TakeHealth::CutOff && take.bytes > 0;
-    let takes = takes.into_iter().filter(is_cut_off);
+    // A recovered take that was uploaded and then removed here needs no other.
+    let removed = uploads::removed_ids(&inner.core().options.take.directory);
+    let takes =
+        takes.into_iter().filter(is_cut_off).filter(|take| !removed.contains(&take.take_id));
     let with_path = |take: TakeSummary| Some((inner.path_of(&take.name).ok()?, take.take_id));
     let is_recovered = |(path, take_id): &(PathBuf, String)| {
         recovered_paths(path).map_while(|path| summary_of(&path)).any(|it| it.take_id == *take_id)

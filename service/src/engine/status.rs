@@ -91,6 +91,7 @@ impl Inner {
                 keep_free_bytes: options.take.keep_free_bytes,
                 left_s: None,
             },
+            archive: self.uploads.status(&options.archive),
         };
         status.device.is_awaited = core.arm_requested && status.device.presence == Presence::Absent;
         core.fill_session(&mut status, measured_hz);

@@ -22,7 +22,7 @@ use prometheus_client::{
 };
 
 use super::{Counts, Shared, problem::Problem};
-use crate::status::{State, Status, TakeStatus, TakeSummary};
+use crate::status::{ArchiveStatus, State, Status, TakeStatus, TakeSummary};
 
 const OPEN_METRICS: &str = "application/openmetrics-text";
 
@@ -91,6 +91,9 @@ impl Collector for StatusMetrics {
         if let Some(take) = &self.status.take {
             of_take(take, &mut out)?;
             of_ledger(&take.ledger, &mut out)?;
+        }
+        if let Some(archive) = &self.status.archive {
+            of_archive(archive, &mut out)?;
         }
         if let Some(take) = &self.status.last_take {
             of_last_take(take, &mut out)?;
@@ -361,6 +364,24 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> fmt::Result
     out.by("take_link_messages", "Messages received during the take", "fate", &messages)
 }
 
+fn of_archive(archive: &ArchiveStatus, out: &mut MetricWriter<'_>) -> fmt::Result {
+    figures! { out:
+        /// Takes that wait to be uploaded, or are being uploaded
+        gauge archive_takes_waiting = archive.waiting as f64;
+        /// Takes in the folder that were uploaded
+        gauge archive_takes_uploaded = archive.uploaded as f64;
+        /// Takes that cannot be uploaded
+        gauge archive_takes_failed = archive.failed as f64;
+        /// Bytes sent to the archive since the service was started
+        counter archive_sent_bytes = archive.sent_bytes;
+        /// Failed attempts to upload since the service was started
+        counter archive_retries = archive.retries;
+        /// 1 if the last attempt to reach the archive failed
+        gauge archive_is_unavailable = flag(archive.error.is_some());
+    }
+    Ok(())
+}
+
 fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> fmt::Result {
     figures! { out:
         /// Size of the previous take's file
@@ -416,6 +437,7 @@ mod tests {
             device: DeviceStatus { outage: Some(outage), ..DeviceStatus::default() },
             take: Some(TakeStatus::default()),
             last_take: Some(TakeSummary::default()),
+            archive: Some(ArchiveStatus::default()),
             disk: crate::status::DiskStatus {
                 free_bytes: Some(0),
                 left_s: Some(0),

@@ -228,6 +228,7 @@ pub(crate) fn run(
             };
             let result = catch_unwind(AssertUnwindSafe(|| process(&job)));
             remote::release(&files[index].path);
+            job.output.into_iter().for_each(remote::release);
             let result = result
                 .unwrap_or_else(|_| Err(anyhow!("its processing failed: please report this bug")));
             progress.end_file(index);

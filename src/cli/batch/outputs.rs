@@ -11,7 +11,7 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{self, Kept, folder_of};
-use mocapd_store::is_url;
+use mocapd_store::{is_url, without_secrets};
 use mocapd_take::interchange::Format;
 
 use super::inputs::{Input, Inputs};
@@ -56,10 +56,25 @@ impl Destination {
             bail!(UsageError(format!(
                 "{} files cannot become one file: give a folder with -o {}/",
                 inputs.files.len(),
-                output.with_extension("").display()
+                without_secrets(&output.with_extension("").to_string_lossy())
             )));
         }
         Ok(Self::Folder(output.to_owned()))
+    }
+
+    /// The take that each input becomes, checked before work starts.
+    ///
+    /// # Errors
+    /// Those of [`paths`](Self::paths); a usage error if the output is not a new take, or standard output cannot take
+    /// one.
+    pub(crate) fn take_paths(&self, inputs: &Inputs, json: bool) -> anyhow::Result<Vec<PathBuf>> {
+        let outputs = self.paths(inputs, "take")?;
+        match self {
+            Self::File(path) => paths::check_take_output(path)?,
+            Self::Stdout => paths::check_stdout(json)?,
+            Self::Folder(_) | Self::Beside => {}
+        }
+        Ok(outputs)
     }
 
     /// The output of each input, with this extension. Standard output has the path `-`.

@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use super::{
     batch::{self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Job, outputs},
-    paths, remote,
+    remote,
 };
 use crate::cli::{
     damage::{self, DamageReport},
@@ -44,12 +44,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let inputs = batch::inputs::find(&args.takes, &args.input, FileKinds::Takes, None)?;
     let destination = Destination::of(Some(&args.output), &inputs)?;
-    let paths_of_outputs = destination.paths(&inputs, "take")?;
-    match &destination {
-        Destination::File(path) => paths::check_take_output(path)?,
-        Destination::Stdout => paths::check_stdout(args.json)?,
-        Destination::Folder(_) | Destination::Beside => {}
-    }
+    let paths_of_outputs = destination.take_paths(&inputs, args.json)?;
     let is_folder = matches!(destination, Destination::Folder(_));
     let batch = Batch {
         inputs: &inputs,

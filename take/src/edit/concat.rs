@@ -8,7 +8,7 @@ use std::{
 
 use super::{CONCAT, CUT, EditContext, Seam, SourceTake, damaged, foreign};
 use crate::{
-    TakeError, TakeEvent, TakeTraversal, TakeWriter,
+    TakeError, TakeEvent, TakeMap, TakeTraversal, TakeWriter,
     record::{Channel, Clock, Event, EventKind, Header, Ledger, SeriesPlace},
     statistics::StretchTally,
     stretch::{CopiedStretch, NUMBERS, Span, Stretch},
@@ -55,7 +55,8 @@ pub fn check_joinable(sources: &[SourceTake]) -> Result<(), Mismatch> {
     let mut table: &[Channel] = &first.map().channels;
     for (i, source) in others.iter().enumerate() {
         let difference = header_difference(&first.map().header, &source.map().header)
-            .or_else(|| table_difference(table, &source.map().channels));
+            .or_else(|| table_difference(table, &source.map().channels))
+            .or_else(|| order_difference(first.map(), source.map()));
         if let Some(why) = difference {
             return Err(Mismatch { index: i + 1, why });
         }
@@ -85,6 +86,15 @@ fn header_difference(first: &Header, other: &Header) -> Option<String> {
     ];
     let (what, [first, found]) = fields.into_iter().find(|(_, [a, b])| a != b)?;
     Some(format!("{what} {found}, not {first}"))
+}
+
+/// Whether the markers are coded in another order than in the first take; further ones in that of the source.
+fn order_difference(first: &TakeMap, other: &TakeMap) -> Option<String> {
+    let row = |row: &usize| first.order.column_of(*row) != other.order.column_of(*row);
+    (0..first.channels.len().max(other.channels.len())).find(row)?;
+    let message =
+        "its markers are coded in another order: import the files with an --effort below 9";
+    Some(message.to_owned())
 }
 
 /// The first difference of a channel table from the one before it, which it may extend.
@@ -124,6 +134,7 @@ pub fn concat<R: Read + Seek, W: Write>(
     let mut listed = HashSet::new();
     left_out.retain(|what| listed.insert(what.clone()));
     first.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
+    take.order(&first.map().order)?;
     if sources.iter().any(|source| source.map().subject != first.map().subject) {
         left_out.push("the subjects of later takes, which differ from the first take's".to_owned());
     }
@@ -322,14 +333,15 @@ impl<W: Write> Joiner<'_, W> {
                 return Err(damaged(problem));
             }
             self.grow(source.channels_at(stretch.from_row()))?;
-            let tally = StretchTally::of_decoded(stretch, progress.rows());
+            let tally = StretchTally::of_decoded(stretch, progress.coded_rows());
             self.stretch(source, stretch, (first_row, missing.take()), &tally)?;
             found_rows = stretch.span.end_row();
             (context.on_rows)(first_row.saturating_add(found_rows));
             Ok(())
         })?;
         if found_rows == source.map().n_rows {
-            return Ok(());
+            // Channels may be announced after the last stretch.
+            return self.grow(source.map().channels.len());
         }
         Err(TakeError::InvalidArgument(
             "another program changed a take while it was being read".into(),

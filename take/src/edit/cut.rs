@@ -64,6 +64,7 @@ pub fn cut<W: Write>(
     let header = header_of_part(source, &rows, context)?;
     let mut take = TakeWriter::new(out, &header)?;
     source.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
+    take.order(&source.map().order.extended(header.channels.len()))?;
     let mut left_out: Vec<String> = source.left_out().collect();
     let first_frame = source.first_frame();
     let frames = first_frame.saturating_add(rows.start)..first_frame.saturating_add(rows.end);
@@ -112,7 +113,7 @@ fn header_of_part(
     let map = source.map();
     let mut header = map.header.clone();
     let n_channels = source.channels_at(rows.start);
-    header.channels = map.channels.get(..n_channels).unwrap_or_default().to_vec();
+    header.channels = map.table().get(..n_channels).unwrap_or_default().to_vec();
     if header.created_unix_ms != 0 {
         let ms = (rows.start as f64 * 1000.0 / header.rate_hz).round() as i64;
         header.created_unix_ms = header.created_unix_ms.saturating_add(ms);
@@ -206,12 +207,7 @@ impl<'a, W: Write> Cutter<'a, W> {
             return Ok(());
         }
         let n_channels = self.source.channels_at(from_row.max(self.rows.start));
-        if let Some(more) = self.source.map().channels.get(self.n_channels..n_channels)
-            && !more.is_empty()
-        {
-            self.take.channels(more)?;
-            self.n_channels = n_channels;
-        }
+        self.grow(n_channels)?;
         let timeline =
             stretch.timeline.as_ref().map(|timeline| self.moved(timeline.part(self.rows.clone())));
         let rows = stretch.span.first_row.max(self.rows.start)..end_row.min(self.rows.end);
@@ -223,7 +219,7 @@ impl<'a, W: Write> Cutter<'a, W> {
         let recorded = [RowRun { rows: n_rows.into(), lost: None }];
         let runs = timeline.as_ref().map_or(&recorded[..], |timeline| &timeline.runs);
         // A stretch without rows leaves the rows of the one before decoded.
-        let decoded = progress.rows().take(if n_rows > 0 { n_channels } else { 0 });
+        let decoded = progress.coded_rows().take(if n_rows > 0 { n_channels } else { 0 });
         let channels: Vec<_> = decoded.collect();
         self.tally.add_runs(runs, n_channels, samples_in(&channels, &here));
         if can_copy {
@@ -252,7 +248,17 @@ impl<'a, W: Write> Cutter<'a, W> {
         Ok(())
     }
 
-    /// Writes the rows `here` of decoded channels as a key stretch of its own.
+    /// Writes the channels that appear up to entry `n_channels`.
+    fn grow(&mut self, n_channels: usize) -> Result<(), TakeError> {
+        let more = self.source.map().channels.get(self.n_channels..n_channels).unwrap_or_default();
+        if !more.is_empty() {
+            self.take.channels(more)?;
+            self.n_channels = n_channels;
+        }
+        Ok(())
+    }
+
+    /// Writes the rows `here` of decoded channels as a separate key stretch.
     fn encode(
         &mut self,
         channels: &[Option<&DecodedRows>],
@@ -289,6 +295,10 @@ impl<'a, W: Write> Cutter<'a, W> {
     /// Writes the clocks, the ledger and the end.
     fn finish(mut self) -> Result<CutReport, TakeError> {
         let map = self.source.map();
+        if self.rows.end == map.n_rows {
+            // Channels may be announced after the last stretch.
+            self.grow(map.channels.len())?;
+        }
         for clock in &self.source.clocks {
             self.take.clock(clock)?;
         }
@@ -324,7 +334,8 @@ fn samples_in(channels: &[Option<&DecodedRows>], here: &Range<usize>) -> u64 {
 /// Rows of a span of `dense`: a key block has the same points in as many whole spans as are kept of it.
 const SPAN_ROWS: usize = 64;
 
-/// Shortest run of rows in which nothing moves that becomes a stretch of its own.
+/// Minimum number of rows in which nothing moves that become a separate stretch: stored, they take 192 bytes for each
+/// marker, more than a further stretch.
 const STILL_ROWS_MIN: usize = 16;
 
 /// Encodes decoded samples as key blocks that decode to the same floats.

@@ -4,26 +4,26 @@
 //! encoded before them, so its stretches stay as they are; but those that an edit stored as floats may be parts of
 //! stretches that can be put together again, and consecutive stretches in which nothing moves need be only one.
 
+mod check;
+mod joining;
+
 use std::io::{Read, Seek, Write};
 
 use mocapd_codec::{
-    BlockEncoder, BlockReport, DecodedRows, Effort, GROUP_CHANNELS, Position, ResamplerKind, Rows,
-    Settings, stated_error_step,
+    BlockEncoder, BlockReport, DecodedRows, Effort, GROUP_CHANNELS, Position, Rows, Settings,
 };
 
-use super::{EditContext, SourceTake, cut::ExactBlocks, damaged, foreign};
+pub use self::check::check_repacked;
+
+use self::joining::{StretchJoiner, Waiting, stated};
+use super::{EditContext, SourceTake, damaged, foreign};
 use crate::{
-    TakeError, TakeEvent, TakeTraversal, TakeWriter,
-    compare::{ContentDifference, compare_times},
+    ChannelOrder, TakeError, TakeEvent, TakeTraversal, TakeWriter,
     frames::TakeFrames,
-    motion::{FrameSource, GAP, is_gap},
     motion_encoder::{EncodePlan, MotionWriter, stretch_rows},
-    record::{Channel, Header, KeyDistance, long_stretch_rows},
+    record::{Header, KeyDistance},
     statistics::{BlockTally, StretchTally},
-    stretch::{
-        CopiedStretch, NUMBERS, Span, Stretch, StretchHeaderWriter, is_alone, put_block,
-        put_renumbered,
-    },
+    stretch::{CopiedStretch, NUMBERS, Span, Stretch, is_alone, put_block, put_renumbered},
     timeline::Timeline,
     traversal::Decode,
 };
@@ -38,7 +38,7 @@ pub struct RepackSettings {
     pub codec: Settings,
     /// Effort of the resampler.
     pub effort: Effort,
-    /// The distance of key stretches, if one is chosen; of imports only.
+    /// The distance of key stretches, if one is chosen; of imports that are encoded anew. Others keep theirs.
     pub keys: Option<KeyDistance>,
 }
 
@@ -84,19 +84,17 @@ pub fn repack<W: Write>(
             codec.tolerance.mm()
         ));
     }
-    let is_import = source.ends.is_none() && map.header.device.is_none();
-    let settings = settings.filter(|_| is_lossless);
-    if settings.is_some_and(|settings| settings.keys.is_some()) && !is_import {
-        return invalid(
-            "the key stretches of a recording hold its clocks, and stay: omit --keys".to_owned(),
-        );
+    let why_stretches_stay = source.why_stretches_stay();
+    if let Some(why) = why_stretches_stay
+        && settings.is_some_and(|settings| settings.keys.is_some())
+    {
+        return invalid(format!("{why}: omit --keys"));
     }
-    // A table that grows with the take belongs to the stretches where it does.
-    let is_steady = map.header.channels.len() == map.channels.len();
-    let is_encoded_anew = settings.is_some() && is_import && is_steady;
+    let is_encoded_anew = settings.is_some() && why_stretches_stay.is_none();
     let header = header_of_repacked(source, settings, is_encoded_anew, context)?;
     let mut take = TakeWriter::new(out, &header)?;
     map.subject.iter().try_for_each(|subject| take.subject(subject))?;
+    take.order(&map.order)?;
     for part in &map.foreign {
         let whole = foreign::read_whole(part, &mut input, context)?;
         take.foreign_with_lost(&whole.part, &whole.lost)?;
@@ -112,17 +110,19 @@ pub fn repack<W: Write>(
         report.stretches[1] = n_stretches;
         take
     } else {
-        let mut repacker = Repacker::new(source, settings, take, &header)?;
+        let mut repacker = Repacker::new(source, settings, take)?;
         TakeTraversal::from_map(&mut input, map, Decode::All)?.run(|found, progress| {
             let TakeEvent::Stretch(stretch) = &found.event else { return Ok(()) };
             if let Some(problem) = progress.take.problems.first() {
                 return Err(damaged(problem));
             }
-            let rows: Vec<_> = progress.rows().collect();
+            let rows: Vec<_> = progress.coded_rows().collect();
             repacker.stretch(stretch, &rows)?;
             (context.on_rows)(stretch.span.end_row());
             Ok(())
         })?;
+        // Channels may be announced after the last stretch.
+        repacker.grow(map.channels.len())?;
         repacker.flush()?;
         report.stretches[1] = repacker.n_stretches;
         repacker.take
@@ -151,10 +151,14 @@ fn header_of_repacked(
         let (n_rows, n_channels) = (map.n_rows as usize, header.channels.len());
         header.stretch_rows =
             stretch_rows(&settings.codec, header.rate_hz, n_rows, n_channels) as u32;
-        header.unset_key_distance();
-        if let Some(keys) = settings.keys {
-            header.set_key_distance(keys, map.n_rows);
+        match settings.keys {
+            Some(keys) => header.set_key_distance(keys, map.n_rows),
+            None if map.header.has_long_keys() => header.fit_key_distance(map.n_rows),
+            // Keys that are not far apart stay so, however long the take has become: joined takes have those of each.
+            None => header.fit_key_distance(0),
         }
+    } else {
+        header.codec_version = map.header.codec_version;
     }
     if !settings.codec.kind.is_lossless() {
         // Other samples are another take.
@@ -174,7 +178,7 @@ fn encode_import<W: Write>(
 ) -> Result<(TakeWriter<W>, u64), TakeError> {
     let mut frames = TakeFrames::open(input)?;
     let (plan, parts) = EncodePlan::new(&mut frames, header)?;
-    let mut writer = MotionWriter::continuing(&plan, header, take);
+    let mut writer = MotionWriter::continuing(&plan, header, ChannelOrder::default(), take);
     let mut encoder = plan.encoder();
     let mut n_stretches = 0;
     for part in parts {
@@ -186,63 +190,51 @@ fn encode_import<W: Write>(
     Ok((writer.into_take(), n_stretches))
 }
 
-/// A stretch that waits for those that it may be joined with.
-struct Waiting {
-    span: Span,
-    payload: Vec<u8>,
-    /// The errors that its blocks state.
-    stated: Vec<u8>,
-    tally: StretchTally,
+impl SourceTake {
+    /// Why its stretches cannot be divided in another way; `None` for an import of which nothing was lost.
+    fn why_stretches_stay(&self) -> Option<&'static str> {
+        let map = self.map();
+        if self.ends.is_some() || map.header.device.is_some() {
+            Some("the key stretches of a recording hold its clocks, and stay")
+        } else if self.has_time_lines || !map.damage.is_empty() {
+            Some("the stretches of a recovered take state which frames are lost, and stay")
+        } else if map.header.channels.len() < map.channels.len() {
+            Some("further markers begin at some of its stretches, which therefore stay")
+        } else if !map.order.is_identity() {
+            Some("its markers are encoded in another order than that of the source, which stays")
+        } else {
+            None
+        }
+    }
 }
 
 /// Copies or encodes the stretches of a take, one after another.
-struct Repacker<W> {
+struct Repacker<'a, W> {
+    source: &'a SourceTake,
     take: TakeWriter<W>,
-    source_channels: Vec<(u64, usize)>,
-    channels: Vec<Channel>,
     /// Entries of the channel table that were written.
     n_channels: usize,
-    stretch_rows: u32,
-    /// Most rows of joined stretches in which nothing moves.
-    still_rows: u64,
-    /// By group, the encoders of a recording that was lossless; empty if stretches are copied.
+    /// By group, the encoders of a take that was lossless; empty if stretches are copied.
     encoders: Vec<Box<dyn BlockEncoder>>,
     target: Option<RepackSettings>,
-    exact: Option<ExactBlocks>,
-    waiting: Vec<Waiting>,
-    /// By channel, the rows of the stretches that wait.
-    joined: Vec<DecodedRows>,
-    is_still: bool,
+    joiner: Option<StretchJoiner>,
     number: u8,
     n_stretches: u64,
 }
 
-impl<W: Write> Repacker<W> {
+impl<'a, W: Write> Repacker<'a, W> {
     fn new(
-        source: &SourceTake,
+        source: &'a SourceTake,
         target: Option<&RepackSettings>,
         take: TakeWriter<W>,
-        header: &Header,
     ) -> Result<Self, TakeError> {
-        let map = source.map();
-        let codec = map.header.codec()?;
-        // Stretches of a recording have times; those that continue others cannot be taken out.
-        let is_joined = codec.kind == ResamplerKind::Dense
-            && map.header.device.is_none()
-            && !map.header.has_long_keys();
         Ok(Self {
+            source,
             take,
-            source_channels: source.tables.iter().map(|size| (size.row, size.n_channels)).collect(),
-            channels: map.channels.clone(),
-            n_channels: header.channels.len(),
-            stretch_rows: header.stretch_rows,
-            still_rows: long_stretch_rows(header.rate_hz, map.channels.len()) as u64,
+            n_channels: source.map().header.channels.len(),
             encoders: Vec::new(),
             target: target.copied(),
-            exact: is_joined.then(|| ExactBlocks::new(&codec)),
-            waiting: Vec::new(),
-            joined: Vec::new(),
-            is_still: true,
+            joiner: StretchJoiner::new(source)?,
             number: 0,
             n_stretches: 0,
         })
@@ -253,127 +245,51 @@ impl<W: Write> Repacker<W> {
         stretch: &Stretch<'_>,
         rows: &[Option<&DecodedRows>],
     ) -> Result<(), TakeError> {
-        let tally = StretchTally::of_decoded(stretch, rows.iter().copied());
-        let can_join = self.exact.is_some()
-            && stretch.span.key
-            && stretch.timeline.is_none()
-            && stretch.span.n_rows > 0;
-        if !can_join || !self.continues(stretch, rows, &tally) {
-            self.flush()?;
-        }
-        self.grow(stretch.from_row())?;
+        self.grow(self.source.channels_at(stretch.from_row()))?;
         if let Some(target) = self.target
             && stretch.span.n_rows > 0
         {
             return self.encode(&target, stretch, rows);
         }
-        let waiting = Waiting {
-            span: stretch.span,
-            payload: stretch.payload.to_vec(),
-            stated: stretch.blocks.iter().map(|block| stated_error_step(block)).collect(),
-            tally,
-        };
-        if !can_join {
-            return self.copy(&waiting, stretch.timeline.as_ref(), stretch.from_row());
+        let tally = StretchTally::of_decoded(stretch, rows.iter().copied());
+        let joiner = self.joiner.as_ref();
+        let continues = joiner.is_some_and(|joiner| joiner.continues(stretch, rows, &tally));
+        if !continues {
+            self.flush()?;
         }
-        self.wait(waiting, rows);
-        Ok(())
+        let payload = stretch.payload.to_vec();
+        let waiting = Waiting { span: stretch.span, payload, tally };
+        match &mut self.joiner {
+            Some(joiner) if continues || joiner.may_begin(stretch, rows) => {
+                joiner.add(waiting, stated(stretch), rows);
+                Ok(())
+            }
+            _ => self.copy(&waiting, stretch.timeline.as_ref(), stretch.from_row()),
+        }
     }
 
-    /// Writes the channels that are announced up to a row.
-    fn grow(&mut self, row: u64) -> Result<(), TakeError> {
-        let sizes = self.source_channels.iter().take_while(|(at, _)| *at <= row);
-        let n_channels = sizes.last().map_or(0, |(_, n)| *n);
-        let more = self.channels.get(self.n_channels..n_channels).unwrap_or_default().to_vec();
+    /// Writes the channels that appear up to entry `n_channels`.
+    fn grow(&mut self, n_channels: usize) -> Result<(), TakeError> {
+        let more = self.source.map().channels.get(self.n_channels..n_channels).unwrap_or_default();
         if more.is_empty() {
             return Ok(());
         }
         self.flush()?;
-        self.take.channels(&more)?;
+        self.take.channels(more)?;
         self.n_channels = n_channels;
         Ok(())
     }
 
-    /// Whether a stretch may be joined with those that wait: it states the same errors, and was stored by an edit, or
-    /// nothing moves in all of them.
-    fn continues(
-        &self,
-        stretch: &Stretch<'_>,
-        rows: &[Option<&DecodedRows>],
-        tally: &StretchTally,
-    ) -> bool {
-        let Some(last) = self.waiting.last() else { return false };
-        let stated = stretch.blocks.iter().map(|block| stated_error_step(block));
-        if !last.stated.iter().copied().eq(stated) {
-            return false;
-        }
-        let n_waiting: u64 =
-            self.waiting.iter().map(|waiting| u64::from(waiting.span.n_rows)).sum();
-        let n_rows = n_waiting + u64::from(stretch.span.n_rows);
-        let n_bytes: usize = stretch.blocks.iter().map(|block| block.len()).sum();
-        let is_stored = is_stored(n_bytes, tally);
-        if is_stored && n_rows <= u64::from(self.stretch_rows) {
-            return true;
-        }
-        let goes_on = |(i, decoded): (usize, &Option<&DecodedRows>)| {
-            let Some(decoded) = decoded else { return true };
-            let before = self.joined.get(i).and_then(last_position);
-            let first = first_position(decoded);
-            is_still(decoded) && (before.is_none() || first.is_none() || before == first)
-        };
-        self.is_still && n_rows <= self.still_rows && rows.iter().enumerate().all(goes_on)
-    }
-
-    /// Adds a stretch to those that wait.
-    fn wait(&mut self, waiting: Waiting, rows: &[Option<&DecodedRows>]) {
-        if self.waiting.is_empty() {
-            (self.joined, self.is_still) = (Vec::new(), true);
-        }
-        let before: usize = self.waiting.iter().map(|waiting| waiting.span.n_rows as usize).sum();
-        let after = before + waiting.span.n_rows as usize;
-        if self.joined.len() < rows.len() {
-            self.joined.resize_with(rows.len(), DecodedRows::default);
-        }
-        for (i, joined) in self.joined.iter_mut().enumerate() {
-            joined.positions.resize(before, [0.0; 3]);
-            joined.present.resize(before, false);
-            if let Some(decoded) = rows.get(i).copied().flatten() {
-                self.is_still &= is_still(decoded);
-                let parts = last_position(joined).zip(first_position(decoded));
-                self.is_still &= parts.is_none_or(|(before, first)| before == first);
-                joined.positions.extend_from_slice(&decoded.positions);
-                joined.present.extend_from_slice(&decoded.present);
-                joined.max_error_mm = joined.max_error_mm.max(decoded.max_error_mm);
-            }
-            joined.positions.resize(after, [0.0; 3]);
-            joined.present.resize(after, false);
-        }
-        self.waiting.push(waiting);
-    }
-
     /// Writes the stretches that wait: as one, if that takes fewer bytes.
     fn flush(&mut self) -> Result<(), TakeError> {
-        let waiting = std::mem::take(&mut self.waiting);
-        if let [first, _, ..] = waiting.as_slice() {
-            let n_rows: u32 = waiting.iter().map(|waiting| waiting.span.n_rows).sum();
-            let span = Span { n_rows, number: self.number, ..first.span };
-            let alone = self.joined.len() <= GROUP_CHANNELS;
-            let mut payload = Vec::new();
-            let mut front = StretchHeaderWriter::new(self.stretch_rows);
-            front.put(span, &Timeline::default(), &[], alone, &mut payload);
-            let rows: Vec<_> = self.joined.iter().map(Some).collect();
-            let encoded = match &mut self.exact {
-                Some(exact) => {
-                    Some(exact.put(&rows, &(0..n_rows as usize), alone, &mut payload)?)
-                }
-                None => None,
-            };
-            let n_before: usize = waiting.iter().map(|waiting| waiting.payload.len()).sum();
-            if let Some((tally, _)) = encoded.filter(|_| payload.len() < n_before) {
-                return self.push(span, &payload, &tally);
-            }
+        let Some(joiner) = &mut self.joiner else { return Ok(()) };
+        let (waiting, joined) = joiner.take(self.number)?;
+        match joined {
+            Some(joined) => self.push(joined.span, &joined.payload, &joined.tally),
+            None => waiting
+                .iter()
+                .try_for_each(|waiting| self.copy(waiting, None, waiting.span.first_row)),
         }
-        waiting.iter().try_for_each(|waiting| self.copy(waiting, None, waiting.span.first_row))
     }
 
     fn copy(
@@ -385,8 +301,8 @@ impl<W: Write> Repacker<W> {
         let span = Span { number: self.number, ..waiting.span };
         let runs = timeline.map(|timeline| timeline.runs.clone());
         let mut payload = Vec::new();
-        CopiedStretch { span, from_row, runs, stretch_rows: [self.stretch_rows; 2] }
-            .put(&waiting.payload, &mut payload)?;
+        let stretch_rows = [self.source.map().header.stretch_rows; 2];
+        CopiedStretch { span, from_row, runs, stretch_rows }.put(&waiting.payload, &mut payload)?;
         self.push(span, &payload, &waiting.tally)
     }
 
@@ -437,124 +353,4 @@ impl<W: Write> Repacker<W> {
         self.n_stretches += 1;
         Ok(())
     }
-}
-
-/// Whether the blocks of a stretch are about as large as its samples.
-fn is_stored(n_bytes: usize, tally: &StretchTally) -> bool {
-    n_bytes as u64 * 10 > tally.n_samples() * 12 * 8
-}
-
-fn positions(rows: &DecodedRows) -> impl DoubleEndedIterator<Item = [u32; 3]> {
-    let present = rows.positions.iter().zip(&rows.present).filter(|(_, present)| **present);
-    present.map(|(position, _)| position.map(f32::to_bits))
-}
-
-fn first_position(rows: &DecodedRows) -> Option<[u32; 3]> {
-    positions(rows).next()
-}
-
-fn last_position(rows: &DecodedRows) -> Option<[u32; 3]> {
-    positions(rows).next_back()
-}
-
-/// Whether all samples of a marker are at one position.
-fn is_still(rows: &DecodedRows) -> bool {
-    let first = first_position(rows);
-    positions(rows).all(|position| Some(position) == first)
-}
-
-/// What a repack with other settings may change of the header, and of its settings.
-const ENCODING_FIELDS: [&str; 8] = [
-    "take_id",
-    "resampler",
-    "codec_version",
-    "tolerance_mm",
-    "stretch_rows",
-    "effort",
-    "keys",
-    REPACK,
-];
-
-/// Compares a take with the one that it was repacked from: every sample, gap, time, event and part, the ledger, and the
-/// stated errors. Returns the first difference. With `settings`, those may differ that say how it is encoded; with a
-/// lossy resampler, samples may differ within its tolerance.
-///
-/// # Errors
-/// Those of [`TakeFrames::open_with`], and `Io`.
-pub fn check_repacked(
-    mut old: impl Read + Seek,
-    mut new: impl Read + Seek,
-    settings: Option<&RepackSettings>,
-    context: &EditContext<'_>,
-) -> Result<Option<String>, TakeError> {
-    let mut one = TakeFrames::open_with(&mut old, |_| true, context.new_scratch)?;
-    let mut other = TakeFrames::open_with(&mut new, |_| true, context.new_scratch)?;
-    let content = ContentDifference::between(
-        (one.map(), &one.info().foreign),
-        (other.map(), &other.info().foreign),
-    );
-    let fields = [&content.header, &content.settings, &content.subject, &content.ledger];
-    let may_differ = |field: &str| settings.is_some() && ENCODING_FIELDS.contains(&field);
-    let fields = fields.into_iter().chain([&content.foreign]).flatten();
-    if let Some(found) = fields.into_iter().find(|found| !may_differ(&found.field)) {
-        return Ok(Some(format!("`{}` differs", found.field)));
-    }
-    if !content.events.is_empty() {
-        return Ok(Some("an event differs".to_owned()));
-    }
-    let kept = settings.is_none_or(|settings| settings.codec.kind.is_lossless());
-    let tolerance_mm = settings.map_or(0.0, |settings| settings.codec.tolerance.mm());
-    if let Some(why) = rows_difference(&mut one, &mut other, (!kept).then_some(tolerance_mm))? {
-        return Ok(Some(why));
-    }
-    let (map, other_map) = (one.map().clone(), other.map().clone());
-    if let Some(problem) = map.problems.first() {
-        return Err(TakeError::InvalidArgument(format!("the take cannot be compared: {problem}")));
-    }
-    if let Some(problem) = other_map.problems.first() {
-        return Ok(Some(problem.to_string()));
-    }
-    drop((one, other));
-    if map.header.device.is_none() {
-        return Ok(None);
-    }
-    let times = compare_times((old, &map), (new, &other_map))?;
-    Ok((!times.is_none()).then(|| "the times differ".to_owned()))
-}
-
-/// The first difference between the samples of two takes, and what they state of them; or, with a tolerance, the first
-/// sample that is further away.
-fn rows_difference(
-    one: &mut dyn FrameSource,
-    other: &mut dyn FrameSource,
-    tolerance_mm: Option<f64>,
-) -> Result<Option<String>, TakeError> {
-    let n_markers = one.info().markers.len();
-    if n_markers != other.info().markers.len() {
-        return Ok(Some("the markers differ".to_owned()));
-    }
-    let (mut a, mut b) = (vec![GAP; n_markers], vec![GAP; n_markers]);
-    for row in 0_u64.. {
-        let more = [one.next_frame(&mut a)?, other.next_frame(&mut b)?];
-        if more == [false; 2] {
-            break;
-        }
-        let is_equal = |column: usize, (a, b): (&Position, &Position)| match tolerance_mm {
-            _ if is_gap(*a) || is_gap(*b) => is_gap(*a) && is_gap(*b),
-            None => {
-                a.map(f32::to_bits) == b.map(f32::to_bits)
-                    && one.stated_error_mm(column) == other.stated_error_mm(column)
-            }
-            Some(tolerance_mm) => {
-                let apart = (0..3).map(|axis| f64::from(a[axis]) - f64::from(b[axis]));
-                apart.map(|apart| apart * apart).sum::<f64>().sqrt() <= tolerance_mm
-            }
-        };
-        let rows = a.iter().zip(&b).enumerate();
-        let differing = rows.into_iter().find(|&(column, pair)| !is_equal(column, pair));
-        if more[0] != more[1] || differing.is_some() {
-            return Ok(Some(format!("frame {row} (from 0) differs")));
-        }
-    }
-    Ok(None)
 }

@@ -1,5 +1,7 @@
 //! Parts of generated takes, and takes joined of parts, compared row by row with the whole.
 
+mod repacking;
+
 use std::{
     io::{self, Cursor},
     ops::Range,
@@ -234,10 +236,16 @@ fn import_with(kind: &str, n_rows: usize, foreign: Vec<Foreign>) -> Vec<u8> {
         foreign,
         ..MotionInfo::default()
     };
-    let motion = Motion { info, positions_mm };
+    imported(kind, &Motion { info, positions_mm }, None)
+}
+
+/// The take of an import, with this distance of keys.
+fn imported(kind: &str, motion: &Motion, keys: Option<KeyDistance>) -> Vec<u8> {
+    let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
     let mut header = header(kind);
     header.channels = channels(&motion.info.markers);
     header.stretch_rows = stretch_rows(&settings(kind), RATE_HZ, n_rows, n_markers) as u32;
+    keys.into_iter().for_each(|keys| header.set_key_distance(keys, n_rows as u64));
     let source = ImportSource {
         format: "csv".to_owned(),
         file: "a.csv".to_owned(),
@@ -246,7 +254,7 @@ fn import_with(kind: &str, n_rows: usize, foreign: Vec<Foreign>) -> Vec<u8> {
         ..ImportSource::default()
     };
     header.source = Some(source);
-    let mut frames = MotionFrames::new(&motion);
+    let mut frames = MotionFrames::new(motion);
     let (plan, parts) = EncodePlan::new(&mut frames, &header).unwrap();
     let mut writer = MotionWriter::new(&plan, &motion.info, &header, Vec::new()).unwrap();
     let mut encoder = plan.encoder();
@@ -420,39 +428,6 @@ fn only_rows_before_the_first_key_and_of_the_last_stretch_are_stored_as_floats()
 }
 
 #[test]
-fn recordings_are_repacked_with_their_times_and_losses() {
-    let settings = |kind: &str| RepackSettings {
-        codec: settings(kind),
-        effort: Effort::new(if kind == "dense" { 2 } else { 1 }).unwrap(),
-        keys: None,
-    };
-    let repacked = |take: &[u8], settings: Option<&RepackSettings>| {
-        let source = source(take);
-        let mut out = Vec::new();
-        repack(&source, Cursor::new(take), settings, &mut out, &context())?;
-        let old = Cursor::new(take);
-        let found = check_repacked(old, Cursor::new(&out), settings, &context())?;
-        assert_eq!(found, None);
-        check_statistics(&out);
-        Ok::<_, TakeError>(out)
-    };
-    for kind in ["dense", "fast"] {
-        let take = recording(kind, 900);
-        assert!(repacked(&take, None).unwrap().len() <= take.len(), "{kind}");
-        let refused = repacked(&take, Some(&settings(kind))).unwrap_err();
-        assert!(refused.to_string().contains("the source or a lossless take"), "{refused}");
-    }
-    let take = recording("lossless", 900);
-    let smaller = repacked(&take, Some(&settings("lossless:predictive"))).unwrap();
-    assert!(smaller.len() < take.len(), "{} of {} bytes", smaller.len(), take.len());
-    let dense = repacked(&smaller, Some(&settings("dense"))).unwrap();
-    assert!(dense.len() < smaller.len());
-    let keys = Some(KeyDistance::FirstOnly);
-    let refused = repacked(&take, Some(&RepackSettings { keys, ..settings("dense") }));
-    assert!(refused.unwrap_err().to_string().contains("hold its clocks"));
-}
-
-#[test]
 fn every_range_of_an_import_has_its_rows() {
     for kind in ["dense", "fast", "lossless", "lossless:predictive", "spline", "sync"] {
         let take = import(kind, 2300);
@@ -530,6 +505,25 @@ fn analog(n_frames: usize) -> Foreign {
     Foreign::exact(ANALOG, data)
 }
 
+/// The places of the chunks of this type.
+fn chunks(take: &[u8], wanted: u8) -> Vec<Range<usize>> {
+    let mut places = Vec::new();
+    let mut at = chunk::MAGIC.len();
+    while let ChunkParse::Whole { kind, len, .. } = chunk::parse(&take[at..]) {
+        places.extend((kind == wanted).then_some(at..at + len));
+        at += len;
+    }
+    places
+}
+
+/// The take that a recovery writes of a damaged one.
+fn recovered(damaged: &[u8]) -> Vec<u8> {
+    let mut recovered = Vec::new();
+    let scan = RecoveryScan::read(damaged).unwrap();
+    scan.write(Cursor::new(damaged), &mut recovered, "test").unwrap();
+    recovered
+}
+
 /// The analog samples of a take, their form, and those that are lost.
 fn samples_of(take: &[u8]) -> (Foreign, SampleForm, Vec<LostSamples>) {
     let scratch = || Err(io::ErrorKind::Unsupported.into());
@@ -541,17 +535,10 @@ fn samples_of(take: &[u8]) -> (Foreign, SampleForm, Vec<LostSamples>) {
 #[test]
 fn samples_that_a_recovery_lost_stay_lost_in_parts_and_in_joined_takes() {
     let mut damaged = import_with("dense", 2300, vec![analog(2300)]);
-    let mut samples = Vec::new();
-    let mut at = chunk::MAGIC.len();
-    while let ChunkParse::Whole { kind, len, .. } = chunk::parse(&damaged[at..]) {
-        samples.extend((kind == types::SAMPLES).then_some(at + len / 2));
-        at += len;
-    }
+    let samples = chunks(&damaged, types::SAMPLES);
     assert_eq!(samples.len(), 3, "ten seconds each");
-    damaged[samples[1]] ^= 1;
-    let mut recovered = Vec::new();
-    let scan = RecoveryScan::read(&damaged).unwrap();
-    scan.write(Cursor::new(&damaged), &mut recovered, "test").unwrap();
+    damaged[samples[1].start + samples[1].len() / 2] ^= 1;
+    let recovered = recovered(&damaged);
     let lost = |first, n| {
         vec![LostSamples { channels: [1, 3], first, n, causes: Some(LossCauses::DAMAGED) }]
     };

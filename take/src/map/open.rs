@@ -14,7 +14,7 @@ use crate::{
     },
     damage::DamageOrigin,
     index::{Footer, IndexEntry, parse_index},
-    reader::record,
+    reader::{order, record},
     record::{Header, Ledger, Record},
     stretch::ROWS_PASSED_MAX,
     traversal::TakeTraversal,
@@ -65,14 +65,20 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
     }
     let mut map = None;
     let mut next_key = keys.iter().peekable();
+    let mut orderable = true;
     while chunks.at < file_bytes {
         let offset = chunks.at;
         let Some((kind, chunk_bytes)) = chunks.head()? else { return Ok(None) };
         let is_known = match kind {
             types::STRETCH => {
                 next_key.next_if(|key| key.offset == offset);
+                orderable = false;
                 chunks.go_to(offset + chunk_bytes)?;
                 true
+            }
+            types::ORDER => {
+                let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
+                std::mem::take(&mut orderable) && add_order(&mut map, &payload, offset)
             }
             // A single wrong bit turns another type into one of these, so check their CRC.
             types::FOREIGN
@@ -94,7 +100,8 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
         && next_key.peek().is_none()
         && keys.is_sorted_by(|a, b| a.first_row < b.first_row && a.offset < b.offset);
     let Some(map) = map.filter(|_| are_in_order) else { return Ok(None) };
-    let map = TakeMap { n_rows: footer.n_rows, keys, finished: true, ..map };
+    let mut map = TakeMap { n_rows: footer.n_rows, keys, finished: true, ..map };
+    map.restore_order();
     Ok(map.has_plausible_rows().then_some(map))
 }
 
@@ -119,6 +126,10 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
         return true;
     };
     match record(kind, payload, offset) {
+        // An order that the take states and does not have needs a traversal.
+        Ok(Some(TakeEvent::Summary(summary))) if summary.contradicts_order(&map.order) => {
+            return false;
+        }
         Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
         Ok(Some(event)) => map.add_content(event, offset, payload.len() as u64),
         // A newer version that a reader may skip.
@@ -128,6 +139,19 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
         Ok(None) => return kind & MAY_SKIP != 0,
     }
     true
+}
+
+/// Sets the order of the markers. Returns whether it is valid, and that of an import.
+fn add_order(map: &mut Option<TakeMap>, payload: &[u8], offset: u64) -> bool {
+    let Some(map) = map.as_mut().filter(|map| map.header.device.is_none()) else { return false };
+    match order(payload, offset, Some(map.header.channels.len())) {
+        Ok(TakeEvent::Order(order)) => {
+            map.order = order;
+            true
+        }
+        // A later version is skipped.
+        other => matches!(other, Err(TakeError::Unsupported { .. })),
+    }
 }
 
 /// Reads a file chunk by chunk.

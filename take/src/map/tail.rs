@@ -45,7 +45,12 @@ impl TakeTail {
         };
         let Some(header) = summary.header else { return Ok(None) };
         header.check()?;
-        let map = TakeMap {
+        let order = summary.order.unwrap_or_default();
+        // The header has the markers that appeared later, too.
+        if order.n_channels() > header.channels.len() {
+            return Ok(None);
+        }
+        let mut map = TakeMap {
             channels: header.channels.clone(),
             header: *header,
             n_rows: footer.n_rows,
@@ -54,8 +59,10 @@ impl TakeTail {
             ending: summary.ending,
             statistics: summary.statistics,
             finished: true,
+            order,
             ..TakeMap::default()
         };
+        map.restore_order();
         let tail = Self { map, stretches_end: footer.ledger_offset };
         Ok(tail.is_sound().then_some(tail))
     }
@@ -76,7 +83,8 @@ impl TakeTail {
     pub fn window(&self, rows: &Range<u64>) -> [Range<u64>; 2] {
         let keys = &self.map.keys;
         let key_of = |row: u64| keys.partition_point(|key| key.first_row <= row).saturating_sub(1);
-        let last_row = rows.end.saturating_sub(1).max(rows.start);
+        // Whatever is asked for, and whatever a damaged take states, the window is of rows that there are.
+        let last_row = rows.end.min(self.map.n_rows).saturating_sub(1).max(rows.start);
         let (first, last) = (key_of(rows.start), key_of(last_row));
         let (Some(first), Some(key)) = (keys.get(first), keys.get(last)) else {
             return [0..0, 0..0];
@@ -87,14 +95,52 @@ impl TakeTail {
         let held = end_row.saturating_sub(key.first_row).max(1);
         // Rows are read up to the end of their stretch; a key stretch has about twice the bytes of another one.
         let stretch_rows = u64::from(self.map.header.stretch_rows).max(1);
-        let needed = (last_row + 1).saturating_sub(key.first_row).div_ceil(stretch_rows);
-        let needed = ((needed + 1) * stretch_rows).min(held);
+        let needed =
+            last_row.saturating_add(1).saturating_sub(key.first_row).div_ceil(stretch_rows);
+        let needed = needed.saturating_add(1).saturating_mul(stretch_rows).min(held);
         let share = needed as f64 / held as f64 * LIKELY_FACTOR;
-        let likely = ((end - key.offset) as f64 * share.min(1.0)).ceil() as u64;
-        let likely = (key.offset + likely).min(end);
+        let likely = (end.saturating_sub(key.offset) as f64 * share.min(1.0)).ceil() as u64;
+        let likely = key.offset.saturating_add(likely).min(end);
         [first.offset..likely, likely..end]
     }
 }
 
 /// By how much the bytes of a window may exceed those of an average one of its rows before a second range is needed.
 const LIKELY_FACTOR: f64 = 1.15;
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+
+    const TAKE: &[u8] = include_bytes!("../../tests/golden/v6/fast-1mm.mtake");
+
+    #[test]
+    fn the_end_of_a_take_states_the_order_of_its_markers() {
+        let take = include_bytes!("../../tests/golden/v6/dense-order.mtake");
+        let map = TakeMap::open(&mut Cursor::new(take)).unwrap();
+        let tail = TakeTail::read(&mut Cursor::new(take)).unwrap().map(|tail| tail.map);
+        let stated =
+            |map: &TakeMap| (map.order.clone(), map.channels.clone(), map.statistics.clone());
+        assert!(!map.order.is_identity());
+        assert_eq!(tail.as_ref().map(stated), Some(stated(&map)));
+    }
+
+    #[test]
+    fn a_window_of_any_rows_is_in_the_take() {
+        let Some(mut tail) = TakeTail::read(&mut Cursor::new(TAKE)).unwrap() else {
+            panic!("the take has no summary")
+        };
+        let n_rows = tail.map.n_rows;
+        let rows = [0, 1, n_rows - 1, n_rows, n_rows + 1, u64::MAX - 1, u64::MAX];
+        for stretch_rows in [0, 1, tail.map.header.stretch_rows, u32::MAX] {
+            tail.map.header.stretch_rows = stretch_rows;
+            for (first, end) in rows.iter().flat_map(|&first| rows.map(|end| (first, end))) {
+                let [likely, rest] = tail.window(&(first..end));
+                assert!(likely.start <= likely.end && likely.end <= rest.end, "{first}..{end}");
+                assert!(rest.end <= TAKE.len() as u64, "{first}..{end}: {rest:?}");
+            }
+        }
+    }
+}

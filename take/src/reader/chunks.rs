@@ -2,7 +2,7 @@
 
 use super::{TakeEvent, TakeReader, damage::Damage};
 use crate::{
-    NotATake, TakeError,
+    ChannelOrder, NotATake, TakeError,
     chunk::{
         self, CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, ChunkParse, HEAD_BYTES_MAX, LongChunkScan,
         LongChunks, MAY_SKIP, PrefixCrcs, types,
@@ -107,6 +107,7 @@ impl TakeReader {
                 self.chain = Some(chain);
                 self.bytes.header += len as u64;
                 self.n_channels = header.channels.len();
+                self.orderable = header.device.is_none().then_some(self.n_channels);
                 return Ok(TakeEvent::Header(Box::new(header)));
             }
             self.bytes.other += len as u64;
@@ -114,7 +115,11 @@ impl TakeReader {
             return Ok(damaged(offset, len as u64, kind, message));
         };
         let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
+        if kind == types::STRETCH {
+            self.orderable = None;
+        }
         let event = match kind {
+            types::ORDER => order(payload, offset, self.orderable.take()),
             types::FOREIGN => foreign_part(payload, payload_at, offset, !self.skips_content),
             types::SAMPLES => {
                 SamplesChunk::from_payload(payload, payload_at, offset).map(TakeEvent::Samples)
@@ -176,6 +181,21 @@ fn foreign_part(
         inflation.finish(offset)?;
     }
     Ok(TakeEvent::Foreign(part))
+}
+
+/// The order in the ORDER chunk at file offset `offset`, of `n_channels` channels; `None` where there can be none.
+pub(crate) fn order(
+    payload: &[u8],
+    offset: u64,
+    n_channels: Option<usize>,
+) -> Result<TakeEvent<'static>, TakeError> {
+    let order = ChannelOrder::from_payload(payload, offset)?;
+    let corrupt = |message| Err(TakeError::corrupt("order", offset, message));
+    match n_channels {
+        Some(n) if n == order.n_channels() => Ok(TakeEvent::Order(order)),
+        Some(_) => corrupt("it is of another number of markers than the header has"),
+        None => corrupt("it belongs before the first stretch of an import, once"),
+    }
 }
 
 /// Decodes a chunk whose content does not depend on earlier chunks; `None` for other types.

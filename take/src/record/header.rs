@@ -205,12 +205,17 @@ impl Header {
         stated.and_then(|(_, level)| level.parse().ok()).unwrap_or_default()
     }
 
-    /// Sets the distance of the key stretches of an import of `n_rows` rows, and the rows of its full stretches. These
-    /// are at most those set before; but a take that has keys further apart than ten seconds is of a later version, and
-    /// has longer stretches.
+    /// Sets the distance of the key stretches of an import of `n_rows` rows, and the rows of its full stretches by it.
     pub fn set_key_distance(&mut self, distance: KeyDistance, n_rows: u64) {
         self.settings.retain(|(key, _)| key != KEYS);
         self.settings.push((KEYS.to_owned(), distance.to_string()));
+        self.fit_key_distance(n_rows);
+    }
+
+    /// Sets the rows of full stretches of an import of `n_rows` rows by the stated distance of its keys, if one is
+    /// stated. These are at most those set before; but a take that has keys further apart than ten seconds is of a later
+    /// version, and has longer stretches.
+    pub(crate) fn fit_key_distance(&mut self, n_rows: u64) {
         let Some(rows) = self.key_rows() else { return };
         let rows_max = (KEYS_APART_S_MAX * self.rate_hz) as usize;
         if rows > rows_max.max(1) && n_rows > rows_max as u64 {
@@ -223,11 +228,6 @@ impl Header {
         } else {
             self.stretch_rows = self.stretch_rows.min(u32::try_from(rows).unwrap_or(u32::MAX));
         }
-    }
-
-    /// Removes the distance of key stretches.
-    pub(crate) fn unset_key_distance(&mut self) {
-        self.settings.retain(|(key, _)| key != KEYS);
     }
 
     /// The distance of the key stretches of an import as it is stated, if it was chosen.

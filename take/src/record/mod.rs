@@ -121,7 +121,7 @@ fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
 }
 
 /// Splits the version off the front of a section, and rejects all but `supported`.
-fn section_content<'a>(
+pub(crate) fn section_content<'a>(
     section: &'a [u8],
     what: &'static str,
     supported: u16,

@@ -6,7 +6,7 @@ use std::fmt;
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 
 use super::{Header, Record, deflate, inflate, put_section, section_content, statistics};
-use crate::{TakeError, chunk::types, statistics::TakeStatistics, varint::Cursor};
+use crate::{ChannelOrder, TakeError, chunk::types, statistics::TakeStatistics, varint::Cursor};
 
 /// Longest payload: two records at their limit of 4 MiB, which leaves room for copies of the header and the channel
 /// table.
@@ -29,6 +29,9 @@ const HEADER_SECTION_VERSION: u16 = 1;
 
 /// The section that holds [`TakeStatistics`].
 const STATISTICS_TAG: u64 = 3;
+
+/// The section that holds a [`ChannelOrder`].
+const ORDER_TAG: u64 = 5;
 
 /// Why a take ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -180,11 +183,22 @@ pub struct SummaryRecord {
     pub ending: Option<TakeEnding>,
     /// The header, with the complete channel table of the take; `None` if not stated.
     pub header: Option<Box<Header>>,
-    /// The statistics of the take; `None` if not stated.
+    /// The statistics of the take, in the order of the table; `None` if not stated.
     pub statistics: Option<TakeStatistics>,
+    /// The order of the markers in the source; `None` if not stated.
+    pub order: Option<ChannelOrder>,
 }
 
 impl SummaryRecord {
+    /// Whether it states another order of the markers than this one of the take. A summary with the channel table states
+    /// the order of it, if that is not the order of the source.
+    pub(crate) fn contradicts_order(&self, order: &ChannelOrder) -> bool {
+        match &self.order {
+            Some(stated) => stated != order,
+            None => self.header.is_some() && !order.is_identity(),
+        }
+    }
+
     /// Encodes the payload of its chunk.
     ///
     /// # Errors
@@ -199,6 +213,9 @@ impl SummaryRecord {
         }
         if let Some(statistics) = &self.statistics {
             put_section(&mut out, STATISTICS_TAG, &statistics::to_section(statistics)?);
+        }
+        if let Some(order) = &self.order {
+            put_section(&mut out, ORDER_TAG, &order.to_payload());
         }
         if out.len() > SUMMARY_BYTES_MAX {
             return Err(TakeError::InvalidArgument(format!(
@@ -235,6 +252,7 @@ impl SummaryRecord {
                 ENDING_TAG => summary.ending.is_some(),
                 HEADER_TAG => summary.header.is_some(),
                 STATISTICS_TAG => summary.statistics.is_some(),
+                ORDER_TAG => summary.order.is_some(),
                 _ => continue,
             };
             if is_twice {
@@ -254,7 +272,8 @@ impl SummaryRecord {
         match tag {
             ENDING_TAG => self.ending = Some(TakeEnding::from_payload(section, offset)?),
             HEADER_TAG => self.header = Some(Box::new(header_of_section(section, offset)?)),
-            _ => self.statistics = Some(statistics::of_section(section, offset)?),
+            STATISTICS_TAG => self.statistics = Some(statistics::of_section(section, offset)?),
+            _ => self.order = Some(ChannelOrder::from_payload(section, offset)?),
         }
         Ok(())
     }
@@ -345,7 +364,7 @@ mod tests {
             samples_in_key_rows: 66,
         };
         let (header, statistics) = (Some(Box::new(header)), Some(statistics));
-        SummaryRecord { ending: None, header, statistics }
+        SummaryRecord { header, statistics, ..SummaryRecord::default() }
     }
 
     #[test]
@@ -412,7 +431,7 @@ mod tests {
         let mut payload = VERSION.to_le_bytes().to_vec();
         put_section(&mut payload, 900, b"from a later version");
         put_section(&mut payload, ENDING_TAG, &[1, 0, 5, 0]);
-        put_section(&mut payload, 4, b"");
+        put_section(&mut payload, 901, b"");
         assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), of(EndingKind::DiskFull, ""));
         // A truncated payload is an error or has fewer sections; it never states another ending.
         for cut in 0..payload.len() {

@@ -4,12 +4,12 @@ use super::{
     ChunkKind, ChunkKindCount, KINDS, OutputChunk, ledger_tally::LedgerTally, samples::KeptSamples,
 };
 use crate::{
-    NotATake, TakeError, TakeEvent,
+    ChannelOrder, NotATake, TakeError, TakeEvent,
     chunk::types,
     damage::{DamageOrigin, LedgerTotals, LostRows, Problem},
     reader::TakeInput,
     record::{Channel, EndingKind, Header, Ledger, TakeEnding},
-    statistics::{StretchTally, TakeStatistics, TakeTally},
+    statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
     stretch::{NUMBERS, Span, Stretch},
     traversal::{Decode, LocatedEvent, LostEntries, Progress, TakeTraversal},
 };
@@ -32,9 +32,11 @@ pub struct ChannelCount {
 pub struct RecoveryScan {
     /// The header, as the file has it.
     pub header: Header,
-    /// The complete channel table.
+    /// The complete channel table, in column order.
     pub channels: Vec<Channel>,
-    /// Counts by channel.
+    /// How the table is ordered in the source: as the take has it, or its summary if that is lost.
+    pub(super) order: ChannelOrder,
+    /// Counts by channel, in column order.
     pub per_channel: Vec<ChannelCount>,
     /// Chunk counts by kind.
     pub kinds: [ChunkKindCount; KINDS.len()],
@@ -54,7 +56,7 @@ pub struct RecoveryScan {
     pub finished: bool,
     /// Bytes that are damaged or depend on damaged ones.
     pub discarded_bytes: u64,
-    /// The statistics of the new take.
+    /// The statistics of the new take, in the order of its table.
     pub statistics: TakeStatistics,
     pub(super) output: Vec<OutputChunk>,
     names_lost: bool,
@@ -138,6 +140,8 @@ struct RecoveryScanner {
     closed: bool,
     /// A ledger before the last that contradicts the stretches before it.
     contradiction: Option<Problem>,
+    /// The order of the markers according to the summary.
+    stated_order: Option<ChannelOrder>,
 }
 
 impl RecoveryScanner {
@@ -180,7 +184,11 @@ impl RecoveryScanner {
                 let action = if is_stale { ChunkAction::Rewrite } else { ChunkAction::Copy(None) };
                 (types::LEDGER, action)
             }
-            TakeEvent::Summary(_) => (types::SUMMARY, ChunkAction::Rewrite),
+            TakeEvent::Order(_) => (types::ORDER, ChunkAction::Rewrite),
+            TakeEvent::Summary(summary) => {
+                self.stated_order.clone_from(&summary.order);
+                (types::SUMMARY, ChunkAction::Rewrite)
+            }
             // An index that is too long to hold has the old offsets, too.
             TakeEvent::Index(_) | TakeEvent::Skipped { kind: types::INDEX } => {
                 (types::INDEX, ChunkAction::Rewrite)
@@ -240,7 +248,7 @@ impl RecoveryScanner {
         self.next_number = (span.number + 1) % NUMBERS;
         let before = self.tally.samples();
         if span.n_rows > 0 {
-            self.tally.add(span, &StretchTally::of_decoded(stretch, progress.rows()));
+            self.tally.add(span, &StretchTally::of_decoded(stretch, progress.coded_rows()));
         }
         let samples = self.tally.samples() - before;
         self.ledger.add_stretch(stretch, progress.channels().len(), samples);
@@ -295,7 +303,15 @@ impl RecoveryScanner {
     }
 
     fn finish(mut self, progress: Progress, samples: KeptSamples) -> RecoveryScan {
-        let Progress { take, rows_damaged, .. } = progress;
+        let Progress { mut take, rows_damaged, .. } = progress;
+        let stated = self.stated_order.filter(|stated| stated.check(&take.header, 0).is_ok());
+        if let Some(stated) = stated.filter(|_| take.order.n_channels() == 0) {
+            take.order = stated;
+            take.restore_order();
+            // Nothing of it is lost.
+            let order = ChunkKind::Order as usize;
+            self.recovered[order] += std::mem::take(&mut self.discarded[order]);
+        }
         let rows = take.n_rows - self.end_row;
         if rows > 0 {
             let (first_row, number) = (self.end_row, self.next_number);
@@ -316,17 +332,23 @@ impl RecoveryScanner {
             let i = kind as usize;
             ChunkKindCount { kind, recovered: self.recovered[i], discarded: self.discarded[i] }
         };
+        let kinds = KINDS.map(count);
         let statistics = self.tally.finish(take.n_rows);
         let per_channel = statistics.channels.iter().zip(rows_damaged);
-        let per_channel = per_channel
-            .map(|(channel, rows_damaged)| ChannelCount { samples: channel.samples, rows_damaged });
+        let count = |(channel, rows_damaged): (&ChannelStatistics, u64)| ChannelCount {
+            samples: channel.samples,
+            rows_damaged,
+        };
+        let mut per_channel: Vec<_> = per_channel.map(count).collect();
+        take.order.restore(&mut per_channel);
         let mut scan = RecoveryScan {
             header: take.header,
             ledger: self.ledger.close(take.ledger.as_ref(), &here),
             ending,
-            kinds: KINDS.map(count),
+            kinds,
             channels: take.channels,
-            per_channel: per_channel.collect(),
+            order: take.order,
+            per_channel,
             statistics,
             problems,
             damage: take.damage,

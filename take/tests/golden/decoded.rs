@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use mocapd_codec::Position;
 use mocapd_take::{
-    TakeError, TakeEvent, TakeFrames,
+    ChannelOrder, TakeError, TakeEvent, TakeFrames,
     motion::{Foreign, FrameSource},
     reader::read_events,
     record::{Channel, Event, Ledger, SampledGroup},
@@ -17,6 +17,8 @@ use mocapd_take::{
 #[derive(Debug, Default)]
 pub(crate) struct Decoded {
     pub(crate) channels: Vec<Channel>,
+    /// Of the channels in the source.
+    pub(crate) order: ChannelOrder,
     pub(crate) n_rows: u64,
     /// By channel and row: the sample, and whether it was kept.
     pub(crate) tracks: Vec<Vec<Option<(Position, bool)>>>,
@@ -51,6 +53,7 @@ impl Decoded {
                     found.channels = header.channels;
                 }
                 TakeEvent::Channels(more) => found.channels.extend(more),
+                TakeEvent::Order(order) => found.order = order,
                 TakeEvent::Stretch(stretch) => {
                     assert!(!stretch.missing_before);
                     let decoder = decoder.as_mut().expect("a header in front");
@@ -77,6 +80,9 @@ impl Decoded {
         let is_sampled = |part: &&Foreign| found.groups.iter().any(|group| group.kind == part.kind);
         found.parts = frames.info().foreign.iter().filter(is_sampled).cloned().collect();
         let n_rows = found.n_rows as usize;
+        found.tracks.resize(found.tracks.len().max(found.order.n_channels()), Vec::new());
+        found.order.restore_table(&mut found.channels);
+        found.order.restore(&mut found.tracks);
         found.tracks.iter_mut().for_each(|track| track.resize(n_rows, None));
         Ok(found)
     }

@@ -19,6 +19,7 @@
 #[path = "../../../codec/tests/allocation/counting.rs"]
 mod counting;
 mod mutated;
+mod repacking;
 mod take;
 mod text;
 mod window;

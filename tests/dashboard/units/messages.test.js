@@ -1,6 +1,6 @@
 import { responseMessage } from "/actions.js";
 import { describe, deviceLine, fileNotice, obstacle, shownState } from "/state.js";
-import { health, takeSummary, verifyResult } from "/takes.js";
+import { health, takeSummary, uploadText, verifyResult } from "/takes.js";
 import { equal, isTrue, test } from "./harness.js";
 
 const DEVICE = { uri: "serial:/dev/ttyUSB0", presence: "streaming", model: "DVMC-8820", serial: "7", firmware: "1.4",
@@ -70,6 +70,14 @@ test("a change of the file by another program is reported", () => {
   equal(fileNotice({ take: null }), null);
   equal(fileNotice({ take: { file: "in_place", file_notice: null } }), null);
   equal(fileNotice({ take: { file: "removed", file_notice: "the take a was removed" } }), "The take a was removed");
+});
+
+test("the upload of a take says where it is, or why not", () => {
+  equal(uploadText({ upload: null }), "");
+  const upload = { state: "uploaded", url: "s3://lab/a.take", message: "" };
+  equal(uploadText({ upload }), "in the archive (s3://lab/a.take)");
+  equal(uploadText({ upload: { ...upload, state: "waiting", message: "no network" } }), "waits to be uploaded: no network");
+  equal(uploadText({ upload: { ...upload, state: "from tomorrow" } }), "from tomorrow (s3://lab/a.take)");
 });
 
 test("the summary of a take contains known facts only", () => {

@@ -9,7 +9,7 @@ from .errors import Corrupt
 
 MAGIC = b"\x89TAK\r\n\x1a\n"
 HEADER, CHANNELS, STRETCH, FOOTER, SUMMARY = 0x01, 0x02, 0x03, 0x8B, 0x8D
-SAMPLED_GROUP, SAMPLES = 0x8E, 0x8F
+SAMPLED_GROUP, SAMPLES, ORDER = 0x8E, 0x8F, 0x92
 VERSIONS = (6, 7)  # 7: key stretches may be further apart
 
 
@@ -122,6 +122,56 @@ def read_header(payload):
     if header.codec_version not in VERSIONS:
         raise Corrupt(f"blocks of version {header.codec_version}, not {' or '.join(map(str, VERSIONS))}")
     return header
+
+
+GROUP = 64
+
+
+def read_order(content):
+    """By row of the channel table: the column in the source."""
+    if content[:2] != b"\x01\x00":
+        raise Corrupt("an order of an unknown version")
+    cursor = Cursor(content[2:])
+    n, columns = cursor.varint(), []
+    rest = cursor.rest()
+    bits = int.from_bytes(rest, "big")
+    n_left = 8 * len(rest)
+
+    def number(width):
+        nonlocal n_left
+        n_left -= width
+        if n_left < 0:
+            raise Corrupt("an order that is cut")
+        return bits >> n_left & (1 << width) - 1
+
+    for first in range(0, n, GROUP):
+        places, following = list(range(first, min(first + GROUP, n))), first
+        while places:
+            if len(places) > 1 and following in places:
+                if number(1):
+                    columns.append(following)
+                    places.remove(following)
+                    following += 1
+                    continue
+                others = [place for place in places if place != following]
+            else:
+                others = places
+            place = number((len(others) - 1).bit_length())
+            if place >= len(others):
+                raise Corrupt("an order with a place that there is not")
+            columns.append(others[place])
+            following = others[place] + 1
+            places.remove(columns[-1])
+    if n_left > 7 or bits & (1 << n_left) - 1:
+        raise Corrupt("an order that is too long")
+    return columns
+
+
+def restored(channels, columns):
+    """A channel table in the order of the source; ids stay at their places."""
+    labels = {column: channels[row] for row, column in enumerate(columns)}
+    pairs = ((labels.get(column, channel), channel) for column, channel in enumerate(channels))
+    return [labelled | {"marker_id": channel["marker_id"]} for labelled, channel in pairs]
 
 
 def read_channels(payload):

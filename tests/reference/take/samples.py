@@ -115,8 +115,9 @@ def column(samples, form):
     return b"".join(bytes(d >> 8 * plane & 0xFF for d in differences) for plane in reversed(range(width)))
 
 
-def parts(groups):
-    """The foreign parts that consecutive groups stand for: kinds and blocks of columns."""
+def parts(groups, order=None):
+    """The foreign parts that consecutive groups stand for: kinds and blocks of columns, with `order` in that of the
+    source."""
     found = []
     for group in groups:
         if group.first_channel == 0:
@@ -127,6 +128,8 @@ def parts(groups):
         if len(channels) != first.part_channels:
             raise Corrupt("a part that lacks channels")
         samples = [samples for group in part for samples in group.samples]
+        if order and first.kind == "c3d/residuals":
+            samples = [samples[order.index(column)] for column in range(len(samples))]
         width = 2 if first.form != FLOAT32 and not any(None in column for column in samples) else 4
         per_signal = 4 if first.kind == "c3d/model-outputs" else 1
         numbers = [(1, 1), (width, 1), (len(channels) // per_signal, 4), (first.samples_per_frame, 4)]

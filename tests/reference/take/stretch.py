@@ -2,7 +2,8 @@
 
 from . import summary as summaries
 from .container import (
-    CHANNELS, FOOTER, HEADER, SAMPLED_GROUP, SAMPLES, STRETCH, SUMMARY, chunks, read_channels, read_header,
+    CHANNELS, FOOTER, HEADER, ORDER, SAMPLED_GROUP, SAMPLES, STRETCH, SUMMARY, chunks, read_channels, read_header,
+    read_order, restored,
 )  # fmt: skip
 from .cursor import Cursor
 from .dense import Dense
@@ -35,6 +36,7 @@ class Take:
     def __init__(self):
         self.header = None
         self.channels = []
+        self.order = None  # by row of the table: the column in the source, if it is another
         self.n_rows = 0
         self.times = []  # (row, ticks, arrival in 10 us, timecode) of the recorded rows
         self.lost = []  # (first row, rows, causes)
@@ -139,6 +141,14 @@ class Stretches:
                 self.take.stated_mm = max(self.take.stated_mm, group.stated_mm)
 
 
+def restore_order(take):
+    """Puts markers and their samples into the order of the source."""
+    take.channels = restored(take.channels, take.order)
+    column = dict(enumerate(take.order))
+    take.tracks = {column.get(row, row): track for row, track in take.tracks.items()}
+    take.stated_by_channel = {column.get(row, row): mm for row, mm in take.stated_by_channel.items()}
+
+
 def read_take(data):
     """Decodes the bytes of an undamaged take, and compares its summary with them; one that ends after a complete chunk is
     read up to there."""
@@ -148,6 +158,10 @@ def read_take(data):
             take.header = read_header(payload)
             take.channels = list(take.header.channels)
             stretches = Stretches(take.header, take)
+        elif kind == ORDER and stretches:
+            was_there, take.order = take.order is not None, read_order(payload)
+            if take.header.device or take.n_rows or len(take.order) != len(take.header.channels) or was_there:
+                raise Corrupt("an order of other markers")
         elif stretches is None:
             raise Corrupt("a take without a header in front")
         elif kind == CHANNELS:
@@ -166,4 +180,6 @@ def read_take(data):
     if take.header is None:
         raise Corrupt("a take without a header")
     summaries.check(summary, take)
+    if take.order:
+        restore_order(take)
     return take

@@ -3,13 +3,13 @@
 import zlib
 from dataclasses import dataclass
 
-from .container import Record, read_header
+from .container import Record, read_header, read_order
 from .cursor import Cursor
 from .errors import Corrupt
 from .range_coder import RangeDecoder
 from .timeline import Number
 
-ENDING, HEADER, STATISTICS = 1, 2, 3
+ENDING, HEADER, STATISTICS, ORDER = 1, 2, 3, 5
 ENDINGS = ["stopped", "length", "device ended", "device gone", "disk full", "service stopped", "saved", "cut off",
            "truncated", "unmounted"]  # fmt: skip
 
@@ -27,6 +27,7 @@ class Summary:
     ending: tuple | None = None  # (name, detail)
     header: object = None
     statistics: Statistics | None = None
+    order: list | None = None
 
 
 def read_summary(payload, tolerance_mm):
@@ -44,6 +45,8 @@ def read_summary(payload, tolerance_mm):
             summary.header = read_header(zlib.decompress(content[2:], wbits=-15))
         elif tag == STATISTICS:
             summary.statistics = read_statistics(content[2:], tolerance_mm)
+        elif tag == ORDER:
+            summary.order = read_order(content)
     return summary
 
 
@@ -90,3 +93,5 @@ def check(summary, take):
         raise Corrupt("the summary has another header")
     if summary.statistics and summary.statistics != counted(take):
         raise Corrupt(f"the summary states {summary.statistics}, counted are {counted(take)}")
+    if summary.order and summary.order != take.order:
+        raise Corrupt("the summary has another order of the markers")

@@ -7,8 +7,8 @@ use mocapd_service::{
     control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
     http::{Problem, ProblemKind, openapi},
     status::{
-        DeviceStatus, MarkerQuality, OutageStatus, ServiceEvent, ServiceEventKind, State, Status,
-        TakeStatus, TakeSummary,
+        ArchiveStatus, DeviceStatus, MarkerQuality, OutageStatus, ServiceEvent, ServiceEventKind,
+        State, Status, TakeStatus, TakeSummary, TakeUpload,
     },
 };
 use serde_json::{Value, json};
@@ -88,7 +88,11 @@ fn examples() -> Vec<(&'static str, Value)> {
     let status = Status {
         device: DeviceStatus { outage: Some(outage), ..DeviceStatus::default() },
         take: Some(TakeStatus::default()),
-        last_take: Some(TakeSummary::default()),
+        last_take: Some(TakeSummary {
+            upload: Some(TakeUpload::default()),
+            ..TakeSummary::default()
+        }),
+        archive: Some(ArchiveStatus::default()),
         ..Status::default()
     };
     let first_frame = FirstFrame { device_ticks: 1, arrival_ns: 2, before_request_s: 0.5 };

@@ -70,7 +70,7 @@ fn for_unknown_keys_the_nearest_one_is_suggested() {
     refused("[arm]\ntolerance = '1mm'", (2, 1), "", &["'tolerance'", "[arm]", "[take]"]);
     refused("tolerance = '1mm'", (1, 1), "", &["'tolerance'", "[take]"]);
     refused("[devices]\nuri = 'auto'", (1, 2), "", &["[devices]", "'device'"]);
-    let all = "rig, device, take, subject, arm, http, trigger, log";
+    let all = "rig, device, take, subject, arm, archive, http, trigger, log";
     refused("[studio]", (1, 2), "", &["[studio]", all]);
     refused("device = 'auto'", (1, 1), "", &["\"auto\"", "[device]"]);
     refused("[[device]]\nuri = 'auto'", (1, 0), "", &["[device]"]);
@@ -117,6 +117,9 @@ fn wrong_types_and_units_say_what_was_found_and_what_to_write() {
     differ(&[(zero, "0"), (nan, "NaN")]);
     wrong("device.uri", "'/dev/ttyUSB0'", (2, 0), &["serial:/dev/ttyUSB0"]);
     wrong("rig.name", "'a/b'", (2, 0), &["\"a/b\""]);
+    let secret =
+        wrong("archive.url", "'https://me:secret@host/x'", (2, 0), &["https://***@host/x"]);
+    assert!(!secret.contains("secret"), "{secret}");
     wrong("log.level", "'warning'", (2, 0), &["\"warning\"", "'warn'"]);
     // More could use up the file descriptors that takes need.
     let of = |value, facts: &[&str]| wrong("http.connections_max", value, (2, 0), facts);

@@ -43,6 +43,10 @@ at_start = false
 pre_roll = "1.25s"
 include_pre_roll = "1250ms"
 memory_max = "1MiB"
+[archive]
+url = "file:///srv/archive/left/"
+rate_max = "1MB"
+remove_local_after = "90min"
 [http]
 socket = ""
 listen = "[::]:80"

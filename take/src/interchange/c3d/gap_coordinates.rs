@@ -16,10 +16,11 @@ use crate::{
     foreign::content::{Content, ContentSlice},
     interchange::rotation::Rotation,
     motion::{Foreign, Position},
+    stretch::CHANNELS_MAX,
 };
 
 /// Kind of the part.
-const KIND: &str = "c3d/gap-coordinates";
+pub(super) const KIND: &str = "c3d/gap-coordinates";
 /// Bytes of the part's header: version, number of the first frame, number of markers.
 const HEADER_BYTES: usize = 13;
 /// Bytes before a marker's runs: its index and the number of runs.
@@ -322,6 +323,34 @@ impl<'a> PartCoordinates<'a> {
     }
 }
 
+/// What precedes the markers of a part, and each of them with its index.
+pub(super) type ByMarker<'a> = (ContentSlice<'a>, Vec<(usize, ContentSlice<'a>)>);
+
+/// Divides a part into its markers, whose indices ascend; `None` for a damaged part.
+pub(super) fn by_marker(data: &Content) -> io::Result<Option<ByMarker<'_>>> {
+    let Some((front, mut rest)) = data.as_slice().split_at(HEADER_BYTES as u64) else {
+        return Ok(None);
+    };
+    let mut header = [0; HEADER_BYTES];
+    front.read_at(0, &mut header)?;
+    if header.first() != Some(&VERSION) {
+        return Ok(None);
+    }
+    let n_stored = header.last_chunk().map_or(0, |n| u32::from_le_bytes(*n)) as usize;
+    let mut markers: Vec<(usize, ContentSlice<'_>)> = Vec::new();
+    while rest.len() > 0 {
+        let Some((marker, after)) = PartMarker::parse(rest, 0)? else { return Ok(None) };
+        let is_next = markers.last().is_none_or(|(last, _)| *last < marker.index);
+        if !is_next || marker.index >= CHANNELS_MAX || markers.len() >= n_stored {
+            return Ok(None);
+        }
+        let Some((slice, _)) = rest.split_at(rest.len() - after.len()) else { return Ok(None) };
+        markers.push((marker.index, slice));
+        rest = after;
+    }
+    Ok(Some((front, markers)))
+}
+
 impl<'a> PartMarker<'a> {
     /// Parses a marker, with a buffer of `buffer_bytes` bytes for its words. Returns it and the data after it.
     fn parse(
@@ -485,6 +514,29 @@ mod tests {
 
     fn sample(frame: usize, marker: usize) -> Sample {
         (frame, marker, [frame as f32, marker as f32, 0.5, -1.0])
+    }
+
+    #[test]
+    fn no_more_markers_are_held_than_a_part_states() {
+        let part = part_of(&[sample(0, 4), sample(0, 7)]);
+        let mut stored = Vec::new();
+        part.data.as_slice().reader().read_to_end(&mut stored).unwrap();
+        let n_markers = |stored: &[u8]| {
+            let data = Content::from(stored.to_vec());
+            by_marker(&data).unwrap().map(|(_, markers)| markers.len())
+        };
+        assert_eq!(n_markers(&stored), Some(2));
+        let empty_marker = |index: u32| {
+            [&stored[..], &index.to_le_bytes(), &[0; MARKER_BYTES - size_of::<u32>()]].concat()
+        };
+        assert_eq!(n_markers(&empty_marker(8)), None, "a third of two");
+        let stated_at = HEADER_BYTES - size_of::<u32>();
+        let three = |index| {
+            let mut stored = empty_marker(index);
+            stored[stated_at] = 3;
+            n_markers(&stored)
+        };
+        assert_eq!([three(8), three(7), three(CHANNELS_MAX as u32)], [Some(3), None, None]);
     }
 
     #[test]

@@ -40,6 +40,7 @@ pub(crate) const ALL: &[(&str, Scenario)] = &[
 
 /// Scenarios that run only when named.
 pub(crate) const LONG: &[(&str, Scenario)] = &[
+    ("replug: the recorder alone", replug::alone),
     ("speed: the transport alone", speed::transport_alone),
     ("speed: the heaviest load", speed::heaviest_load),
 ];

@@ -15,25 +15,44 @@ use crate::{
     simulator::Simulator,
 };
 
-/// The recorder reacts to a pulled cable as soon as a transfer fails.
-const ACTED_WITHIN: Duration = Duration::from_millis(100);
+/// Limits of the recorder's reaction to a cable.
+struct Limits {
+    /// From the pull to the line that reports it.
+    acted: Duration,
+    /// From the replug to the device's being recorded again.
+    back: Duration,
+}
 
-/// Time until a device that is back is recorded again.
-const BACK_WITHIN: Duration = Duration::from_secs(2);
+/// A recorder that did not see transfers fail would notice the device's silence after 5 s; one that neither polled nor
+/// was told of new devices would not find it again. An emulated machine beside other load takes up to 0.2 s for the
+/// first and 1 s for the second.
+const BESIDE_OTHERS: Limits =
+    Limits { acted: Duration::from_secs(2), back: Duration::from_secs(10) };
+
+/// On an otherwise idle machine the recorder reacts as soon as a transfer fails.
+const ALONE: Limits = Limits { acted: Duration::from_millis(100), back: Duration::from_secs(2) };
+
+impl Limits {
+    fn check(&self, acted: Duration, back: Duration) -> anyhow::Result<()> {
+        ensure!(acted < self.acted, "acted on after {} ms", acted.as_millis());
+        ensure!(back < self.back, "recorded again after {} ms", back.as_millis());
+        Ok(())
+    }
+}
 
 /// Tolerance of the outage's duration in the take of a device that lost its power: the simulator is killed and started
 /// again, and its first frame comes a little after it is back.
-const KEEPS_TIME_WITHIN_S: f64 = 0.3;
+const KEEPS_TIME_WITHIN_S: f64 = 0.6;
 
-/// Frames of half a second, for which a busy machine may pause the device.
-const STOOD_STILL_MAX: u64 = 120;
+/// Frames of a second, for which a busy machine may pause the device.
+const STOOD_STILL_MAX: u64 = 240;
 
 const ENDLESS: [&str; 5] = ["--rate", "240", "--markers", "24", "--loop"];
 
 /// Duration of the outage, and of the recording before and after it.
 const WHILE: Duration = Duration::from_millis(1500);
 
-fn pull_and_plug(simulator: Simulator, take: &str) -> Measurement {
+fn pull_and_plug(simulator: Simulator, take: &str, limits: &Limits) -> Measurement {
     let mut recorder = record(&simulator.uri, take, &[])?;
     recorder.has_recorded(take)?;
     sleep(WHILE);
@@ -54,8 +73,7 @@ fn pull_and_plug(simulator: Simulator, take: &str) -> Measurement {
         "{ledger:?} of {sent:?}"
     );
     ensure!(lost_frames >= 240, "an outage of more than a second, and {ledger:?}");
-    ensure!(acted < ACTED_WITHIN, "acted on after {} ms", acted.as_millis());
-    ensure!(back < BACK_WITHIN, "recorded again after {} ms", back.as_millis());
+    limits.check(acted, back)?;
     Ok(format!(
         "acted on after {} ms, recorded again {} ms after the replug; {} of {} frames, {lost_frames} in the gap",
         acted.as_millis(),
@@ -80,11 +98,18 @@ fn ended(recorder: Mocapd, take: &str) -> anyhow::Result<LedgerReport> {
 }
 
 pub(crate) fn bulk() -> Measurement {
-    pull_and_plug(Simulator::bulk("PLUG1", &ENDLESS)?, "/tmp/plug-1.take")
+    pull_and_plug(Simulator::bulk("PLUG1", &ENDLESS)?, "/tmp/plug-1.take", &BESIDE_OTHERS)
 }
 
 pub(crate) fn port() -> Measurement {
-    pull_and_plug(Simulator::port("PLUG2", &ENDLESS)?, "/tmp/plug-2.take")
+    pull_and_plug(Simulator::port("PLUG2", &ENDLESS)?, "/tmp/plug-2.take", &BESIDE_OTHERS)
+}
+
+/// Needs the whole machine.
+pub(crate) fn alone() -> Measurement {
+    let bulk = pull_and_plug(Simulator::bulk("PLUG4", &ENDLESS)?, "/tmp/plug-4.take", &ALONE)?;
+    let port = pull_and_plug(Simulator::port("PLUG5", &ENDLESS)?, "/tmp/plug-5.take", &ALONE)?;
+    Ok(format!("bulk: {bulk}; CDC-ACM: {port}"))
 }
 
 /// Without udev there are no notifications of new devices: the recorder has to poll.
@@ -93,7 +118,7 @@ pub(crate) fn without_udev() -> Measurement {
     let mut recorder = record(&simulator.uri, "/tmp/plug-3.take", &[])?;
     recorder.has_recorded("/tmp/plug-3.take")?;
     run("udevadm", &["control", "--exit"])?;
-    let measured = (|| {
+    let measured = (|| -> Measurement {
         let (controller, pulled) = simulator.unplug()?;
         let acted = recorder.wait_for_line("is gone: plug it in again", TIMEOUT)? - pulled;
         sleep(WHILE);
@@ -101,8 +126,7 @@ pub(crate) fn without_udev() -> Measurement {
         // Without udev, permissions have to be set in another way.
         open_to_all("PLUG3")?;
         let back = recorder.wait_for_line("the device is back", TIMEOUT)? - plugged;
-        ensure!(acted < ACTED_WITHIN, "acted on after {} ms", acted.as_millis());
-        ensure!(back < BACK_WITHIN, "recorded again after {} ms", back.as_millis());
+        BESIDE_OTHERS.check(acted, back)?;
         Ok(format!("recorded again {} ms after the replug", back.as_millis()))
     })();
     run("/lib/systemd/systemd-udevd", &["--daemon"])?;

@@ -1,0 +1,254 @@
+//! Encodes a take in memory with its channels in the order in which they need the fewest bytes.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use mocapd_codec::GROUP_CHANNELS;
+use mocapd_take::{
+    ChannelOrder,
+    motion::MotionInfo,
+    motion_encoder::{
+        EncodePart, EncodePlan, EncodedPart, PartEncoder,
+        order_search::{GroupOrder, OrderSearch, SearchStage},
+    },
+    record::Header,
+};
+
+use super::in_order;
+
+/// Maximum number of samples, missing ones included, that an order is searched with: of a longer take, evenly spaced
+/// stretches.
+/// 131 072 samples are 22 seconds of 50 markers at 120 Hz; all but three of 20 recorded takes have fewer.
+const SEARCHED_SAMPLES_MAX: usize = 1 << 17;
+
+/// Time of coding a sample at effort 9, where that at effort 1 is 1: docs/codec.md, "Effort".
+const GREATEST_TIME: u64 = 106;
+
+/// Bytes that an order must save: what may differ in the rest of the take, the first offset in its index.
+const SAVED_BYTES_MIN: u64 = 2;
+
+/// A take in memory.
+#[derive(Clone, Copy)]
+pub(super) struct HeldTake<'a> {
+    pub(super) plan: &'a EncodePlan,
+    pub(super) parts: &'a [EncodePart],
+    pub(super) info: &'a MotionInfo,
+    pub(super) header: &'a Header,
+}
+
+/// Encodes all parts on `n_workers` threads, whose number changes nothing. Returns the order of their channels: with it
+/// the take is shorter, or the channels have their own.
+///
+/// # Errors
+/// Those of encoding.
+pub(super) fn encode(
+    take: HeldTake<'_>,
+    n_workers: usize,
+    progress: &AtomicU64,
+) -> anyhow::Result<(ChannelOrder, Vec<EncodedPart>)> {
+    let HeldTake { plan, parts, info, header } = take;
+    let searched = searched_parts(parts);
+    let mut progress = OrderProgress::new(parts, &searched, progress);
+    let order = search(take, &searched, n_workers, &mut progress)?;
+    let own = encode_in(take, None, n_workers, &mut progress)?;
+    let own_order = ChannelOrder::default();
+    if order.is_identity() {
+        progress.finish();
+        return Ok((own_order, own));
+    }
+    let ordered = encode_in(take, Some(&order), n_workers, &mut progress)?;
+    let bytes = |order, coded| plan.ordered_bytes((info, header), order, parts.iter().zip(coded));
+    let is_shorter = bytes(&order, &ordered)? + SAVED_BYTES_MIN <= bytes(&own_order, &own)?;
+    progress.finish();
+    Ok(if is_shorter { (order, ordered) } else { (own_order, own) })
+}
+
+/// The parts that an order is searched with, by group.
+fn searched_parts(parts: &[EncodePart]) -> Vec<Vec<&EncodePart>> {
+    let n_samples: usize = parts.iter().map(|part| part.n_rows * part.n_markers).sum();
+    let stretches: Vec<&[EncodePart]> = parts.chunk_by(|a, b| a.first_row == b.first_row).collect();
+    let n = (stretches.len() * SEARCHED_SAMPLES_MAX / n_samples.max(1))
+        .clamp(1, stretches.len().max(1));
+    let n_groups = stretches.first().map_or(0, |stretch| stretch.len());
+    let mut groups = vec![Vec::new(); n_groups];
+    for stretch in (0..n).filter_map(|i| stretches.get(i * stretches.len() / n)) {
+        for (group, part) in groups.iter_mut().zip(*stretch) {
+            group.push(part);
+        }
+    }
+    groups
+}
+
+/// Searches an order for each group.
+fn search(
+    take: HeldTake<'_>,
+    searched: &[Vec<&EncodePart>],
+    n_workers: usize,
+    progress: &mut OrderProgress<'_>,
+) -> anyhow::Result<ChannelOrder> {
+    let mut searches: Vec<_> =
+        searched.iter().map(|parts| OrderSearch::new(n_channels(parts))).collect();
+    let worker = || {
+        let mut encoders = SearchStage::ALL.map(|stage| take.plan.encoder_with(stage.effort()));
+        move |job: &OrderCoding| {
+            size(&mut encoders[job.stage as usize], &searched[job.group], &job.order)
+        }
+    };
+    loop {
+        let mut jobs = Vec::new();
+        for (group, search) in searches.iter_mut().enumerate() {
+            let (stage, orders) = search.next_round();
+            jobs.extend(orders.iter().map(|order| OrderCoding {
+                group,
+                stage,
+                order: order.clone(),
+            }));
+        }
+        if jobs.is_empty() {
+            break;
+        }
+        let mut sizes = vec![Vec::new(); searched.len()];
+        in_order(jobs, n_workers, worker, |job, bytes| {
+            let rest = rest_bytes(take, searched, job)?;
+            sizes[job.group].push(bytes + rest);
+            progress.add(&searched[job.group], job.stage.time());
+            Ok(())
+        })?;
+        for (search, sizes) in searches.iter_mut().zip(sizes).filter(|(_, sizes)| !sizes.is_empty())
+        {
+            search.report(&sizes);
+        }
+    }
+    progress.end_search();
+    let orders = searches.iter().map(OrderSearch::best);
+    Ok(order_of(orders.cloned()))
+}
+
+/// An order to code.
+struct OrderCoding {
+    group: usize,
+    stage: SearchStage,
+    order: GroupOrder,
+}
+
+fn n_channels(parts: &[&EncodePart]) -> usize {
+    parts.first().map_or(0, |part| part.n_markers)
+}
+
+/// The order of a take whose groups have these.
+fn order_of(groups: impl Iterator<Item = GroupOrder>) -> ChannelOrder {
+    let column = |group: usize, channel: u8| (group * GROUP_CHANNELS + usize::from(channel)) as u16;
+    let columns = groups.enumerate().flat_map(|(group, order)| {
+        order.into_iter().map(move |channel| column(group, channel)).collect::<Vec<_>>()
+    });
+    ChannelOrder::from_columns(columns.collect()).unwrap_or_default()
+}
+
+/// What the order of a group costs outside the blocks, in ORDER, SUMMARY and the channel table: a share of it, as of the
+/// blocks.
+fn rest_bytes(
+    take: HeldTake<'_>,
+    searched: &[Vec<&EncodePart>],
+    job: &OrderCoding,
+) -> anyhow::Result<u64> {
+    let own =
+        |parts: &Vec<&EncodePart>| (0..n_channels(parts)).map(|channel| channel as u8).collect();
+    let mut groups: Vec<GroupOrder> = searched.iter().map(own).collect();
+    groups[job.group].clone_from(&job.order);
+    let described = (take.info, take.header);
+    let bytes = take.plan.table_bytes(described, &order_of(groups.into_iter()))?;
+    let n_searched = searched.iter().flatten().map(|part| samples_in(part)).sum::<u64>();
+    let n_samples = take.parts.iter().map(samples_in).sum::<u64>().max(1);
+    Ok(bytes.saturating_mul(n_searched) / n_samples)
+}
+
+fn size(
+    encoder: &mut PartEncoder<'_>,
+    parts: &[&EncodePart],
+    order: &GroupOrder,
+) -> anyhow::Result<u64> {
+    let mut bytes = 0;
+    for part in parts {
+        bytes += encoder.encode_key(part, order)?.n_bytes();
+    }
+    Ok(bytes)
+}
+
+/// Encodes all parts with their channels in an order.
+fn encode_in(
+    take: HeldTake<'_>,
+    order: Option<&ChannelOrder>,
+    n_workers: usize,
+    progress: &mut OrderProgress<'_>,
+) -> anyhow::Result<Vec<EncodedPart>> {
+    let worker = || {
+        let mut encoder = take.plan.encoder();
+        move |part: &&EncodePart| {
+            let first = part.first_marker;
+            let channel = |order: &ChannelOrder, row| (order.column_of(row) - first) as u8;
+            let rows = first..first + part.n_markers;
+            let order = order.map(|order| rows.map(|row| channel(order, row)).collect());
+            Ok(encoder.encode_in(part, order.as_ref())?)
+        }
+    };
+    let mut all = Vec::new();
+    // Parts that continue each other are encoded by one worker.
+    let n_workers = if take.plan.is_sequential() { 1 } else { n_workers };
+    in_order(take.parts, n_workers, worker, |part, coded: EncodedPart| {
+        all.push(coded);
+        progress.add(&[*part], GREATEST_TIME);
+        Ok(())
+    })?;
+    Ok(all)
+}
+
+/// Shows the work on all orders as that of one encoding.
+struct OrderProgress<'a> {
+    counter: &'a AtomicU64,
+    /// Samples that the counter counts in all, and so far.
+    n_samples: u64,
+    n_counted: u64,
+    /// Work in all, of the search, and so far; coding a sample at the least effort is 1.
+    all: u64,
+    search: u64,
+    done: u64,
+}
+
+impl<'a> OrderProgress<'a> {
+    fn new(parts: &[EncodePart], searched: &[Vec<&EncodePart>], counter: &'a AtomicU64) -> Self {
+        let n_samples = parts.iter().map(samples_in).sum::<u64>();
+        let n_searched = searched.iter().flatten().map(|part| samples_in(part)).sum::<u64>();
+        let codings = SearchStage::ALL.map(|stage| stage.codings_max() as u64 * stage.time());
+        let search = n_searched.saturating_mul(codings.iter().sum());
+        let all = search.saturating_add((2 * n_samples).saturating_mul(GREATEST_TIME));
+        Self { counter, n_samples, n_counted: 0, all, search, done: 0 }
+    }
+
+    /// Parts were encoded, which takes this time a sample.
+    fn add(&mut self, parts: &[&EncodePart], time: u64) {
+        let samples: u64 = parts.iter().map(|part| samples_in(part)).sum();
+        self.go_to(self.done.saturating_add(samples.saturating_mul(time)));
+    }
+
+    /// The search is over, if with fewer orders than it may have.
+    fn end_search(&mut self) {
+        self.go_to(self.done.max(self.search));
+    }
+
+    fn finish(&mut self) {
+        self.go_to(self.all);
+    }
+
+    fn go_to(&mut self, done: u64) {
+        self.done = done.min(self.all);
+        let share =
+            u128::from(self.n_samples) * u128::from(self.done) / u128::from(self.all.max(1));
+        // It is at most the number of samples.
+        let counted = share as u64;
+        self.counter.fetch_add(counted.saturating_sub(self.n_counted), Ordering::Relaxed);
+        self.n_counted = counted;
+    }
+}
+
+fn samples_in(part: &EncodePart) -> u64 {
+    (part.n_rows * part.n_markers) as u64
+}

@@ -1,0 +1,238 @@
+//! Removes local copies of takes that were uploaded, once their objects were read back and are the same.
+
+use std::{
+    fs::{self, File, Metadata},
+    io,
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+use mocapd_acquire::files::{FileId, folder_of, rename_new};
+use mocapd_store::{ObjectUrl, Store, StoreError};
+
+use super::{Pace, RETRY_MAX, Retry, Uploader, is_of_take};
+use crate::{
+    config::ArchiveConfig,
+    engine::{Inner, status::unix_ms},
+    status::{ServiceEventKind, TakeSummary, UploadState},
+};
+
+/// The end of the hidden name that a take has while it is removed.
+const SET_ASIDE: &str = ".removing";
+
+/// Names that are tried for such a take: each is taken only if a take of the name was recorded while it was removed.
+const RESTORED_NAMES_MAX: usize = 100;
+
+impl Uploader {
+    /// Removes the local copy of a take that was uploaded long enough ago, once its object was read back and compared.
+    /// Returns whether there may be more to do.
+    pub(super) fn remove_local(
+        &mut self,
+        inner: &Inner,
+        takes: &[TakeSummary],
+        url: &ObjectUrl,
+        config: &ArchiveConfig,
+    ) -> bool {
+        let Some(after) = config.remove_local_after else { return false };
+        let after_ms = i64::try_from(after.as_millis()).unwrap_or(i64::MAX);
+        let now = unix_ms();
+        let due = takes.iter().rev().find_map(|take| {
+            let object = url.join(&format!("{}.take", take.name));
+            let entry = self.journal.entry(take, &object)?;
+            let waits = self.take_retries.get(&take.name).is_some_and(|r| r.at > Instant::now());
+            let is_due = entry.uploaded_unix_ms.saturating_add(after_ms) <= now;
+            (is_due && !waits && !take.is_open).then_some((take, object))
+        });
+        let Some((take, object)) = due else { return false };
+        let name = &take.name;
+        let Some(directory) = self.of.as_ref().map(|(directory, _)| directory.clone()) else {
+            return false;
+        };
+        match remove_verified(inner, name, (&directory, &object), config) {
+            Ok(true) => {
+                self.succeeded(inner, name);
+                self.journal.note_removed(take, takes);
+                self.save_journal(inner);
+                let message = format!(
+                    "the local copy of {name} was removed: {object} was read back and is the same"
+                );
+                inner.publish(ServiceEventKind::State, &message, Some(name));
+                true
+            }
+            Ok(false) => {
+                let error = StoreError::Exists(object.to_string());
+                let message = format!(
+                    "{object} differs from the take {name}, whose local copy is kept: compare them with mocapd diff"
+                );
+                inner.publish(ServiceEventKind::Failure, &message, Some(name));
+                self.journal.remove(name);
+                self.save_journal(inner);
+                self.failed(inner, name, &object, &error)
+            }
+            Err(StoreError::Stopped(_)) => false,
+            Err(StoreError::NotFound(_)) => self.upload_again(inner, name, &object),
+            Err(error) if is_of_take(&error) => self.keep_local(inner, name, &error),
+            Err(error) => self.failed(inner, name, &object, &error),
+        }
+    }
+
+    /// Has a take uploaded again whose object disappeared: at once the first time, and then rarely.
+    fn upload_again(&mut self, inner: &Inner, name: &str, object: &ObjectUrl) -> bool {
+        self.journal.remove(name);
+        self.save_journal(inner);
+        let message = format!("{object} is not in the archive any more");
+        if self.gone.insert(name.to_owned()) {
+            let message = format!("{message}, and the take {name} is uploaded again");
+            inner.publish(ServiceEventKind::Warning, &message, Some(name));
+        } else {
+            let retry = Retry { at: Instant::now() + RETRY_MAX, delay: RETRY_MAX };
+            self.take_retries.insert(name.to_owned(), retry);
+        }
+        inner.uploads.set(name, UploadState::Waiting, object, message);
+        true
+    }
+
+    /// Notes that one take was not removed, for a reason that concerns it alone.
+    fn keep_local(&mut self, inner: &Inner, name: &str, error: &StoreError) -> bool {
+        let retry = Retry::after(self.take_retries.get(name).copied());
+        if self.take_retries.insert(name.to_owned(), retry).is_none() {
+            let message = format!("the local copy of {name} is kept: {error}; retrying");
+            inner.publish(ServiceEventKind::Warning, &message, Some(name));
+        }
+        true
+    }
+}
+
+/// Refuses an object that is the take's own file, or in its folder: it is no second copy.
+pub(super) fn check_apart(take: &Path, object: &ObjectUrl) -> Result<(), StoreError> {
+    let Some(archived) = object.local_path() else { return Ok(()) };
+    // Links and mounts are followed, because what they lead to decides.
+    let id = |path: &Path| fs::metadata(path).ok().map(|found| FileId::of(&found));
+    let is_same = |a: &Path, b: &Path| id(a).is_some_and(|a| id(b) == Some(a));
+    if !is_same(folder_of(take), folder_of(&archived)) && !is_same(take, &archived) {
+        return Ok(());
+    }
+    let reason =
+        "this is the take's own file, and no second copy: set archive.url to a folder elsewhere";
+    Err(StoreError::Unsupported { url: object.to_string(), reason: reason.to_owned() })
+}
+
+/// Removes the file of a take if its object has the same content; `false` if it has not.
+fn remove_verified(
+    inner: &Inner,
+    name: &str,
+    (directory, object): (&Path, &ObjectUrl),
+    config: &ArchiveConfig,
+) -> Result<bool, StoreError> {
+    let failed = |error: io::Error| StoreError::Source(error.to_string());
+    let path = directory.join(format!("{name}.take"));
+    check_apart(&path, object)?;
+    let mut file = File::open(&path).map_err(failed)?;
+    let before = file.metadata().map_err(failed)?;
+    let store = Store::of(object)?;
+    let mut pace = Pace::new(inner, (directory, object), config);
+    if !store.has_content(object, &mut file, &mut |n| pace.wait(n, false))? {
+        return Ok(false);
+    }
+    let stamp = |file: &Metadata| (FileId::of(file), file.len(), file.modified().ok());
+    let now = fs::symlink_metadata(&path).map_err(failed)?;
+    if stamp(&now) != stamp(&before) {
+        return Err(StoreError::Source("it changed while its object was compared".to_owned()));
+    }
+    check_apart(&path, object)?;
+    remove_if_kept(&path, || Ok(store.len_bytes(object)? == before.len()))?;
+    Ok(true)
+}
+
+/// Removes a file if its object `is_kept` also once the file has lost its name: a server may store its objects in the
+/// takes' folder, under another device number.
+fn remove_if_kept(
+    path: &Path,
+    is_kept: impl FnOnce() -> Result<bool, StoreError>,
+) -> Result<(), StoreError> {
+    let failed = |error: io::Error| StoreError::Source(error.to_string());
+    let aside = set_aside_name(path);
+    rename_new(path, &aside).map_err(failed)?;
+    let reason = match is_kept() {
+        Ok(true) => return fs::remove_file(&aside).map_err(failed),
+        Ok(false) | Err(StoreError::NotFound(_)) => StoreError::Source(
+            "its object disappeared with the file, so the archive is no second copy: set archive.url to a folder elsewhere".to_owned(),
+        ),
+        Err(error) => error,
+    };
+    rename_new(&aside, path).map_err(|error| {
+        let message =
+            format!("its file is {} now, and cannot be renamed: {error}", aside.display());
+        StoreError::Source(message)
+    })?;
+    Err(reason)
+}
+
+fn set_aside_name(path: &Path) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!(".{stem}{SET_ASIDE}"))
+}
+
+/// Gives takes their names back whose removal was interrupted; another name if there is a take of theirs by now.
+pub(in crate::engine) fn restore_set_aside(inner: &Inner, directory: &Path) {
+    let Ok(entries) = fs::read_dir(directory) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let Some(name) = name.to_str() else { continue };
+        let stem = name.strip_prefix('.').and_then(|name| name.strip_suffix(SET_ASIDE));
+        let Some(stem) = stem.filter(|stem| !stem.is_empty()) else { continue };
+        let names = (1..RESTORED_NAMES_MAX).map(|n| match n {
+            1 => format!("{stem}.take"),
+            _ => format!("{stem}-{n}.take"),
+        });
+        let mut renamed = Ok(());
+        for name in names {
+            renamed = rename_new(&entry.path(), &directory.join(name));
+            if !renamed.as_ref().is_err_and(|error| error.kind() == io::ErrorKind::AlreadyExists) {
+                break;
+            }
+        }
+        if let Err(error) = renamed {
+            let message =
+                format!("{} cannot be renamed to {stem}.take: {error}", entry.path().display());
+            inner.publish(ServiceEventKind::Warning, &message, Some(stem));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_its_own_archive_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.take");
+        let names = || -> Vec<_> {
+            fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect()
+        };
+        // As a server that stores its objects in the takes' folder answers.
+        let of_server = || match path.metadata() {
+            Ok(found) => Ok(found.len() == 4),
+            Err(_) => Err(StoreError::NotFound("a".to_owned())),
+        };
+        fs::write(&path, b"take").unwrap();
+        let error = remove_if_kept(&path, of_server).unwrap_err();
+        assert!(matches!(error, StoreError::Source(_)), "{error}");
+        assert_eq!(names(), ["a.take"]);
+        let unknown = StoreError::TimedOut("a".to_owned());
+        assert_eq!(remove_if_kept(&path, || Err(unknown.clone())), Err(unknown));
+        assert_eq!(names(), ["a.take"]);
+        // A take of this name that began meanwhile is not replaced.
+        let begun = || {
+            fs::write(&path, b"new").unwrap();
+            Ok(false)
+        };
+        remove_if_kept(&path, begun).unwrap_err();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(fs::read(folder.path().join(".a.removing")).unwrap(), b"take");
+        fs::remove_file(folder.path().join(".a.removing")).unwrap();
+        assert_eq!(remove_if_kept(&path, || Ok(true)), Ok(()));
+        assert!(names().is_empty());
+    }
+}
