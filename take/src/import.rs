@@ -2,7 +2,7 @@
 
 use std::{
     io::{self, Write},
-    sync::Arc,
+    sync::{Arc, atomic::AtomicU64},
 };
 
 use mocapd_codec::{Effort, Settings};
@@ -12,7 +12,11 @@ use crate::{
     foreign::{content::ScratchFile, tolerance::AnalogTolerance},
     interchange::ReadOptions,
     motion::{FrameSource, MotionInfo},
-    motion_encoder::{EncodePlan, MotionWriter, channels, stretch_rows},
+    motion_encoder::{
+        EncodePart, EncodePlan, EncodedPart, MotionWriter, channels,
+        ordering::{self, HeldTake, ThisThread},
+        stretch_rows,
+    },
     record::{CODEC_VERSION, Header, ImportSource, KeyDistance, Subject},
 };
 
@@ -138,19 +142,33 @@ pub fn write<W: Write>(
     frames: &mut dyn FrameSource,
     header: &Header,
     out: W,
-    mut check: impl FnMut() -> io::Result<()>,
+    check: impl Fn() -> io::Result<()>,
 ) -> Result<(W, f64), TakeError> {
-    let (plan, parts) = EncodePlan::new(frames, header)?;
-    let mut take = MotionWriter::new(&plan, parts.info(), header, out)?;
-    let mut encoder = plan.encoder();
+    let (plan, mut parts) = EncodePlan::new(frames, header)?;
     let mut max_error_mm = 0.0_f64;
-    for part in parts {
-        check()?;
-        let part = part?;
-        let coded = encoder.encode(&part)?;
+    let mut push = |take: &mut MotionWriter<'_, W>, part: &EncodePart, coded: &EncodedPart| {
         let errors = coded.reports.iter().map(|report| report.max_error_mm);
         max_error_mm = errors.fold(max_error_mm, f64::max);
-        take.push(&part, &coded)?;
-    }
+        take.push(part, coded)
+    };
+    let take = if plan.searches_order() {
+        let held: Vec<EncodePart> = parts.by_ref().collect::<Result<_, _>>()?;
+        let info = parts.info();
+        let held_take = HeldTake { plan: &plan, parts: &held, info, header };
+        let (order, coded) = ordering::encode(held_take, &ThisThread(check), &AtomicU64::new(0))?;
+        let mut take = MotionWriter::new_in(&plan, (info, header), order, out)?;
+        let mut coded = held.iter().zip(&coded);
+        coded.try_for_each(|(part, coded)| push(&mut take, part, coded))?;
+        take
+    } else {
+        let mut take = MotionWriter::new(&plan, parts.info(), header, out)?;
+        let mut encoder = plan.encoder();
+        for part in parts {
+            check()?;
+            let part = part?;
+            push(&mut take, &part, &encoder.encode(&part)?)?;
+        }
+        take
+    };
     Ok((take.finish()?.1, max_error_mm))
 }

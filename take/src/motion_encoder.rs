@@ -5,7 +5,8 @@
 //! stretches continue those before them, and one encoder has them all, in order. One stretch is read at a time, except
 //! for a resampler that needs the whole take.
 
-pub mod order_search;
+mod order_search;
+pub mod ordering;
 mod parts;
 
 use std::io::{self, Write};
@@ -14,8 +15,11 @@ use mocapd_codec::{
     BlockEncoder, BlockReport, Effort, GROUP_CHANNELS, Position, ResamplerKind, Settings,
 };
 
-pub use self::parts::{EncodePart, EncodeParts};
-use self::{order_search::GroupOrder, parts::StillSpans};
+use self::parts::StillSpans;
+pub use self::{
+    order_search::GroupOrder,
+    parts::{EncodePart, EncodeParts},
+};
 
 use crate::{
     ChannelOrder, TakeError, TakeWriter,
@@ -178,7 +182,7 @@ impl EncodePlan {
     ///
     /// # Errors
     /// Those of [`MotionWriter`].
-    pub fn table_bytes(
+    fn table_bytes(
         &self,
         described: (&MotionInfo, &Header),
         order: &ChannelOrder,
@@ -191,7 +195,7 @@ impl EncodePlan {
     ///
     /// # Errors
     /// Those of [`MotionWriter`].
-    pub fn ordered_bytes<'p>(
+    fn ordered_bytes<'p>(
         &self,
         (info, header): (&MotionInfo, &Header),
         order: &ChannelOrder,
@@ -214,7 +218,7 @@ impl EncodePlan {
 
     /// An encoder of parts like [`encoder`](Self::encoder), with another effort.
     #[must_use]
-    pub fn encoder_with(&self, effort: Effort) -> PartEncoder<'_> {
+    fn encoder_with(&self, effort: Effort) -> PartEncoder<'_> {
         PartEncoder { plan: self, effort, encoders: Vec::new() }
     }
 }
@@ -256,7 +260,7 @@ impl PartEncoder<'_> {
     ///
     /// # Errors
     /// `Codec`.
-    pub fn encode_key(
+    fn encode_key(
         &mut self,
         part: &EncodePart,
         order: &GroupOrder,
@@ -317,8 +321,22 @@ impl<'a, W: Write> MotionWriter<'a, W> {
         header: &Header,
         out: W,
     ) -> Result<Self, TakeError> {
-        let mut writer = Self::begin(plan, info, header, out)?;
-        info.foreign.iter().try_for_each(|part| writer.take.foreign(part))?;
+        Self::new_in(plan, (info, header), ChannelOrder::default(), out)
+    }
+
+    /// Writes what [`new`](Self::new) does, of a take whose parts were encoded with their channels in `order`, as
+    /// [`begin_in`](Self::begin_in).
+    pub(crate) fn new_in(
+        plan: &'a EncodePlan,
+        (info, header): (&MotionInfo, &Header),
+        order: ChannelOrder,
+        out: W,
+    ) -> Result<Self, TakeError> {
+        let mut writer = Self::begin_in(plan, (info, header), order, out)?;
+        for part in &info.foreign {
+            let moved = writer.ordered(part)?;
+            writer.take.foreign(moved.as_ref().unwrap_or(part))?;
+        }
         writer.push_events(&info.events)?;
         Ok(writer)
     }

@@ -1,7 +1,5 @@
 //! Encodes trajectories on several threads: the import path.
 
-mod ordering;
-
 use std::{
     collections::VecDeque,
     io::{self, Write},
@@ -16,12 +14,14 @@ pub use mocapd_take::motion_encoder::stretch_rows;
 use mocapd_take::{
     ChannelOrder, TakeError,
     motion::{FrameSource, Motion, MotionFrames, MotionInfo},
-    motion_encoder::{EncodePart, EncodeParts, EncodePlan, EncodedPart, MotionWriter},
+    motion_encoder::{
+        EncodePart, EncodeParts, EncodePlan, EncodedPart, MotionWriter,
+        ordering::{self, EncodingThreads, HeldTake},
+    },
     record::Header,
     sampled::{self, EncodedSpan, KeySpan, SpanEncoder},
 };
 
-use self::ordering::HeldTake;
 use super::{TakeAccount, messages::PartReport};
 use crate::threads::ResamplerFailed;
 
@@ -112,7 +112,7 @@ fn write_ordered<W: Write>(
     let held: Vec<EncodePart> = parts.by_ref().collect::<Result<_, _>>().map_err(of_source)?;
     let info = parts.info();
     let held_take = HeldTake { plan, parts: &held, info, header };
-    let (order, coded) = ordering::encode(held_take, n_workers, progress)?;
+    let (order, coded) = ordering::encode(held_take, &Threads(n_workers), progress)?;
     let mut take = begin(plan, (info, header), order, out)?;
     write_foreign(&mut take, info, n_workers, progress)?;
     let mut report = PartReport::default();
@@ -121,6 +121,33 @@ fn write_ordered<W: Write>(
         take.push(part, coded).context("cannot write a stretch")?;
     }
     finish(take, &report)
+}
+
+/// So many threads.
+struct Threads(usize);
+
+impl EncodingThreads for Threads {
+    type Error = anyhow::Error;
+
+    fn run<J, T, W>(
+        &self,
+        jobs: impl IntoIterator<Item = J>,
+        is_sequential: bool,
+        worker: impl Fn() -> W + Sync,
+        mut done: impl FnMut(&J, T) -> Result<(), TakeError>,
+    ) -> anyhow::Result<()>
+    where
+        J: Send,
+        T: Send,
+        W: FnMut(&J) -> Result<T, TakeError>,
+    {
+        let n_workers = if is_sequential { 1 } else { self.0 };
+        let worker = || {
+            let mut work = worker();
+            move |job: &J| Ok(work(job)?)
+        };
+        in_order(jobs, n_workers, worker, |job, result| Ok(done(job, result)?))
+    }
 }
 
 fn begin<'p, W: Write>(
@@ -382,6 +409,9 @@ mod tests {
             written.unwrap().1
         });
         assert!(written[0] == written[1]);
+        let mut frames = MotionFrames::new(&motion);
+        let alone = mocapd_take::import::write(&mut frames, &header, Vec::new(), || Ok(()));
+        assert!(written[0] == alone.unwrap().0, "without threads");
         let map = TakeMap::open(&mut Cursor::new(&written[0])).unwrap();
         assert!(!map.order.is_identity(), "an order was found");
         assert_eq!(map.channels, header.channels);

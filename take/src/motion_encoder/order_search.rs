@@ -17,7 +17,7 @@ const WEAK_SHARE: u64 = 1024;
 
 /// A stage of the search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SearchStage {
+pub(super) enum SearchStage {
     /// Many orders at effort 1.
     Coarse,
     /// The best of them, and orders that differ little from them, at effort 4.
@@ -26,11 +26,10 @@ pub enum SearchStage {
 
 impl SearchStage {
     /// The stages in order.
-    pub const ALL: [Self; 2] = [Self::Coarse, Self::Fine];
+    pub(super) const ALL: [Self; 2] = [Self::Coarse, Self::Fine];
 
     /// The effort of its codings.
-    #[must_use]
-    pub fn effort(self) -> Effort {
+    pub(super) fn effort(self) -> Effort {
         match self {
             Self::Coarse => Effort::MIN,
             Self::Fine => Effort::new(4).unwrap_or_default(),
@@ -38,8 +37,7 @@ impl SearchStage {
     }
 
     /// Time of coding a sample, rounded up, where that at effort 1 is 1: docs/codec.md, "Effort".
-    #[must_use]
-    pub fn time(self) -> u64 {
+    pub(super) fn time(self) -> u64 {
         match self {
             Self::Coarse => 1,
             Self::Fine => 6,
@@ -47,8 +45,7 @@ impl SearchStage {
     }
 
     /// Maximum number of codings: in both stages, a few times as long as the two codings of the whole at effort 9.
-    #[must_use]
-    pub fn codings_max(self) -> usize {
+    pub(super) fn codings_max(self) -> usize {
         self.rounds_max() * ROUND_ORDERS
     }
 
@@ -65,7 +62,7 @@ pub type GroupOrder = Vec<u8>;
 
 /// The search for one group.
 #[derive(Debug)]
-pub struct OrderSearch {
+pub(super) struct OrderSearch {
     stage: SearchStage,
     best: GroupOrder,
     /// `None` before the first round of a stage.
@@ -81,8 +78,7 @@ pub struct OrderSearch {
 
 impl OrderSearch {
     /// A search for `n_channels` channels.
-    #[must_use]
-    pub fn new(n_channels: usize) -> Self {
+    pub(super) fn new(n_channels: usize) -> Self {
         Self {
             stage: SearchStage::Coarse,
             best: own_order(n_channels),
@@ -96,7 +92,7 @@ impl OrderSearch {
     }
 
     /// The orders of the next round, and its stage; no orders at the end.
-    pub fn next_round(&mut self) -> (SearchStage, &[GroupOrder]) {
+    pub(super) fn next_round(&mut self) -> (SearchStage, &[GroupOrder]) {
         self.round.clear();
         if self.is_over() && self.stage == SearchStage::Coarse {
             self.begin_fine();
@@ -136,7 +132,7 @@ impl OrderSearch {
     }
 
     /// Takes the bytes of the orders of the round.
-    pub fn report(&mut self, bytes: &[u64]) {
+    pub(super) fn report(&mut self, bytes: &[u64]) {
         let before = self.best_bytes;
         for (bytes, order) in bytes.iter().copied().zip(self.round.drain(..)) {
             if self.best_bytes.is_none_or(|best| bytes < best) {
@@ -156,8 +152,7 @@ impl OrderSearch {
     }
 
     /// The order with the fewest bytes.
-    #[must_use]
-    pub fn best(&self) -> &GroupOrder {
+    pub(super) fn best(&self) -> &GroupOrder {
         &self.best
     }
 

@@ -1,19 +1,17 @@
 //! Encodes a take in memory with its channels in the order in which they need the fewest bytes.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
-use mocapd_codec::GROUP_CHANNELS;
-use mocapd_take::{
-    ChannelOrder,
-    motion::MotionInfo,
-    motion_encoder::{
-        EncodePart, EncodePlan, EncodedPart, PartEncoder,
-        order_search::{GroupOrder, OrderSearch, SearchStage},
-    },
-    record::Header,
+use std::{
+    io,
+    sync::atomic::{AtomicU64, Ordering},
 };
 
-use super::in_order;
+use mocapd_codec::GROUP_CHANNELS;
+
+use super::{
+    EncodePart, EncodePlan, EncodedPart, PartEncoder,
+    order_search::{GroupOrder, OrderSearch, SearchStage},
+};
+use crate::{ChannelOrder, TakeError, motion::MotionInfo, record::Header};
 
 /// Maximum number of samples, missing ones included, that an order is searched with: of a longer take, evenly spaced
 /// stretches.
@@ -26,36 +24,90 @@ const GREATEST_TIME: u64 = 106;
 /// Bytes that an order must save: what may differ in the rest of the take, the first offset in its index.
 const SAVED_BYTES_MIN: u64 = 2;
 
-/// A take in memory.
-#[derive(Clone, Copy)]
-pub(super) struct HeldTake<'a> {
-    pub(super) plan: &'a EncodePlan,
-    pub(super) parts: &'a [EncodePart],
-    pub(super) info: &'a MotionInfo,
-    pub(super) header: &'a Header,
+/// The threads that encode: this crate starts none.
+pub trait EncodingThreads {
+    /// Errors of encoding and of the threads.
+    type Error: From<TakeError>;
+
+    /// Does all jobs on any number of threads, or on one if they continue each other. Each thread has its own function
+    /// from `worker`. `done` gets the results in the order of the jobs.
+    ///
+    /// # Errors
+    /// The first error of a job or of `done`.
+    fn run<J, T, W>(
+        &self,
+        jobs: impl IntoIterator<Item = J>,
+        is_sequential: bool,
+        worker: impl Fn() -> W + Sync,
+        done: impl FnMut(&J, T) -> Result<(), TakeError>,
+    ) -> Result<(), Self::Error>
+    where
+        J: Send,
+        T: Send,
+        W: FnMut(&J) -> Result<T, TakeError>;
 }
 
-/// Encodes all parts on `n_workers` threads, whose number changes nothing. Returns the order of their channels: with it
-/// the take is shorter, or the channels have their own.
+/// Does all jobs on the thread that calls it, after a check before each of them that may end the work.
+#[derive(Debug)]
+pub struct ThisThread<C>(pub C);
+
+impl<C: Fn() -> io::Result<()>> EncodingThreads for ThisThread<C> {
+    type Error = TakeError;
+
+    fn run<J, T, W>(
+        &self,
+        jobs: impl IntoIterator<Item = J>,
+        _: bool,
+        worker: impl Fn() -> W + Sync,
+        mut done: impl FnMut(&J, T) -> Result<(), TakeError>,
+    ) -> Result<(), TakeError>
+    where
+        J: Send,
+        T: Send,
+        W: FnMut(&J) -> Result<T, TakeError>,
+    {
+        let mut work = worker();
+        jobs.into_iter().try_for_each(|job| {
+            (self.0)()?;
+            done(&job, work(&job)?)
+        })
+    }
+}
+
+/// A take in memory.
+#[derive(Debug, Clone, Copy)]
+pub struct HeldTake<'a> {
+    /// The plan of its encoding.
+    pub plan: &'a EncodePlan,
+    /// All its parts.
+    pub parts: &'a [EncodePart],
+    /// Its description.
+    pub info: &'a MotionInfo,
+    /// Its header.
+    pub header: &'a Header,
+}
+
+/// Encodes all parts on threads whose number changes nothing. Returns the order of their channels: with it the take is
+/// shorter, or the channels have their own. `progress` counts samples.
 ///
 /// # Errors
-/// Those of encoding.
-pub(super) fn encode(
+/// Those of encoding and of the threads.
+pub fn encode<E: EncodingThreads>(
     take: HeldTake<'_>,
-    n_workers: usize,
+    threads: &E,
     progress: &AtomicU64,
-) -> anyhow::Result<(ChannelOrder, Vec<EncodedPart>)> {
+) -> Result<(ChannelOrder, Vec<EncodedPart>), E::Error> {
     let HeldTake { plan, parts, info, header } = take;
     let searched = searched_parts(parts);
     let mut progress = OrderProgress::new(parts, &searched, progress);
-    let order = search(take, &searched, n_workers, &mut progress)?;
-    let own = encode_in(take, None, n_workers, &mut progress)?;
+    let order = search(take, &searched, threads, &mut progress)?;
+    let own = encode_in(take, None, threads, &mut progress)?;
     let own_order = ChannelOrder::default();
     if order.is_identity() {
         progress.finish();
         return Ok((own_order, own));
     }
-    let ordered = encode_in(take, Some(&order), n_workers, &mut progress)?;
+    let ordered = encode_in(take, Some(&order), threads, &mut progress)?;
     let bytes = |order, coded| plan.ordered_bytes((info, header), order, parts.iter().zip(coded));
     let is_shorter = bytes(&order, &ordered)? + SAVED_BYTES_MIN <= bytes(&own_order, &own)?;
     progress.finish();
@@ -79,12 +131,12 @@ fn searched_parts(parts: &[EncodePart]) -> Vec<Vec<&EncodePart>> {
 }
 
 /// Searches an order for each group.
-fn search(
+fn search<E: EncodingThreads>(
     take: HeldTake<'_>,
     searched: &[Vec<&EncodePart>],
-    n_workers: usize,
+    threads: &E,
     progress: &mut OrderProgress<'_>,
-) -> anyhow::Result<ChannelOrder> {
+) -> Result<ChannelOrder, E::Error> {
     let mut searches: Vec<_> =
         searched.iter().map(|parts| OrderSearch::new(n_channels(parts))).collect();
     let worker = || {
@@ -107,7 +159,7 @@ fn search(
             break;
         }
         let mut sizes = vec![Vec::new(); searched.len()];
-        in_order(jobs, n_workers, worker, |job, bytes| {
+        threads.run(jobs, false, worker, |job, bytes| {
             let rest = rest_bytes(take, searched, job)?;
             sizes[job.group].push(bytes + rest);
             progress.add(&searched[job.group], job.stage.time());
@@ -149,7 +201,7 @@ fn rest_bytes(
     take: HeldTake<'_>,
     searched: &[Vec<&EncodePart>],
     job: &OrderCoding,
-) -> anyhow::Result<u64> {
+) -> Result<u64, TakeError> {
     let own =
         |parts: &Vec<&EncodePart>| (0..n_channels(parts)).map(|channel| channel as u8).collect();
     let mut groups: Vec<GroupOrder> = searched.iter().map(own).collect();
@@ -165,7 +217,7 @@ fn size(
     encoder: &mut PartEncoder<'_>,
     parts: &[&EncodePart],
     order: &GroupOrder,
-) -> anyhow::Result<u64> {
+) -> Result<u64, TakeError> {
     let mut bytes = 0;
     for part in parts {
         bytes += encoder.encode_key(part, order)?.n_bytes();
@@ -174,12 +226,12 @@ fn size(
 }
 
 /// Encodes all parts with their channels in an order.
-fn encode_in(
+fn encode_in<E: EncodingThreads>(
     take: HeldTake<'_>,
     order: Option<&ChannelOrder>,
-    n_workers: usize,
+    threads: &E,
     progress: &mut OrderProgress<'_>,
-) -> anyhow::Result<Vec<EncodedPart>> {
+) -> Result<Vec<EncodedPart>, E::Error> {
     let worker = || {
         let mut encoder = take.plan.encoder();
         move |part: &&EncodePart| {
@@ -187,13 +239,12 @@ fn encode_in(
             let channel = |order: &ChannelOrder, row| (order.column_of(row) - first) as u8;
             let rows = first..first + part.n_markers;
             let order = order.map(|order| rows.map(|row| channel(order, row)).collect());
-            Ok(encoder.encode_in(part, order.as_ref())?)
+            encoder.encode_in(part, order.as_ref())
         }
     };
     let mut all = Vec::new();
-    // Parts that continue each other are encoded by one worker.
-    let n_workers = if take.plan.is_sequential() { 1 } else { n_workers };
-    in_order(take.parts, n_workers, worker, |part, coded: EncodedPart| {
+    let is_sequential = take.plan.is_sequential();
+    threads.run(take.parts, is_sequential, worker, |part, coded: EncodedPart| {
         all.push(coded);
         progress.add(&[*part], GREATEST_TIME);
         Ok(())
