@@ -17,7 +17,7 @@ use object_store::{
     PutPayload, path::Path,
 };
 
-use self::connect::{COPY_MAX, REQUEST_MAX, client, unavailable, wait, wait_up_to};
+use self::connect::{COPY_MAX, LIST_MAX, REQUEST_MAX, client, unavailable, wait, wait_up_to};
 use crate::{
     ObjectUrl, StoreError,
     backend::{Backend, ByteRange, ListedObject, ObjectPiece, incomplete_name},
@@ -291,7 +291,7 @@ impl Backend for Cloud {
     fn list(&self, folder: &ObjectUrl, recursive: bool) -> Result<Vec<ListedObject>, StoreError> {
         let (client, path) = (Arc::clone(&self.client), path_of(folder)?);
         let prefix = (!folder.key().is_empty()).then_some(path);
-        let found = wait(folder, async move {
+        let found = wait_up_to(folder, LIST_MAX, async move {
             match recursive {
                 true => client.list(prefix.as_ref()).try_collect::<Vec<_>>().await,
                 false => Ok(client.list_with_delimiter(prefix.as_ref()).await?.objects),

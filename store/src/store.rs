@@ -57,17 +57,23 @@ pub struct Store {
     traffic: Arc<Traffic>,
 }
 
-/// The stores of this process, by scheme and bucket, so that many files share a connection. As many as the user names.
-static STORES: Mutex<Option<HashMap<String, Store>>> = Mutex::new(None);
+/// The stores of a process, by scheme and bucket, so that many files share a connection. As many as the user names.
+static STORES: Mutex<Option<(u32, HashMap<String, Store>)>> = Mutex::new(None);
 
 impl Store {
-    /// The store of a URL; its credentials are those of the environment.
+    /// The store of a URL; its credentials are those of the environment. A process that was forked off must get its
+    /// stores anew: the connections of those that it inherited are served by a thread that it does not have.
     ///
     /// # Errors
     /// `NotBuilt`; `NoCredentials` or `Unavailable` if the environment has an invalid configuration.
     pub fn of(url: &ObjectUrl) -> Result<Self, StoreError> {
         let mut stores = STORES.lock().unwrap_or_else(PoisonError::into_inner);
-        let stores = stores.get_or_insert_default();
+        let process = std::process::id();
+        if stores.as_ref().is_some_and(|(of, _)| *of != process) {
+            // Not dropped: connections would be closed, which are the parent's, too.
+            std::mem::forget(stores.take());
+        }
+        let (_, stores) = stores.get_or_insert_with(|| (process, HashMap::new()));
         if let Some(store) = stores.get(url.root()) {
             return Ok(store.clone());
         }

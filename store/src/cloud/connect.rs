@@ -34,6 +34,10 @@ const REPEATED_MAX: Duration = Duration::from_secs(30);
 /// Longest time of one call: a request, its repetitions, and as much for credentials.
 const CALL_MAX: Duration = Duration::from_secs(2 * (60 + 30));
 
+/// Longest time of a list. Each of its requests, for a thousand objects, has [`REQUEST_MAX`]; a million objects took 1000
+/// requests one after another, a few minutes.
+pub(super) const LIST_MAX: Duration = Duration::from_secs(3600);
+
 /// The client of the bucket of `url`, whose requests may take `request_max`, unless the environment has another limit.
 pub(super) fn client(
     url: &ObjectUrl,
@@ -112,11 +116,15 @@ fn azure(container: &str, request_max: Duration) -> object_store::Result<Arc<dyn
     Ok(Arc::new(builder.build()?))
 }
 
-/// The runtime of all clients, on its own thread, which starts at the first use.
+/// The runtime of all clients, on its own thread, which starts at the first use. A process that was forked off has no
+/// thread of its parent's, and starts another.
 pub(super) fn runtime() -> Result<Handle, String> {
-    static RUNTIME: Mutex<Option<Handle>> = Mutex::new(None);
+    static RUNTIME: Mutex<Option<(u32, Handle)>> = Mutex::new(None);
+    let process = std::process::id();
     let mut known = RUNTIME.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(handle) = &*known {
+    if let Some((started_by, handle)) = &*known
+        && *started_by == process
+    {
         return Ok(handle.clone());
     }
     // An error means that the process has chosen one already.
@@ -128,7 +136,7 @@ pub(super) fn runtime() -> Result<Handle, String> {
         .name("mocapd-store".to_owned())
         .spawn(move || runtime.block_on(std::future::pending::<()>()))
         .map_err(|error| format!("its thread cannot start: {error}"))?;
-    Ok(known.insert(handle).clone())
+    Ok(known.insert((process, handle)).1.clone())
 }
 
 /// Runs a call on the runtime's thread, and waits for it.
