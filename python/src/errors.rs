@@ -7,8 +7,8 @@ use mocapd_store::StoreError;
 use pyo3::{
     PyErr, Python,
     exceptions::{
-        PyConnectionError, PyException, PyFileNotFoundError, PyOSError, PyPermissionError,
-        PyValueError,
+        PyConnectionError, PyException, PyFileExistsError, PyFileNotFoundError, PyOSError,
+        PyPermissionError, PyValueError,
     },
     types::PyAnyMethods,
 };
@@ -113,6 +113,7 @@ fn store_error(error: &StoreError) -> PyErr {
     let message = error.to_string();
     match error {
         StoreError::NotFound(_) | StoreError::NoBucket(_) => PyFileNotFoundError::new_err(message),
+        StoreError::Exists(_) => PyFileExistsError::new_err(message),
         StoreError::NoCredentials { .. } | StoreError::Forbidden { .. } => {
             PyPermissionError::new_err(message)
         }

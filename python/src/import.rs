@@ -4,6 +4,7 @@ use std::{io, sync::Arc, time::Duration};
 
 use mocapd_codec::{Effort, Settings, Tolerance};
 use mocapd_take::{
+    TakeFrames,
     import::{self, IMPORTER_VERSION, ImportSettings},
     interchange::{Format, InterchangeError, MotionReader, ReadOptions, ReaderSettings},
     motion::{FrameSource, MotionInfo, Position, is_gap},
@@ -67,25 +68,83 @@ pub(crate) fn import_motion(
     let bytes = data.as_bytes();
     let (take, max_error_mm, markers) =
         run_detached(py, None, |cancel| import(bytes, format, &settings, cancel))?;
-    let array = |values: fn(&MarkerMotion) -> Position| {
-        let flat: Vec<f32> = markers.iter().flat_map(values).collect();
-        let shaped = Array2::from_shape_vec((markers.len(), 3), flat);
-        shaped.map(|array| array.into_pyarray(py).unbind()).map_err(|_| Failure::Internal)
-    };
-    let counts = |values: fn(&MarkerMotion) -> u64| {
-        markers.iter().map(values).collect::<Vec<_>>().into_pyarray(py).unbind()
-    };
-    let speeds: Vec<f64> = markers.iter().map(|marker| marker.peak_speed_mm_per_s).collect();
-    Ok(Imported {
-        take: PyBytes::new(py, &take).unbind(),
-        max_error_mm,
-        samples: counts(|marker| marker.samples),
-        gaps: counts(|marker| marker.gaps),
-        low_mm: array(|marker| marker.low_mm)?,
-        high_mm: array(|marker| marker.high_mm)?,
-        peak_speed_mm_per_s: speeds.into_pyarray(py).unbind(),
-    })
+    Imported::new(py, &PyBytes::new(py, &take), max_error_mm, &markers)
 }
+
+/// Describes a take as if it were imported, and lists what is wrong with it.
+#[pyfunction]
+pub(crate) fn measure_take(
+    py: Python<'_>,
+    data: &Bound<'_, PyBytes>,
+) -> PyResult<(Imported, Vec<String>)> {
+    let bytes = data.as_bytes();
+    let (max_error_mm, markers, problems) = run_detached(py, None, |cancel| {
+        let mut take = TakeFrames::open(io::Cursor::new(bytes))?;
+        let mut frames = MeasuredFrames::new(&mut take);
+        let mut row = vec![Position::default(); frames.markers.len()];
+        let mut max_error_mm = 0.0_f64;
+        while frames.next_frame(&mut row)? {
+            cancel.check()?;
+            let errors = (0..row.len()).filter_map(|column| frames.source.stated_error_mm(column));
+            max_error_mm = errors.fold(max_error_mm, f64::max);
+        }
+        let markers = frames.finish();
+        Ok((max_error_mm, markers, take.problems().iter().map(ToString::to_string).collect()))
+    })?;
+    Ok((Imported::new(py, data, max_error_mm, &markers)?, problems))
+}
+
+impl Imported {
+    fn new(
+        py: Python<'_>,
+        take: &Bound<'_, PyBytes>,
+        max_error_mm: f64,
+        markers: &[MarkerMotion],
+    ) -> PyResult<Self> {
+        let array = |values: fn(&MarkerMotion) -> Position| {
+            let flat: Vec<f32> = markers.iter().flat_map(values).collect();
+            let shaped = Array2::from_shape_vec((markers.len(), 3), flat);
+            shaped.map(|array| array.into_pyarray(py).unbind()).map_err(|_| Failure::Internal)
+        };
+        let counts = |values: fn(&MarkerMotion) -> u64| {
+            markers.iter().map(values).collect::<Vec<_>>().into_pyarray(py).unbind()
+        };
+        let speeds: Vec<f64> = markers.iter().map(|marker| marker.peak_speed_mm_per_s).collect();
+        Ok(Self {
+            take: take.clone().unbind(),
+            max_error_mm,
+            samples: counts(|marker| marker.samples),
+            gaps: counts(|marker| marker.gaps),
+            low_mm: array(|marker| marker.low_mm)?,
+            high_mm: array(|marker| marker.high_mm)?,
+            peak_speed_mm_per_s: speeds.into_pyarray(py).unbind(),
+        })
+    }
+}
+
+/// Checks the options of imports. Returns those that are names as the importer writes them, so that equal options have
+/// equal texts: the resampler, the unit, the axis that points up, and the tolerances of analog channels.
+#[pyfunction]
+pub(crate) fn normal_options(options: ImportOptions) -> PyResult<NormalOptions> {
+    let (_, settings) = settings(options)?;
+    let kind = settings.codec.kind;
+    if settings.key_distance.is_some() && !kind.is_live() {
+        let message = format!("{kind} encodes a take as one stretch: omit the distance of keys");
+        return Err(Failure::Value(message).into());
+    }
+    if settings.drops_foreign && !settings.analog.0.is_empty() {
+        let message = "a tolerance of analog channels that are dropped: omit one of the two";
+        return Err(Failure::Value(message.to_owned()).into());
+    }
+    Ok((
+        kind.to_string(),
+        settings.options.unit.map(|unit| unit.to_string()),
+        settings.options.up.map(|up| up.to_string()),
+        settings.analog.0.iter().map(ToString::to_string).collect(),
+    ))
+}
+
+type NormalOptions = (String, Option<String>, Option<String>, Vec<String>);
 
 fn settings(options: ImportOptions) -> Result<(Format, ImportSettings)> {
     let value = |message: String| Failure::Value(message);

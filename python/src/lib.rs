@@ -25,7 +25,7 @@ mod _native {
     #[pymodule_export]
     use crate::errors::TakeError;
     #[pymodule_export]
-    use crate::import::{Imported, import_motion, importer_version};
+    use crate::import::{Imported, import_motion, importer_version, measure_take, normal_options};
     #[pymodule_export]
     use crate::remote::{ObjectStore, RemoteTake};
     #[pymodule_export]

@@ -1,7 +1,7 @@
 //! Objects in stores, and takes in them, for archives.
 
 use std::{
-    io::{Seek, SeekFrom},
+    io::{Cursor, Read, Seek, SeekFrom},
     sync::{Mutex, PoisonError},
     time::UNIX_EPOCH,
 };
@@ -12,20 +12,42 @@ use numpy::{PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{prelude::*, types::PyBytes};
 
 use crate::{
-    background::run_detached,
+    background::{run_abandonable, run_detached},
     decode::groups,
     errors::{Failure, Result},
     read::PositionFiller,
 };
 
-/// Name, size, and time of creation in seconds since 1970.
-type ListedOut = (String, u64, f64);
+/// Name, size, and time of creation in seconds since 1970, where the store states one.
+type ListedOut = (String, u64, Option<f64>);
+
+/// Bytes that are read between two checks for cancellation: the longest range of a reader.
+const READ_BYTES: u64 = 8 << 20;
 
 /// A folder of objects in a store: `s3://bucket/folder`.
 #[pyclass(frozen, module = "mocapd._native")]
 pub(crate) struct ObjectStore {
-    store: Store,
     folder: ObjectUrl,
+    /// With the process that connected it.
+    store: Mutex<(u32, Store)>,
+}
+
+impl ObjectStore {
+    /// The store: another one in a process that was forked off, whose parent has the connections.
+    fn store(&self) -> Result<Store> {
+        let process = std::process::id();
+        let mut known = self.store.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.0 != process {
+            let parents = std::mem::replace(&mut *known, (process, connect(&self.folder)?));
+            std::mem::forget(parents);
+        }
+        Ok(known.1.clone())
+    }
+}
+
+/// Counted for itself, so that the traffic is that of one object.
+fn connect(folder: &ObjectUrl) -> Result<Store> {
+    Ok(Store::of(folder)?.counted_anew())
 }
 
 #[pymethods]
@@ -33,21 +55,24 @@ impl ObjectStore {
     #[new]
     fn new(url: &str) -> PyResult<Self> {
         let folder = ObjectUrl::parse(url).map_err(Failure::from)?;
-        // Counted for itself, so that the traffic is that of this object.
-        let store = Store::of(&folder).map_err(Failure::from)?.counted_anew();
-        Ok(Self { store, folder })
+        let store = Mutex::new((std::process::id(), connect(&folder)?));
+        Ok(Self { folder, store })
     }
 
-    /// Creates an object. False if it exists.
+    /// Creates an object, in parts if it is large. False if it exists with the same content.
     fn create(&self, py: Python<'_>, name: &str, data: &Bound<'_, PyBytes>) -> PyResult<bool> {
-        let (url, bytes) = (self.folder.join(name), data.as_bytes().to_vec());
-        run_detached(py, None, |_| match self.store.create(&url, bytes) {
-            Err(StoreError::Exists(_)) => Ok(false),
-            other => Ok(other.map(|()| true)?),
+        let (store, url) = (self.store()?, self.folder.join(name));
+        let bytes = data.as_bytes().to_vec();
+        run_abandonable(py, move |cancel| {
+            let mut pace = |_| match cancel.check() {
+                Ok(()) => Ok(()),
+                Err(_) => Err(StoreError::Stopped(url.to_string())),
+            };
+            Ok(store.upload(&url, &mut Cursor::new(&bytes), &mut pace)?)
         })
     }
 
-    /// The bytes from `start` to before `stop`, or all.
+    /// The bytes from `start` to before `stop`, or all, which are read in ranges of one version of the object.
     #[pyo3(signature = (name, start=0, stop=None))]
     fn read<'py>(
         &self,
@@ -56,16 +81,26 @@ impl ObjectStore {
         start: u64,
         stop: Option<u64>,
     ) -> PyResult<Bound<'py, PyBytes>> {
-        let url = self.folder.join(name);
-        let range = ByteRange::Of(start..stop.unwrap_or(u64::MAX));
-        let piece = run_detached(py, None, |_| Ok(self.store.read(&url, &range, None)?))?;
-        Ok(PyBytes::new(py, &piece.bytes))
+        let (store, url) = (self.store()?, self.folder.join(name));
+        let bytes = run_abandonable(py, move |cancel| {
+            if let Some(stop) = stop {
+                return Ok(store.read(&url, &ByteRange::Of(start..stop), None)?.bytes);
+            }
+            let mut reader = store.open(&url)?;
+            reader.seek(SeekFrom::Start(start))?;
+            let mut bytes = Vec::new();
+            while reader.by_ref().take(READ_BYTES).read_to_end(&mut bytes)? > 0 {
+                cancel.check()?;
+            }
+            Ok(bytes)
+        })?;
+        Ok(PyBytes::new(py, &bytes))
     }
 
     /// The size of an object; None if it does not exist.
     fn size(&self, py: Python<'_>, name: &str) -> PyResult<Option<u64>> {
-        let url = self.folder.join(name);
-        run_detached(py, None, |_| match self.store.len_bytes(&url) {
+        let (store, url) = (self.store()?, self.folder.join(name));
+        run_abandonable(py, move |_| match store.len_bytes(&url) {
             Err(StoreError::NotFound(_)) => Ok(None),
             other => Ok(other.map(Some)?),
         })
@@ -74,7 +109,8 @@ impl ObjectStore {
     /// The objects in a folder, with those in its folders.
     fn list(&self, py: Python<'_>, folder: &str) -> PyResult<Vec<ListedOut>> {
         let at = if folder.is_empty() { self.folder.clone() } else { self.folder.join(folder) };
-        let found = run_detached(py, None, |_| Ok(self.store.list(&at, true)?))?;
+        let store = self.store()?;
+        let found = run_abandonable(py, move |_| Ok(store.list(&at, true)?))?;
         let prefix = match self.folder.key().trim_end_matches('/') {
             "" => String::new(),
             key => format!("{key}/"),
@@ -82,22 +118,22 @@ impl ObjectStore {
         let listed = found.into_iter().map(|object| {
             let name = object.url.key().strip_prefix(&prefix).unwrap_or(object.url.key());
             let since = object.modified.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-            (name.to_owned(), object.len, since.unwrap_or_default().as_secs_f64())
+            (name.to_owned(), object.len, since.map(|since| since.as_secs_f64()))
         });
         Ok(listed.collect())
     }
 
     /// Removes an object, if it exists.
     fn remove(&self, py: Python<'_>, name: &str) -> PyResult<()> {
-        let url = self.folder.join(name);
-        run_detached(py, None, |_| Ok(self.store.remove(&url)?))
+        let (store, url) = (self.store()?, self.folder.join(name));
+        run_abandonable(py, move |_| Ok(store.remove(&url)?))
     }
 
     /// Opens a take, to read windows of it.
     fn open_take(&self, py: Python<'_>, name: &str) -> PyResult<RemoteTake> {
-        let url = self.folder.join(name);
-        run_detached(py, None, |_| {
-            let mut reader = self.store.open(&url)?;
+        let (store, url) = (self.store()?, self.folder.join(name));
+        run_abandonable(py, move |_| {
+            let mut reader = store.open(&url)?;
             let tail = TakeTail::read(&mut reader)?;
             let map = match &tail {
                 Some(tail) => tail.map.clone(),
@@ -108,9 +144,9 @@ impl ObjectStore {
     }
 
     /// Requests, bytes received and bytes sent by this object and the takes that it opened.
-    fn traffic(&self) -> (u64, u64, u64) {
-        let count = self.store.traffic();
-        (count.requests, count.received_bytes, count.sent_bytes)
+    fn traffic(&self) -> PyResult<(u64, u64, u64)> {
+        let count = self.store()?.traffic();
+        Ok((count.requests, count.received_bytes, count.sent_bytes))
     }
 }
 

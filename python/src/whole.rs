@@ -64,7 +64,7 @@ fn repacked(bytes: &[u8], cancel: &Cancel) -> Result<Option<Vec<u8>>> {
         return Ok(None);
     }
     cancel.check()?;
-    match check_repacked(Cursor::new(bytes), Cursor::new(&new), settings, &context)? {
+    match check_repacked(&source, Cursor::new(bytes), Cursor::new(&new), settings, &context)? {
         None => Ok(Some(new)),
         Some(difference) => Err(Failure::Damaged(format!(
             "the repacked take differs, so it is not stored ({difference}): please report this bug"

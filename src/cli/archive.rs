@@ -29,9 +29,11 @@ pub(crate) struct Args {
     arguments: Vec<OsString>,
 }
 
-/// Runs the package's command. A missing package is one line, and not a list of calls.
+/// Runs the package's command. Modules in the current folder, which may have others' data, are not the package's. A missing
+/// package is one line, and not a list of calls.
 const SCRIPT: &str = "\
 import sys
+sys.path[:] = [folder for folder in sys.path if folder]
 try:
     from mocapd.archive.__main__ import main
 except ImportError as error:

@@ -33,4 +33,10 @@ fn without_python_or_its_package_a_line_says_what_to_do() {
         &["ingest|sql|verify|repack|collect", "pip install './python[archive]'"],
     );
     folder.refuses(&["archive"], 2);
+    // A module among the data is not run.
+    let mut command = folder.command(&["archive", "verify"]);
+    command.current_dir(folder.path("")).env("PYTHONPATH", folder.path("other"));
+    command.env("PYTHONNOUSERSITE", "1").env("PYTHONDONTWRITEBYTECODE", "1");
+    let message = folder.refused(command, 1);
+    assert!(!message.contains("no package"), "{message}");
 }

@@ -2,10 +2,10 @@
 
     python python/tests/archive/bars.py ingest --files 20000 --workers 0 1 2
     python python/tests/archive/bars.py catalogue --rows 1000000
-    python python/tests/archive/bars.py windows --takes 1000
+    python python/tests/archive/bars.py windows --takes 1000 --bucket s3://takes-test/bars
 
-Each prints the load of the machine. Files are generated, at most 40 kB, and stay in --folder for the next run. With
-AWS_ENDPOINT_URL and --bucket s3://..., the store is measured; CONTRIBUTING.md says how times are compared.
+The last one needs the package zarr. Each prints the load of the machine. Files are generated, at most 40 kB, and stay in --folder for the next run. With
+AWS_ENDPOINT_URL and --bucket s3://..., the store is measured, as moto.server; CONTRIBUTING.md says how times are compared.
 """
 
 import argparse
@@ -17,8 +17,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import zarr
+import zarr.storage
 from made import RATE_HZ, c3d, motion
 from pyarrow import parquet
+from zarr.core.buffer import cpu as cpu_buffer
 
 import mocapd
 from mocapd import archive
@@ -88,7 +91,7 @@ def catalogue(args):
                     "seconds": float(random.uniform(1, 300)),
                 }
                 rows.append(base[number % len(base)] | changed)
-            table.append([pa.RecordBatch.from_pylist(rows, archive.SCHEMA)])
+            table.append([pa.RecordBatch.from_pylist(rows, archive.SCHEMA)], "bars", first // 5000 + 1)
     query = "select key, object from takes where array_has(labels, 'L07') and rate_hz >= 200 and seconds between 100 and 110"
     os.sched_setaffinity(0, {0})
     table = archive.catalogue(bucket)
@@ -101,55 +104,100 @@ def catalogue(args):
 
 
 def windows(args):
-    """Windows of a second of two of 20 markers, from takes of a minute, beside Parquet and npz of the same samples."""
-    bucket = args.bucket or str(args.folder / "windows")
-    store = archive.open_store(bucket)
+    """Windows of a second of two of 20 markers, from takes of a minute, beside the same from Parquet, Zarr and npz.
+
+    Each window is read as the first of its file, so the indices and footers of all formats are read for each. Of Parquet and
+    Zarr only the needed parts are read, with a row group of ten seconds and a chunk of five.
+    """
+    store = archive.open_store(args.bucket)
     labels = [f"m{number}" for number in range(20)]
-    if store.size("npz/0.npz") is None:
+    if store.size("made") is None:
         made = args.folder / "takes"
         made.mkdir(parents=True, exist_ok=True)
         for number in range(args.takes):
             points = motion(number, frames=6000, markers=20)
-            if not (made / f"{number}.take").exists():
-                mocapd.write_take(made / f"{number}.take", points, labels, RATE_HZ, 0.5, "fast")
+            if not (made / f"{number:04}.take").exists():
+                mocapd.write_take(made / f"{number:04}.take", points, labels, RATE_HZ, 0.5, "fast")
             store.put_if_absent(f"parquet/{number}.parquet", as_parquet(points, labels))
             store.put_if_absent(f"npz/{number}.npz", as_npz(points, labels))
-        archive.ingest(made, bucket, workers=0, progress=False)
+            for name, data in as_zarr(points).items():
+                store.put_if_absent(f"zarr/{number}/{name}", data)
+        archive.ingest(made, args.bucket, workers=0, progress=False)
+        store.put_if_absent("made", b"all")
     random = np.random.default_rng(2)
     picks = [(int(random.integers(args.takes)), int(random.integers(5900))) for _ in range(args.windows)]
-    takes = archive.catalogue(bucket).sql("select object from takes order by source").column("object").to_pylist()
+    takes = archive.catalogue(args.bucket).sql("select object from takes order by source").column("object").to_pylist()
     form = archive.Form(store, 100, RATE_HZ, ("m3", "m7"))
 
     def from_take(number, first):
-        return form.read(takes[number], first / RATE_HZ)
+        form._takes.clear()
+        return form.read(takes[number], first / RATE_HZ)[0]
 
     def from_parquet(number, first):
-        data = store.get(f"parquet/{number}.parquet")
-        return parquet.read_table(io.BytesIO(data), columns=[f"m{at}_{axis}" for at in (3, 7) for axis in "xyz"])[
-            first : first + 100
-        ].to_pandas()
+        file = parquet.ParquetFile(pa.PythonFile(RangeFile(store, f"parquet/{number}.parquet"), mode="r"), pre_buffer=True)
+        groups = sorted({first // 1000, (first + 99) // 1000})
+        columns = [f"m{at}_{axis}" for at in (3, 7) for axis in "xyz"]
+        found = file.read_row_groups(groups, columns=columns, use_threads=False).to_pandas().to_numpy()
+        return found[first - 1000 * groups[0] :][:100].reshape(100, 2, 3)
+
+    def from_zarr(number, first):
+        names = ["zarr.json", *(f"c/{chunk}/0/0" for chunk in sorted({first // 500, (first + 99) // 500}))]
+        found = {name: cpu_buffer.Buffer.from_bytes(store.get(f"zarr/{number}/{name}")) for name in names}
+        return zarr.open_array(zarr.storage.MemoryStore(found), mode="r")[first : first + 100, [3, 7]]
 
     def from_npz(number, first):
         data = np.load(io.BytesIO(store.get(f"npz/{number}.npz")))
-        return data["m3"][first : first + 100], data["m7"][first : first + 100]
+        return np.stack([data[label][first : first + 100] for label in ("m3", "m7")], axis=1)
 
-    for name, read in (("takes", from_take), ("parquet", from_parquet), ("npz", from_npz)):
-        folder = {"takes": "takes/"}.get(name, f"{name}/")
-        stored = sum(entry.n_bytes for entry in store.list(folder))
-        before = store.traffic() if hasattr(store, "traffic") else (0, 0, 0)
-        cpus, began = [], time.perf_counter()
+    readers = {"takes": from_take, "parquet": from_parquet, "zarr": from_zarr, "npz": from_npz}
+    # The same windows, within the tolerance.
+    for number, first in picks[:5]:
+        one = from_take(number, first)
+        for name, read in readers.items():
+            assert np.abs(np.nan_to_num(read(number, first)) - one).max() < 0.51, name
+    for name, read in readers.items():
+        stored = sum(entry.n_bytes for entry in store.list(f"{name}/"))
+        before = store.traffic()
+        cpus, requests, began = [], [], time.perf_counter()
         for number, first in picks:
-            form._takes.clear()
-            cpu = time.process_time()
+            cpu, was = time.process_time(), store.traffic()[0]
             read(number, first)
             cpus.append(time.process_time() - cpu)
+            requests.append(store.traffic()[0] - was)
         seconds = time.perf_counter() - began
-        traffic = store.traffic() if hasattr(store, "traffic") else (0, 0, 0)
-        n_requests, n_bytes = ((after - was) / len(picks) for after, was in zip(traffic[:2], before))
+        n_bytes = (store.traffic()[1] - before[1]) / len(picks)
         print(
             f"{name}: {len(picks) / seconds:.0f} windows a second, p50 {1000 * np.median(cpus):.2f} ms of processor time, "
-            f"{n_requests:.2f} requests and {n_bytes / 1000:.1f} kB a window, {stored / 1e6:.1f} MB stored; load {load()}"
+            f"{np.mean(requests):.2f} requests (at most {max(requests)}) and {n_bytes / 1000:.1f} kB a window, "
+            f"{stored / 1e6:.1f} MB stored; load {load()}",
+            flush=True,
         )
+
+
+class RangeFile(io.RawIOBase):
+    """An object, of which ranges are read."""
+
+    def __init__(self, store, name):
+        self.store, self.name, self.at, self.n_bytes = store, name, 0, store.size(name)
+
+    def readable(self):
+        return True
+
+    def seekable(self):
+        return True
+
+    def seek(self, offset, whence=0):
+        self.at = offset + (0, self.at, self.n_bytes)[whence]
+        return self.at
+
+    def tell(self):
+        return self.at
+
+    def read(self, n=-1):
+        stop = self.n_bytes if n < 0 else min(self.at + n, self.n_bytes)
+        data = self.store._native.read(self.name, self.at, stop) if stop > self.at else b""
+        self.at = stop
+        return data
 
 
 def as_parquet(points, labels):
@@ -157,6 +205,13 @@ def as_parquet(points, labels):
     out = io.BytesIO()
     parquet.write_table(pa.table(columns), out, compression="zstd", row_group_size=1000)
     return out.getvalue()
+
+
+def as_zarr(points):
+    store = zarr.storage.MemoryStore()
+    array = zarr.create_array(store, shape=points.shape, chunks=(500, 20, 3), dtype="float32")
+    array[:] = points
+    return {name: value.to_bytes() for name, value in store._store_dict.items()}
 
 
 def as_npz(points, labels):

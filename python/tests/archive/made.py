@@ -7,7 +7,7 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from c3d_files import c3d_file  # noqa: E402
+from c3d_files import c3d_file, channel_records, event_records  # noqa: E402
 
 RATE_HZ = 100.0
 
@@ -27,6 +27,20 @@ def motion(seed, frames=120, markers=4):
 def c3d(seed, frames=120, markers=4):
     points = motion(seed, frames, markers)
     return c3d_file(points, np.zeros((frames, 0)), 1, b"", rate_hz=RATE_HZ)
+
+
+def limbs_c3d():
+    """Markers on limbs, those of a limb far apart in the file, with analog channels, events and residuals."""
+    row, marker, axis = np.ogrid[:150, :12, :3]
+    limb, place, time = marker % 4, marker // 4, row / 20
+    noise = (row * 7919 + marker * 104_729 + axis * 31) % 211
+    swing = np.choose(axis, [np.sin(time + 0 * limb), np.cos(1.3 * time + limb), np.sin(0.7 * time * limb)])
+    points = (swing * 90 * (limb + place) + noise / 50).astype(np.float32)
+    points[40:50, 5] = np.nan
+    records = channel_records(3) + event_records([0.5, 1.5], ["Left", "Right"], ["Foot Strike", "Foot Off"])
+    analog = np.random.default_rng(3).normal(0, 1, (150 * 4, 3))
+    residuals = (1 + (row + marker) % 3 + 0 * axis)[:, :, :1]
+    return c3d_file(points, analog, 4, records, rate_hz=60.0, fourth_words=residuals)
 
 
 def write_c3ds(folder, n, first_seed=0, **size):

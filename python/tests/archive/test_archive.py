@@ -1,5 +1,6 @@
 """Archives in a folder, imported in this process."""
 
+import dataclasses
 import hashlib
 import json
 import subprocess
@@ -13,8 +14,9 @@ import mocapd
 
 archive = pytest.importorskip("mocapd.archive")
 
-from made import RATE_HZ, c3d, motion, write_c3ds  # noqa: E402
+from made import RATE_HZ, c3d, limbs_c3d, motion, write_c3ds  # noqa: E402
 from mocapd._native import import_motion  # noqa: E402
+from mocapd.archive._keys import key_seconds, tolerance_mm  # noqa: E402
 
 LABELS = ["M0", "M1", "M2", "M3"]
 NAMES = r"/(?P<subject>s\d)/(?P<session>day\d)/"
@@ -83,14 +85,46 @@ def test_a_row_describes_its_take(bucket, folder):
     assert [summary.n_gaps for summary in take.summary.values()] == [0, 1, 0, 0]
 
 
-def test_it_is_what_the_command_imports(bucket, folder, program, tmp_path):
-    """Besides the name of the source and the software, which are no content, and the id, which depends on them."""
-    path = folder / "s1" / "day0" / "walk0004.c3d"
-    to = tmp_path / "a.take"
-    subprocess.run([program, "import", path, "-o", to, "--tolerance", "0.2mm"], check=True, capture_output=True)
-    (row,) = archive.catalogue(bucket).sql("select object from takes where source like '%walk0004.c3d'").to_pylist()
-    one, other = mocapd.open(to), mocapd.open(bucket / row["object"])
-    assert np.array_equal(one.positions, other.positions, equal_nan=True)
+def chunks(take):
+    """The chunks of a take that do not state the names of its source and its program, or offsets that follow from them."""
+    found, at = [], 8
+    while at < len(take):
+        start, kind, length, shift = at, take[at], 0, 0
+        while True:
+            at += 1
+            length |= (take[at] & 0x7F) << shift
+            shift += 7
+            if take[at] < 0x80:
+                break
+        at += 1 + length + 4
+        if kind not in NAMING_CHUNKS:
+            found.append((kind, take[start:at]))
+    return found
+
+
+HEADER, FOOTER, INDEX, SUMMARY, ORDER = 0x01, 0x8B, 0x8A, 0x8D, 0x92
+NAMING_CHUNKS = HEADER, FOOTER, INDEX, SUMMARY
+
+
+@pytest.mark.parametrize("effort", [1, 3, 9])
+def test_it_is_what_the_command_imports(effort, program, tmp_path):
+    """Byte for byte, with events, analog channels and residuals."""
+    path, to = tmp_path / "walk.c3d", tmp_path / "walk.take"
+    path.write_bytes(limbs_c3d())
+    words = [program, "import", path, "-o", to, "--tolerance", "0.2mm", "--effort", str(effort)]
+    subprocess.run(words, check=True, capture_output=True)
+    imported = import_motion(path.read_bytes(), archive.Settings(0.2, effort=effort).options("c3d", None)).take
+    found, wanted = chunks(imported), chunks(to.read_bytes())
+    assert [kind for kind, _ in found] == [kind for kind, _ in wanted] and len(found) > 4
+    assert found == wanted
+    assert (ORDER in dict(found)) == (effort == 9)
+    (tmp_path / "same.take").write_bytes(imported)
+    one, other = mocapd.open(to), mocapd.open(tmp_path / "same.take")
+    assert np.array_equal(one.positions, other.positions, equal_nan=True) and one.labels == other.labels
+    assert one.summary == other.summary and one.ledger == other.ledger
+    names = {"software": "", "take_id": ""}
+    header, same = (dataclasses.replace(take.header, **names, source=None) for take in (one, other))
+    assert header == same and one.header.source.file == "walk.c3d" and other.header.source.file == ""
 
 
 def test_a_second_ingest_changes_nothing(bucket, folder):
@@ -115,43 +149,131 @@ def test_every_setting_is_in_the_key():
         archive.Settings(analog_tolerance=("0.1%",)),
         archive.Settings(drop_foreign=True),
     ]
-    texts = [one.text("c3d", None) for one in settings]
-    texts += [settings[0].text("trc", None), settings[0].text("c3d", "anna"), settings[0].text("take", None)]
-    keys = [archive.content_key("00" * 32, text) for text in texts]
-    keys += [archive.content_key("11" * 32, texts[0]), archive.content_key("00" * 32, texts[0], importer=2)]
+    documents = [one.document("c3d", None) for one in settings]
+    documents += [settings[0].document("trc", None), settings[0].document("c3d", "anna"), settings[0].document("take", None)]
+    keys = [archive.content_key("00" * 32, document) for document in documents]
+    keys += [archive.content_key("11" * 32, documents[0]), archive.content_key("00" * 32, documents[0], importer=2)]
     assert len(set(keys)) == len(keys)
-    assert archive.Settings(effort=3) == archive.Settings()
+    # A take is stored as it is by every importer.
+    assert archive.content_key("00" * 32, documents[13], importer=2) == keys[13]
+
+
+def test_equal_settings_are_written_equally():
+    pairs = [
+        ({"effort": 3}, {}),
+        ({"unit": "MM"}, {"unit": "mm"}),
+        ({"resampler": "spline"}, {"resampler": "spline:worst-sample"}),
+        ({"keys_s": 2}, {"keys_s": 2.0}),
+        ({"tolerance_mm": 1}, {"tolerance_mm": 1.0}),
+        ({"tolerance_mm": tolerance_mm("700um")}, {"tolerance_mm": tolerance_mm("0.7mm")}),
+        ({"keys_s": key_seconds("500ms")}, {"keys_s": key_seconds("0.5")}),
+    ]
+    for one, other in pairs:
+        found = [archive.content_key("00" * 32, archive.Settings(**given).document("c3d", None)) for given in (one, other)]
+        assert found[0] == found[1], (one, other)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"resampler": "dnse"},
+        {"unit": "furlong"},
+        {"up": "w"},
+        {"keys": "0.01s"},
+        {"keys": "often"},
+        {"analog_tolerance": ("x",)},
+        {"tolerance": 1e9},
+        {"tolerance": "5 apples"},
+        {"tolerance": 0},
+        {"effort": 10},
+        {"resampler": "fast", "effort": 2},
+        {"resampler": "spline", "keys": "1s"},
+        {"drop_foreign": True, "analog_tolerance": ("0.1%",)},
+    ],
+)
+def test_wrong_settings_are_refused_before_a_file_is_read(wrong, tmp_path):
+    write_c3ds(tmp_path / "c3d", 1)
+    with pytest.raises(ValueError):
+        archive.ingest(tmp_path / "c3d", tmp_path / "archive", workers=0, progress=False, **wrong)
+    assert not (tmp_path / "archive").exists()
 
 
 def test_the_bytes_of_an_import_belong_to_the_version_of_the_importer():
     """If this fails, the importer gives other bytes: raise IMPORTER_VERSION, and state the new hashes."""
     found = {}
-    for resampler in ("dense", "fast", "lossless:predictive"):
-        options = archive.Settings(resampler=resampler).options("c3d", "anna")
-        found[resampler] = hashlib.sha256(import_motion(c3d(1), options).take).hexdigest()[:16]
-    expected = {"dense": "0dc477897193b3b9", "fast": "40a0a3b6abd9b146", "lossless:predictive": "babf6c2327487c56"}
-    assert (archive.IMPORTER_VERSION, found) == (1, expected)
+    for number, (name, options) in enumerate(IMPORTS.items()):
+        settings = archive.Settings(**options)
+        data = limbs_c3d() if number % 2 else c3d(1)
+        found[name] = hashlib.sha256(import_motion(data, settings.options("c3d", "anna")).take).hexdigest()[:16]
+    assert (archive.IMPORTER_VERSION, found) == (1, EXPECTED)
 
 
-def test_another_version_of_the_importer_adds_takes(bucket, folder, tmp_path, monkeypatch):
-    """After a fix of the importer both takes of a source are listed, until the old rows are deleted."""
+IMPORTS = {
+    "dense": {},
+    "dense, all parts": {"effort": 3},
+    "fast": {"resampler": "fast"},
+    "effort 1, all parts": {"effort": 1},
+    "lossless:predictive": {"resampler": "lossless:predictive"},
+    "effort 9, all parts": {"effort": 9, "tolerance_mm": 0.2},
+    "lossless": {"resampler": "lossless"},
+    "keys, unit, axis, analog tolerance": {"keys_s": 0.5, "unit": "cm", "up": "-z", "analog_tolerance": ("1%",)},
+}
+EXPECTED = {
+    "dense": "0dc477897193b3b9",
+    "dense, all parts": "26b480da160b2dc3",
+    "fast": "40a0a3b6abd9b146",
+    "effort 1, all parts": "539d79ea7d11d1f3",
+    "lossless:predictive": "babf6c2327487c56",
+    "effort 9, all parts": "cda32a40e09fece0",
+    "lossless": "eaf4aae92df6a851",
+    "keys, unit, axis, analog tolerance": "8d0f6f7cbb844b96",
+}
+
+
+@pytest.mark.parametrize("format", ["trc", "tsv", "csv"])
+def test_text_files_are_imported(format, folder, program, tmp_path):
+    """What the command exports of a take is a source, and gives the positions of the take within both tolerances."""
+    take, path = tmp_path / "a.take", tmp_path / "c3d" / f"a name.{format}"
+    path.parent.mkdir()
+    path.with_suffix(".c3d").write_bytes(limbs_c3d())
+    for words in (["import", path.with_suffix(".c3d"), "-o", take], ["export", take, "-o", path]):
+        subprocess.run([program, *words], check=True, capture_output=True)
+    report = archive.ingest(path, tmp_path / "archive", tolerance=0.1, workers=0, progress=False)
+    assert (report.takes, report.failed) == (1, 0), report.errors
+    (row,) = archive.catalogue(tmp_path / "archive").arrow().to_pylist()
+    assert (row["format"], row["frames"], row["markers"]) == (format, 150, 12) and row["source"].endswith(f"/a name.{format}")
+    found, wanted = mocapd.open(tmp_path / "archive" / row["object"]), mocapd.open(take)
+    assert np.allclose(found.positions, wanted.positions, atol=0.12, equal_nan=True)
+
+
+def test_another_version_of_the_importer_adds_takes(tmp_path, monkeypatch):
+    """After a fix of the importer both takes of a source are listed, until the old rows are retired: those of sources that
+    were imported again."""
     import mocapd.archive._ingest as module
 
     copy = tmp_path / "archive"
-    write_c3ds(tmp_path / "c3d", 3)
-    archive.ingest(tmp_path / "c3d", copy, workers=0, progress=False)
-    monkeypatch.setattr(module, "content_key", lambda *args: archive.content_key(*args, importer=2))
+    paths = write_c3ds(tmp_path / "c3d", 3)
+    (tmp_path / "c3d" / "other.c3d").write_bytes(paths[2].read_bytes())
+    mocapd.write_take(tmp_path / "c3d" / "rig.take", motion(9), LABELS, RATE_HZ, 0.5)
     report = archive.ingest(tmp_path / "c3d", copy, workers=0, progress=False)
-    assert report.takes == 3 and len(objects(copy)) == 6
+    assert (report.takes, report.duplicates) == (4, 1)
     catalogue = archive.catalogue(copy)
-    first = catalogue.sql("select min(ingested) as t, count(*) as n from takes group by source").to_pylist()
-    assert [row["n"] for row in first] == [2, 2, 2]
-    old = catalogue.sql("select key from takes order by ingested limit 3").column("key").to_pylist()
-    assert catalogue.delete(f"key in ({', '.join(repr(key) for key in old)})") == 3
+    assert catalogue.retire(2) == 0 and len(objects(copy)) == 4
+    new_row = module.new_row
+    monkeypatch.setattr(module, "content_key", lambda *args: archive.content_key(*args, importer=2))
+    monkeypatch.setattr(module, "new_row", lambda *args, **fields: new_row(*args, **fields | {"importer": 2}))
+    # One source is gone, and one of two with the same bytes; the take is as it is by every importer.
+    paths[0].unlink()
+    paths[2].unlink()
+    report = archive.ingest(tmp_path / "c3d", copy, workers=0, progress=False)
+    assert (report.takes, report.unchanged) == (2, 1) and len(objects(copy)) == 6
+    rows = catalogue.sql("select source from latest where importer = 2").column("source").to_pylist()
+    assert sorted(name.rpartition("/")[2] for name in rows) == ["other.c3d", "walk0001.c3d"]
+    assert catalogue.retire(2) == 1
     assert archive.collect(copy) == []  # too young
-    assert len(archive.collect(copy, older_than_s=0, remove=True)) == 3
-    assert len(objects(copy)) == 3 and archive.verify(copy, workers=0).is_intact
-    assert archive.catalogue(copy, version=1).arrow().num_rows == 6
+    assert len(archive.collect(copy, older_than_s=0, remove=True)) == 1
+    assert len(objects(copy)) == 5 and archive.verify(copy, workers=0).is_intact
+    assert archive.catalogue(copy, version=1).arrow().num_rows == 7
 
 
 def test_takes_are_stored_as_they_are(tmp_path):
@@ -163,6 +285,8 @@ def test_takes_are_stored_as_they_are(tmp_path):
     stored = (tmp_path / "archive" / row["object"]).read_bytes()
     assert stored == (tmp_path / "a.take").read_bytes()
     assert (row["samples"], row["gaps"], row["format"]) == (470, 1, "take")
+    assert row["take_sha256"] == row["source_sha256"] == hashlib.sha256(stored).hexdigest()
+    assert row["max_error_mm"] <= 0.5
     decoded = mocapd.decompress(stored)
     assert np.allclose(row["high_mm"], np.nanmax(decoded, axis=(0, 1)))
     (tmp_path / "cut.take").write_bytes(stored[:-200])
@@ -214,8 +338,10 @@ def test_repack_makes_takes_smaller_and_keeps_their_rows(tmp_path):
 
 def test_an_object_is_never_replaced(tmp_path):
     store = archive.FolderStore(tmp_path)
-    assert store.put_if_absent("takes/ab/x.take", b"one") and not store.put_if_absent("takes/ab/x.take", b"two")
-    assert store.get("takes/ab/x.take") == b"one" and store.get_range("takes/ab/x.take", 1, 3) == b"ne"
+    assert store.put_if_absent("takes/ab/x.take", b"one") and not store.put_if_absent("takes/ab/x.take", b"one")
+    with pytest.raises(FileExistsError):
+        store.put_if_absent("takes/ab/x.take", b"two")
+    assert store.get("takes/ab/x.take") == b"one"
     assert store.size("takes/ab/x.take") == 3 and store.size("takes/ab/y.take") is None
     assert [entry.name for entry in store.list()] == ["takes/ab/x.take"]
     for name in ("", "../x", "a//b", "a/./b"):
@@ -225,10 +351,27 @@ def test_an_object_is_never_replaced(tmp_path):
     assert list(store.list("takes/")) == []
 
 
-def test_wrong_settings_and_sources_are_refused(tmp_path):
-    for options in ({"tolerance": "5 apples"}, {"tolerance": 0}, {"effort": 10}, {"resampler": "fast", "effort": 2}):
-        with pytest.raises(ValueError):
-            archive.ingest(tmp_path, tmp_path / "archive", workers=0, **options)
+def test_repack_of_takes_in_another_order_of_markers(tmp_path):
+    """Of effort 9, and windows of them."""
+    bucket, folder = tmp_path / "archive", tmp_path / "c3d"
+    folder.mkdir()
+    (folder / "a.c3d").write_bytes(limbs_c3d())
+    archive.ingest(folder, bucket, tolerance=0.2, effort=9, workers=0, progress=False)
+    (row,) = archive.catalogue(bucket).arrow().to_pylist()
+    assert ORDER in dict(chunks((bucket / row["object"]).read_bytes()))
+    points = mocapd.open(bucket / row["object"]).positions
+    assert archive.verify(bucket, workers=0).is_intact
+    report = archive.repack(bucket, workers=0)
+    assert not report.failed and report.bytes_after <= report.bytes_before
+    (row,) = archive.catalogue(bucket).arrow().to_pylist()
+    assert np.array_equal(mocapd.open(bucket / row["object"]).positions, points, equal_nan=True)
+    windows = archive.windows("select * from takes", 1.0, 60.0, ["M7", "M1"], bucket=bucket)
+    (batch,) = windows
+    assert np.array_equal(batch["positions"], points[:120, [7, 1]].reshape(2, 60, 2, 3))
+    assert [marker["gaps"] for marker in row["motion"]] == [int(column == 5) for column in range(12)]
+
+
+def test_wrong_sources_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         archive.ingest(tmp_path / "nothing", tmp_path / "archive", workers=0)
     with pytest.raises(ValueError, match="subject"):
@@ -265,7 +408,7 @@ def test_the_schema_is_documented():
     from pathlib import Path
 
     page = (Path(__file__).parents[3] / "docs" / "archive.md").read_text()
-    _, _, section = page.partition("## The catalogue")
+    _, _, section = page.partition("| column | content |")
     documented = re.findall(r"^\| `(\w+)` \|", section.split("\n## ")[0], re.MULTILINE)
     assert documented == archive.SCHEMA.names
     assert isinstance(archive.SCHEMA, pa.Schema)

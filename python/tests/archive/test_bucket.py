@@ -1,6 +1,8 @@
 """Archives in a bucket, of a test store that speaks S3."""
 
 import os
+import select
+import signal
 import time
 
 import numpy as np
@@ -10,7 +12,7 @@ import mocapd
 
 archive = pytest.importorskip("mocapd.archive")
 
-from made import RATE_HZ, motion, write_c3ds  # noqa: E402
+from made import RATE_HZ, c3d, motion, write_c3ds  # noqa: E402
 
 LABELS = ["a", "b", "c", "d"]
 
@@ -40,14 +42,55 @@ def test_each_content_is_there_once(bucket):
 
 def test_an_object_is_never_replaced(bucket):
     store = archive.open_store(bucket)
-    assert store.put_if_absent("more/x", b"one") and not store.put_if_absent("more/x", b"two")
-    assert store.get("more/x") == b"one" and store.get_range("more/x", 1, 3) == b"ne"
+    assert store.put_if_absent("more/x", b"one") and not store.put_if_absent("more/x", b"one")
+    with pytest.raises(FileExistsError):
+        store.put_if_absent("more/x", b"two")
+    assert store.get("more/x") == b"one"
     assert store.size("more/x") == 3 and store.size("more/y") is None
     with pytest.raises(FileNotFoundError):
         store.get("more/y")
     store.remove("more/x")
     store.remove("more/x")
     assert list(store.list("more/")) == []
+
+
+def test_large_objects_are_stored_whole(bucket):
+    store = archive.open_store(bucket)
+    for number, data in enumerate((b"x", os.urandom(9 << 20))):
+        assert store.put_if_absent(f"large/{number}", data) and store.get(f"large/{number}") == data
+        assert not store.put_if_absent(f"large/{number}", data)
+    assert [entry.n_bytes for entry in store.list("large/")] == [1, 9 << 20]
+
+
+def test_a_folder_with_the_name_of_a_format_is_a_folder(bucket, tmp_path):
+    store = archive.open_store("s3://takes-test/c3d")
+    store.put_if_absent("a.c3d", c3d(1))
+    store.put_if_absent("c3d", b"no file of motion")
+    for source, files in (("s3://takes-test/c3d/", 1), ("s3://takes-test/c3d", 1), ("s3://takes-test/c3d/a.c3d", 1)):
+        assert archive.ingest(source, tmp_path / "archive", workers=0, progress=False).files == files
+    assert archive.catalogue(tmp_path / "archive").arrow().num_rows == 1
+    with pytest.raises(FileNotFoundError):
+        archive.ingest("s3://takes-test/none/", tmp_path / "archive", workers=0, progress=False)
+
+
+def test_a_forked_process_reads_with_connections_of_its_own(bucket):
+    found = archive.windows("select * from takes", 0.5, RATE_HZ, ["M1"], bucket=bucket, batch=3)
+    expected = [batch["positions"].sum() for batch in found]
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            same = [batch["positions"].sum() for batch in found] == expected
+            os.write(writing, b"same" if same else b"different")
+        finally:
+            os._exit(0)
+    os.close(writing)
+    ready, _, _ = select.select([reading], [], [], 20)
+    if not ready:
+        os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert ready and os.read(reading, 100) == b"same"
+    os.close(reading)
 
 
 def test_takes_move_from_a_folder_to_a_bucket_unchanged(bucket, tmp_path):

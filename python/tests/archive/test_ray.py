@@ -148,13 +148,36 @@ def test_ray_data_reads_windows(cluster, folder, tmp_path):
     takes = archive.catalogue(tmp_path / "archive").sql("select object, rate_hz, frames from takes")
     windows = archive.windows(takes, 0.2, RATE_HZ, ["M0", "M2"], bucket=tmp_path / "archive", shuffle=3, batch=8)
     ray.data.DataContext.get_current().enable_progress_bars = False
-    dataset = windows.ray_dataset()
+    dataset = windows.ray_dataset(objects=True)
     found = list(dataset.iter_batches(batch_size=None))
     assert sum(len(batch["valid"]) for batch in found) == len(windows.places) == 3 * (N_FILES - 2)
     local = {(name, start): rows for batch in windows for name, start, rows in zip(*parts(batch))}
     remote = {(name, start): rows for batch in found for name, start, rows in zip(*parts(batch))}
     assert local.keys() == remote.keys()
     assert all(np.array_equal(local[key], remote[key]) for key in local)
+
+
+def import_or_exit(self, data, format, subject):
+    """An import that ends its process, as one that needs too much memory."""
+    if b"EXIT" in data:
+        os._exit(1)
+    return archive_import(self, data, format, subject)
+
+
+archive_import = archive._ingest.ImportTask._import
+
+
+class ExitingTask(archive._ingest.ImportTask):
+    _import = import_or_exit
+
+
+def test_a_file_that_ends_its_process_is_a_row_of_its_own(cluster, tmp_path, monkeypatch):
+    write_c3ds(tmp_path / "c3d", 5, frames=60)
+    (tmp_path / "c3d" / "evil.c3d").write_bytes(b"EXIT" * 100)
+    monkeypatch.setattr(archive._ingest, "ImportTask", ExitingTask)
+    report = archive.ingest(tmp_path / "c3d", tmp_path / "archive", progress=False)
+    assert (report.takes, report.failed) == (5, 1), report.errors
+    assert "evil.c3d" in report.errors[0][0] and "ended the process" in report.errors[0][1]
 
 
 def parts(batch):
@@ -165,6 +188,9 @@ def test_ray_data_gives_torch_tensors(cluster, folder, tmp_path):
     torch = pytest.importorskip("torch")
     archive.ingest(folder, tmp_path / "archive", workers=0, progress=False)
     windows = archive.windows("select * from takes", 0.2, RATE_HZ, ["M0"], bucket=tmp_path / "archive", batch=8)
-    dataset = windows.ray_dataset().drop_columns(["object"])
+    dataset = windows.ray_dataset()
+    n_windows = 0
     for batch in dataset.iter_torch_batches(batch_size=8):
         assert batch["positions"].dtype == torch.float32 and batch["positions"].shape[1:] == (20, 1, 3)
+        n_windows += len(batch["valid"])
+    assert n_windows == len(windows.places) > 0

@@ -1,5 +1,7 @@
 """Windows of motion: their samples, their order, and who reads which."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -98,11 +100,42 @@ def test_reading_resumes_where_it_was(bucket):
     state = windows.after(2).state()
     again = archive.windows(rows(bucket), 0.5, 50.0, ["a"], bucket=bucket, shuffle=7, batch=4).resume(state)
     assert order(again) == whole[8:] and len(again) == len(windows) - 2
-    assert windows.after(len(windows)).state() == {"epoch": 1, "done": 0}
+    state = windows.after(len(windows)).state()
+    assert (state["epoch"], state["done"]) == (1, 0)
+    for others in (
+        archive.windows(rows(bucket), 0.5, 50.0, ["a"], bucket=bucket, shuffle=8, batch=4),
+        archive.windows(rows(bucket), 0.5, 50.0, ["b"], bucket=bucket, shuffle=7, batch=4),
+        archive.windows(rows(bucket).slice(1), 0.5, 50.0, ["a"], bucket=bucket, shuffle=7, batch=4),
+        windows.sharded(0, 2),
+    ):
+        with pytest.raises(ValueError, match="other windows"):
+            others.resume(state)
+
+
+def test_the_order_of_rows_changes_nothing(bucket):
+    """That of a query is another one each time."""
+    table = rows(bucket)
+    mixed = table.take([3, 0, 4, 2, 1, 3])
+    one, other = (archive.windows(found, 0.5, 50.0, ["a"], bucket=bucket, shuffle=7, batch=4) for found in (table, mixed))
+    assert order(one) == order(other) and one.state() == other.state()
+
+
+def test_threads_read_the_same(bucket, monkeypatch):
+    import mocapd.archive._windows as module
+
+    monkeypatch.setattr(module, "OPEN_TAKES", 1)
+    windows = archive.windows(rows(bucket), 0.2, 50.0, ["a"], bucket=bucket, shuffle=7, batch=2)
+    expected = [batch["positions"] for batch in windows]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda part: [batch for batch in windows.rows(part)], windows.parts(1)))
+    found = [np.array(batch.column("positions").to_pylist()) for (batch,) in found]
+    assert len(found) == len(expected) > 20
+    assert all(np.array_equal(one, other.reshape(len(other), -1)) for one, other in zip(found, expected))
 
 
 def test_arrow_batches_hold_tensors(bucket):
     windows = archive.windows(rows(bucket), 1.0, 50.0, ["a", "b"], bucket=bucket, batch=5)
+    assert len(windows) > 1
     for batch, arrow in zip(windows, windows.arrow()):
         assert isinstance(arrow, pa.RecordBatch) and arrow.num_rows == len(batch["valid"])
         assert np.array_equal(arrow.column("positions").to_numpy_ndarray(), batch["positions"])
@@ -112,7 +145,9 @@ def test_arrow_batches_hold_tensors(bucket):
 def test_torch_batches_hold_tensors(bucket):
     torch = pytest.importorskip("torch")
     windows = archive.windows(rows(bucket), 1.0, 50.0, ["a", "b"], bucket=bucket)
-    for batch in windows.torch():
+    batches = list(windows.torch())
+    assert sum(len(batch["valid"]) for batch in batches) == len(windows.places) > 0
+    for batch in batches:
         assert batch["positions"].dtype == torch.float32 and batch["valid"].dtype == torch.bool
         assert batch["positions"].shape[1:] == (50, 2, 3)
 
@@ -122,5 +157,9 @@ def test_wrong_windows_are_refused(bucket):
     for seconds, hz, more in ((0, 1, {}), (1, 0, {}), (0.001, 1, {}), (1, 1, {"batch": 0}), (1, 1, {"shard": (1, 1)})):
         with pytest.raises(ValueError):
             archive.windows(table, seconds, hz, ["a"], bucket=bucket, **more)
+    with pytest.raises(ValueError, match="shard"):
+        archive.windows(table, 1, 1, ["a"], bucket=bucket).sharded(5, 3)
+    with pytest.raises(ValueError, match="their markers are a, b"):
+        archive.windows("select * from takes", 1, 1, ["a", "LKNE"], bucket=bucket)
     with pytest.raises(ValueError, match="frames"):
         archive.windows(table.select(["object", "rate_hz"]), 1, 1, ["a"], bucket=bucket)

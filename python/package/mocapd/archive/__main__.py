@@ -36,8 +36,9 @@ def _parser() -> argparse.ArgumentParser:
     added.add_argument("sources", nargs="+", metavar="SOURCE", help="files and folders, as paths or URLs")
     added.add_argument("--tolerance", metavar="LENGTH", help="largest error of a sample: 0.5mm, 100um [default: 0.5mm]")
     added.add_argument("--resampler", default="dense", metavar="NAME", help="dense, fast, lossless or lossless:predictive")
+    added.add_argument("--lossless", action="store_true", help="as --resampler lossless:predictive")
     added.add_argument("--effort", type=int, metavar="N", help="effort of the resampler dense, 1 to 9 [default: 3]")
-    added.add_argument("--keys", type=float, metavar="SECONDS", help="longest time from one key stretch to the next")
+    added.add_argument("--keys", metavar="TIME", help="longest time from one key stretch to the next: 2s, 500ms, none")
     added.add_argument("--unit", metavar="UNIT", help="unit of length of the files, if they state none or a wrong one")
     added.add_argument("--up", metavar="AXIS", help="axis that points up in the files")
     added.add_argument("--analog-tolerance", action="append", default=[], metavar="[PATTERN=]VALUE")
@@ -67,6 +68,8 @@ def _report(args: argparse.Namespace, report: Any) -> None:
 
 
 def _ingest(args: argparse.Namespace) -> int:
+    if args.lossless:
+        args.resampler = "lossless:predictive"
     is_lossless = args.resampler.partition(":")[0] == "lossless"
     if is_lossless and args.tolerance is not None:
         raise ValueError("a lossless take has no tolerance: omit --tolerance")
@@ -78,7 +81,7 @@ def _ingest(args: argparse.Namespace) -> int:
         tolerance=None if is_lossless else args.tolerance or "0.5mm",
         resampler=args.resampler,
         effort=args.effort,
-        keys_s=args.keys,
+        keys=args.keys,
         unit=args.unit,
         up=args.up,
         analog_tolerance=tuple(args.analog_tolerance),

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from deltalake import DeltaTable, QueryBuilder, write_deltalake
+import pyarrow.compute as pc
+from deltalake import CommitProperties, DeltaTable, QueryBuilder, Transaction, write_deltalake
 from deltalake.exceptions import DeltaError, TableNotFoundError
 
 from ._keys import source_hash
 from ._schema import SCHEMA
-from ._store import Store, open_store
+from ._store import FolderStore, Store, StoreError, open_store
+from ._workers import call
 
 FOLDER = "catalogue"
 """The folder of the table in the bucket."""
@@ -43,7 +47,10 @@ class Catalogue:
 
     def __init__(self, store: Store, version: int | None = None) -> None:
         self.store = store
-        self.url = f"{store.url.rstrip('/')}/{FOLDER}"
+        if "%" in store.url:
+            raise ValueError(f"{store.url}: deltalake misreads names with %: choose another for the archive")
+        root = Path(store.url.removeprefix("file://")).as_uri() if isinstance(store, FolderStore) else store.url
+        self.url = f"{root.rstrip('/')}/{FOLDER}"
         self._version = version
         self._options = _delta_options(self.url)
 
@@ -63,7 +70,8 @@ class Catalogue:
         return table.to_pyarrow_table(columns=names)
 
     def sql(self, query: str) -> pa.Table:
-        """The result of a query by DataFusion. The table is ``catalogue``; ``takes`` has only its takes.
+        """The result of a query by DataFusion. The table is ``catalogue``; ``takes`` has only its takes, ``latest`` the last
+        take of each source, and ``failures`` the sources that failed and have no take.
 
         Raises
         ------
@@ -73,7 +81,8 @@ class Catalogue:
             For a query that is not valid.
         """
         context = QueryBuilder().register("catalogue", self.existing())
-        context.execute("create view takes as select * from catalogue where status = 'take'")
+        for name, view in VIEWS.items():
+            context.execute(f"create view {name} as {view}")
         try:
             found = pa.table(context.execute(query).read_all())
         except DeltaError as error:
@@ -93,26 +102,107 @@ class Catalogue:
             raise FileNotFoundError(2, "no archive, because nothing was ingested there: check the name", self.store.url)
         return table
 
-    def append(self, batches: list[pa.RecordBatch]) -> None:
-        """Commits rows. They are in the table, all of them, when this returns."""
+    def named_objects(self, within_s: float) -> set[str]:
+        """The objects that rows name, or named within this time."""
+        table = self.existing()
+        named = set(table.to_pyarrow_table(columns=["object"]).column("object").to_pylist())
+        since_ms = (time.time() - within_s) * 1000
+        for entry in table.history():
+            # Before any other operation than an append there may be rows that are not there now.
+            if entry["timestamp"] >= since_ms and entry["operation"] not in ("WRITE", "CREATE TABLE") and entry["version"]:
+                before = DeltaTable(self.url, version=entry["version"] - 1, storage_options=self._options)
+                named.update(before.to_pyarrow_table(columns=["object"]).column("object").to_pylist())
+        return named - {None}
+
+    def append(self, batches: list[pa.RecordBatch], run: str, number: int) -> None:
+        """Commits rows once: the commit with this number of a run. They are in the table, all of them, when this returns."""
         table = pa.Table.from_batches(batches, SCHEMA)
-        write_deltalake(
-            self.url, table, mode="append", name="catalogue of a mocapd archive", storage_options=self._options
-        )
+        properties = CommitProperties(app_transactions=[Transaction(run, number)])
+
+        def write(existing: DeltaTable | None) -> None:
+            # The table states which commits of a run it has, so that one whose answer was lost is not repeated.
+            if existing is not None and existing.transaction_version(run) == number:
+                return
+            write_deltalake(
+                self.url if existing is None else existing,
+                table,
+                mode="append",
+                name="catalogue of a mocapd archive",
+                configuration=KEPT if existing is None else None,
+                storage_options=self._options,
+                commit_properties=properties,
+            )
+
+        self._commit(write)
 
     def move(self, rows: list[dict[str, Any]]) -> None:
-        """Commits new objects of takes: rows with ``object``, ``new`` and ``new_bytes``."""
+        """Commits new objects of takes: rows with ``object``, ``new``, ``new_bytes`` and ``new_sha256``."""
+        rows = list({row["object"]: row for row in rows}.values())
         if not rows:
             return
-        moved = pa.table({name: [row[name] for row in rows] for name in ("object", "new", "new_bytes")})
-        merge = self.existing().merge(moved, "old.object = moved.object", source_alias="moved", target_alias="old")
-        merge.when_matched_update({"object": "moved.new", "take_bytes": "moved.new_bytes"}).execute()
+        names = ("object", "new", "new_bytes", "new_sha256")
+        moved = pa.table({name: [row[name] for row in rows] for name in names})
+
+        def merge(existing: DeltaTable | None) -> None:
+            assert existing is not None
+            merge = existing.merge(moved, "old.object = moved.object", source_alias="moved", target_alias="old")
+            changed = {"object": "moved.new", "take_bytes": "moved.new_bytes", "take_sha256": "moved.new_sha256"}
+            # A duplicate has only the object.
+            merge.when_matched_update(changed, "old.status = 'take'").when_matched_update({"object": "moved.new"}).execute()
+
+        self._commit(merge)
 
     def delete(self, where: str) -> int:
         """Removes the rows for which an SQL condition holds, such as ``importer < 2``; former versions of the table keep
         them. Their objects stay until :func:`collect` removes them. Returns the number of rows.
         """
         return int(self.existing().delete(where)["num_deleted_rows"])
+
+    def retire(self, importer: int) -> int:
+        """Removes the rows of takes that former importers made, where all their sources have takes of this importer or a
+        later one. Other rows stay: their takes are the only ones of their sources. Returns the number of rows.
+        """
+        rows = self.arrow(["status", "key", "source", "importer"])
+        rows = rows.filter(pc.not_equal(rows.column("status"), "failed"))
+        is_new = pc.greater_equal(rows.column("importer"), importer)
+        renewed = rows.filter(is_new).column("source")
+        old = rows.filter(pc.invert(is_new))
+        is_renewed = pc.is_in(old.column("source"), value_set=renewed.combine_chunks())
+        needed = old.filter(pc.invert(is_renewed)).column("key").combine_chunks()
+        retired = old.filter(pc.invert(pc.is_in(old.column("key"), value_set=needed)))
+        keys = pa.table({"key": retired.column("key").unique()})
+        if keys.num_rows:
+
+            def remove(existing: DeltaTable | None) -> None:
+                assert existing is not None
+                merge = existing.merge(keys, "old.key = retired.key", source_alias="retired", target_alias="old")
+                merge.when_matched_delete("old.status <> 'failed'").execute()
+
+            self._commit(remove)
+        return int(retired.num_rows)
+
+    def _commit(self, write: Callable[[DeltaTable | None], None]) -> None:
+        """Calls ``write`` with the newest table, again if another process has committed meanwhile or the store fails."""
+
+        def once(_: None) -> None:
+            try:
+                write(self.delta())
+            except (DeltaError, OSError) as error:
+                raise StoreError(f"cannot write the catalogue {self.url}: {error}") from error
+
+        call(once, None)
+
+
+VIEWS = {
+    "takes": "select * from catalogue where status = 'take'",
+    "latest": "select * exclude (newest) from (select *, row_number() over (partition by source order by ingested desc) "
+    "as newest from takes) where newest = 1",
+    "failures": "select source, error, ingested from catalogue where status = 'failed' and source not in "
+    "(select source from catalogue where status <> 'failed')",
+}
+
+KEPT = {"delta.logRetentionDuration": "interval 36500 days"}
+"""Former versions stay: without this, deltalake removes those of more than 30 days."""
 
 
 def _without_views(kind: pa.DataType) -> pa.DataType:
@@ -135,30 +225,54 @@ def _delta_options(url: str) -> dict[str, str]:
 
 
 class Known:
-    """The rows that exist, to which an ingest only adds."""
+    """The rows that exist, to which an ingest only adds. Rows of takes whose objects are lost count as none."""
 
     def __init__(self, table: Catalogue) -> None:
-        rows = table.arrow(["status", "key", "source"])
-        columns = [rows.column(name).to_pylist() for name in ("status", "key", "source")]
-        self._pairs = {(key, source) for _, key, source in zip(*columns)}
-        self._takes = {key for status, key, _ in zip(*columns) if status == "take"}
+        self.moved: list[dict[str, Any]] = []
+        """Objects of takes that are there again, under another name than in their rows."""
+        self._lost: dict[str | None, str] = {}
+        self._of_lost: set[tuple[str | None, str]] = set()
+        rows = table.arrow(["status", "key", "source", "object", "take_bytes"])
+        # Listed after the rows are read: an object precedes its row.
+        n_bytes = {entry.name: entry.n_bytes for entry in table.store.list("takes/")} if rows.num_rows else {}
+        found = list(zip(*(rows.column(name).to_pylist() for name in rows.column_names)))
+        self._objects = {key: name for status, key, _, name, size in found if status == "take" and n_bytes.get(name) == size}
+        self._pairs = set()
+        for status, key, source, name, _ in found:
+            if status == "failed" or key in self._objects:
+                self._pairs.add((key, source))
+            elif status == "take":
+                self._lost[key] = name
+        for _, key, source, *_ in found:
+            if key in self._lost:
+                self._of_lost.add((key, source))
 
     def digests(self) -> npt.NDArray[np.bytes_]:
-        """What workers need to skip the files that have a row: sorted hashes of 16 bytes."""
-        return np.sort(np.array([pair_digest(key, source) for key, source in self._pairs], dtype="S32"))
+        """What workers need to skip the files that have a row, and to import no bytes twice: sorted, of each pair and of each
+        key 16 bytes in hexadecimal."""
+        pairs = [pair_digest(key, source) for key, source in self._pairs]
+        return np.sort(np.array(pairs + [key[:32].encode() for key in self._objects], dtype="S32"))
 
     def new(self, batch: pa.RecordBatch) -> pa.RecordBatch:
         """The rows of a batch that are new. A take that has the key of another one becomes a duplicate."""
         rows: list[dict[str, Any]] = []
         for row in batch.to_pylist():
-            key, source = row["key"], row["source"]
-            if (key, source) in self._pairs:
+            pair = key, _ = row["key"], row["source"]
+            if pair in self._pairs or row["status"] == "damaged":
                 continue
-            self._pairs.add((key, source))
-            if row["status"] == "take":
-                if key in self._takes:
-                    row = {**dict.fromkeys(row), **{name: row[name] for name in _OF_DUPLICATES}, "status": "duplicate"}
-                self._takes.add(key)
+            self._pairs.add(pair)
+            if row["status"] == "take" and (lost := self._lost.pop(key, None)) is not None:
+                self._objects[key] = row["object"]
+                if lost != row["object"]:
+                    changed = {"new": row["object"], "new_bytes": row["take_bytes"], "new_sha256": row["take_sha256"]}
+                    self.moved.append({"object": lost} | changed)
+            if row["status"] != "failed" and key in self._objects:
+                if pair in self._of_lost:
+                    continue
+                row = {**dict.fromkeys(row), **{name: row[name] for name in _OF_DUPLICATES}, "status": "duplicate"}
+                row["object"] = self._objects[key]
+            elif row["status"] == "take":
+                self._objects[key] = row["object"]
             rows.append(row)
         return pa.RecordBatch.from_pylist(rows, SCHEMA)
 
@@ -180,6 +294,6 @@ _OF_DUPLICATES = (
 
 
 def pair_digest(key: str | None, source: str) -> bytes:
-    """The hash of a key and the name of a source."""
+    """The hash of a key and the name of a source, of which a part is enough."""
     return source_hash(f"{key} {source}".encode())[:32].encode()
 

@@ -2,7 +2,8 @@
 
 Exactly once follows from four facts, and needs nothing from the engine. An import is deterministic; the name of an
 object is the hash of all that its bytes depend on; objects are created whole and never replaced; and the driver alone
-adds rows, after their objects exist, and only rows that are not there. Whatever is killed, at whatever moment, the same
+adds rows, after their objects exist, and only rows that are not there; each commit has a number in the table, and is not
+repeated. Whatever is killed, at whatever moment, the same
 command completes the archive: the next run imports again what has no row, finds its object, and adds the row.
 """
 
@@ -10,20 +11,23 @@ from __future__ import annotations
 
 import sys
 import time
+import uuid
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from .._native import TakeError, TakeFile, import_motion
+from .._native import TakeError, TakeFile, import_motion, measure_take
 from ._catalogue import Catalogue, Known, bucket_of, pair_digest
-from ._keys import Settings, content_key, object_name, source_hash, tolerance_mm
-from ._schema import SCHEMA, MarkerMotion, new_row, take_fields
+from ._keys import Settings, content_key, key_seconds, object_name, source_hash, to_json, tolerance_mm
+from ._lease import writing
+from ._schema import SCHEMA, new_row, take_fields
 from ._sources import BATCH_FILES, Names, SourceFile, Sources, batches, find, is_of_file
 from ._store import Store, StoreError, open_store
-from ._workers import run_tasks
+from ._workers import ATTEMPTS, run_tasks
 
 COMMIT_ROWS = 5000
 """Rows of a commit: a Delta table of 10^6 rows then has 200 files, each of about a megabyte."""
@@ -66,9 +70,12 @@ class IngestReport:
             elif row["status"] == "duplicate":
                 self.duplicates += 1
             else:
-                self.failed += 1
-                if len(self.errors) < 100:
-                    self.errors.append((row["source"], row["error"]))
+                self.fail(row["source"], row["error"])
+
+    def fail(self, source: str, error: str) -> None:
+        self.failed += 1
+        if len(self.errors) < 100:
+            self.errors.append((source, error))
 
     def __str__(self) -> str:
         rate = self.files / self.seconds if self.seconds else 0.0
@@ -91,21 +98,48 @@ class ImportTask:
     def run(self, files: list[SourceFile]) -> pa.RecordBatch:
         """Imports files, and stores their takes. Returns a row for each that has none yet."""
         rows = [row for file in files if (row := self._row(file)) is not None]
-        return pa.RecordBatch.from_pylist(rows, SCHEMA)
+        try:
+            return pa.RecordBatch.from_pylist(rows, SCHEMA)
+        except (pa.ArrowException, OverflowError):
+            # A number in one of them, such as a count of a hostile take, has no place in its column.
+            return pa.RecordBatch.from_pylist([_representable(row) for row in rows], SCHEMA)
+
+    def lost(self, file: SourceFile) -> pa.RecordBatch:
+        """The row of a file whose import ends each worker."""
+        error = f"its import ended the process {ATTEMPTS} times: out of memory?"
+        is_known = self._is_known(None, file.source)
+        return pa.RecordBatch.from_pylist([] if is_known else [self._failed(file, error)], SCHEMA)
 
     def _row(self, file: SourceFile) -> dict[str, Any] | None:
-        subject, session = self.names.of(file.source)
+        """The row of a file: whatever is wrong with a file ends in a row of its own."""
         try:
-            data = file.read()
-        except OSError as error:
+            return self._imported(file)
+        except StoreError:
+            raise
+        except FileExistsError as error:
+            # Of the archive, and not of the file: no row.
+            return new_row("damaged", file.source, error=f"{error}: remove this object if it is damaged")
+        except Exception as error:
             if not is_of_file(error, file):
                 raise StoreError(f"cannot read {file.source}: {error}") from error
+            return self._failed(file, f"cannot be imported: {_reason(error)}")
+
+    def _failed(self, file: SourceFile, error: str, **fields: Any) -> dict[str, Any]:
+        subject, session = self.names.of(file.source)
+        described = {"subject": subject, "session": session, "format": file.format}
+        return new_row("failed", file.source, error=error, **described | fields)
+
+    def _imported(self, file: SourceFile) -> dict[str, Any] | None:
+        try:
+            data = file.read()
+        except Exception as error:
+            if isinstance(error, StoreError) or not is_of_file(error, file):
+                raise
             if self._is_known(None, file.source):
                 return None
-            unread = {"subject": subject, "session": session, "format": file.format}
-            reason = error.strerror or str(error)
-            return new_row("failed", file.source, error=f"cannot be read: {reason}", **unread)
-        settings, hashed = self.settings.text(file.format, subject), source_hash(data)
+            return self._failed(file, f"cannot be read: {_reason(error)}")
+        subject, session = self.names.of(file.source)
+        settings, hashed = self.settings.document(file.format, subject), source_hash(data)
         key = content_key(hashed, settings)
         if self._is_known(key, file.source):
             return None
@@ -114,40 +148,58 @@ class ImportTask:
             "source_sha256": hashed,
             "source_bytes": len(data),
             "format": file.format,
-            "settings": settings,
+            "settings": to_json(settings),
             "session": session,
         }
+        if self._has_digest(key[:32].encode()):
+            return new_row("duplicate", file.source, **fields, subject=subject)
         try:
             take, described = self._import(data, file.format, subject)
-            name = object_name(key)
-            if not self.bucket.put_if_absent(name, take) and self.bucket.size(name) != len(take):
-                raise TakeError(f"{name} exists with other bytes: it is damaged, or another importer wrote it")
-        except (ValueError, TakeError) as error:
-            return new_row("failed", file.source, error=str(error), **{**fields, "subject": subject})
+        except Exception as error:
+            return self._failed(file, _reason(error), **fields)
+        try:
+            self.bucket.put_if_absent(object_name(key), take)
+        except FileExistsError:
+            raise
+        except OSError as error:
+            raise StoreError(f"cannot write {object_name(key)}: {error}") from error
         described["subject"] = described["subject"] or subject
-        return new_row("take", file.source, object=name, take_bytes=len(take), **fields, **described)
+        stored = {"object": object_name(key), "take_bytes": len(take), "take_sha256": source_hash(take)}
+        return new_row("take", file.source, **stored, **fields, **described)
 
     def _is_known(self, key: str | None, source: str) -> bool:
-        digest = np.bytes_(pair_digest(key, source))
-        at = np.searchsorted(self.known, digest)
+        return self._has_digest(pair_digest(key, source))
+
+    def _has_digest(self, digest: bytes) -> bool:
+        at = np.searchsorted(self.known, np.bytes_(digest))
         return bool(at < len(self.known) and self.known[at] == digest)
 
     def _import(self, data: bytes, format: str, subject: str | None) -> tuple[bytes, dict[str, Any]]:
         """The take of a source, and the columns that describe it."""
         if format != "take":
             imported = import_motion(data, self.settings.options(format, subject))
-            motion = MarkerMotion.of_import(imported)
-            return imported.take, take_fields(TakeFile.from_bytes(imported.take), motion, imported.max_error_mm)
+            return imported.take, take_fields(TakeFile.from_bytes(imported.take), imported)
         take = TakeFile.from_bytes(data)
-        columns = list(range(len(take.labels)))
-        positions = np.empty((take.n_rows, len(columns), 3), dtype=np.float32)
-        problems = take.read_into(positions, 0, columns, 1)
+        measured, problems = measure_take(data)
         problems += take.problems + ([take.cut_off] if take.cut_off is not None else [])
         if problems:
             raise TakeError(f"the take is not whole ({problems[0]}): recover it, and ingest the result")
-        error_mm = max((error for *_, error, _ in take.scan(columns, False, 1)[0]), default=0.0)
-        motion = MarkerMotion.of_positions(positions, take.header()["rate_hz"])
-        return data, take_fields(take, motion, error_mm)
+        return data, take_fields(take, measured)
+
+
+def _representable(row: dict[str, Any]) -> dict[str, Any]:
+    try:
+        pa.RecordBatch.from_pylist([row], SCHEMA)
+        return row
+    except (pa.ArrowException, OverflowError) as error:
+        kept = ("key", "source_sha256", "source_bytes", "format", "settings", "session")
+        fields = {name: row.get(name) for name in kept}
+        return new_row("failed", row["source"], error=f"its description cannot be stored: {error}", **fields)
+
+
+def _reason(error: Exception) -> str:
+    text = getattr(error, "strerror", None) or str(error)
+    return str(text or type(error).__name__)
 
 
 class _Rows:
@@ -157,8 +209,11 @@ class _Rows:
         self._table, self._known, self._report = table, known, report
         self._waiting: list[pa.RecordBatch] = []
         self._since = time.monotonic()
+        self._run, self._commits = str(uuid.uuid4()), 0
 
     def add(self, batch: pa.RecordBatch) -> None:
+        for row in batch.filter(pc.equal(batch.column("status"), "damaged")).to_pylist():
+            self._report.fail(row["source"], row["error"])
         new = self._known.new(batch)
         if new.num_rows:
             self._waiting.append(new)
@@ -167,11 +222,15 @@ class _Rows:
             self.commit()
 
     def commit(self) -> None:
-        if self._waiting:
-            self._table.append(self._waiting)
-            for batch in self._waiting:
+        # Taken first: rows of a commit that failed are not committed again by who handles its error.
+        waiting, self._waiting, self._since = self._waiting, [], time.monotonic()
+        if waiting:
+            self._commits += 1
+            self._table.append(waiting, self._run, self._commits)
+            for batch in waiting:
                 self._report.add(batch)
-        self._waiting, self._since = [], time.monotonic()
+        moved, self._known.moved = self._known.moved, []
+        self._table.move(moved)
 
 
 def ingest(
@@ -181,7 +240,7 @@ def ingest(
     tolerance: str | float | None = 0.5,
     resampler: str = "dense",
     effort: int | None = None,
-    keys_s: float | None = None,
+    keys: str | float | None = None,
     unit: str | None = None,
     up: str | None = None,
     analog_tolerance: tuple[str, ...] = (),
@@ -202,7 +261,7 @@ def ingest(
     tolerance
         Largest distance between a sample and its reconstruction: ``"0.5mm"``, ``"100um"``, or a number of millimetres.
         None with a lossless resampler.
-    resampler, effort, keys_s, unit, up, analog_tolerance, drop_foreign
+    resampler, effort, keys, unit, up, analog_tolerance, drop_foreign
         As the options of ``mocapd import``.
     names
         A regular expression with groups ``(?P<subject>...)`` and ``(?P<session>...)``, searched in the names of sources.
@@ -223,24 +282,24 @@ def ingest(
         If the store fails repeatedly. What is done is in the catalogue, and the same call continues.
     """
     settings = Settings(
-        tolerance_mm(tolerance), resampler, effort, keys_s, unit, up, tuple(analog_tolerance), drop_foreign
+        tolerance_mm(tolerance), resampler, effort, key_seconds(keys), unit, up, tuple(analog_tolerance), drop_foreign
     )
     started = time.monotonic()
     store = open_store(bucket_of(bucket))
     table = Catalogue(store)
-    files = list(find(sources))
-    known, report = Known(table), IngestReport(files=len(files))
-    rows = _Rows(table, known, report)
-    task = ImportTask(store, settings, Names(names), known.digests())
-    tasks = list(batches(files, batch_files))
-    with _Progress(len(files), progress) as shown:
-        try:
-            for index, batch in run_tasks(task.run, tasks, workers):
-                report.unchanged += len(tasks[index]) - batch.num_rows
-                rows.add(batch)
-                shown.update(len(tasks[index]), batch)
-        finally:
-            rows.commit()
+    files = list(find(sources, store))
+    with writing(store):
+        known, report = Known(table), IngestReport(files=len(files))
+        rows = _Rows(table, known, report)
+        task = ImportTask(store, settings, Names(names), known.digests())
+        with _Progress(len(files), progress) as shown:
+            try:
+                for done, batch in run_tasks(task.run, list(batches(files, batch_files)), workers, task.lost):
+                    report.unchanged += len(done) - batch.num_rows
+                    rows.add(batch)
+                    shown.update(len(done), batch)
+            finally:
+                rows.commit()
     report.seconds = time.monotonic() - started
     return report
 

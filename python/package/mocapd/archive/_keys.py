@@ -1,7 +1,8 @@
 """The settings of an import, and the keys of objects.
 
 A key is the SHA-256 of a JSON document that holds everything on which the bytes of a take depend: the SHA-256 of the
-source's bytes, its format, every setting, and the version of the importer. The source's name is not in it, and not in
+source's bytes, its format, every setting, and the version of the importer; for a take, which is stored as it is, the first
+two only. The source's name is not in it, and not in
 the take. The same source and settings therefore have the same key on every machine, and an import that is repeated,
 for any reason, writes the object that exists.
 """
@@ -15,7 +16,7 @@ import re
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from .._native import importer_version
+from .._native import importer_version, normal_options
 
 if TYPE_CHECKING:
     from .._native import ImportOptions
@@ -40,7 +41,30 @@ def tolerance_mm(text: str | float | None) -> float | None:
         length = math.nan
     if not 0 < length < math.inf:
         raise ValueError(f"tolerance {text!r}: expected a length above 0, such as 0.5mm, 100um or 2cm")
-    return length
+    # 700um are 0.7 mm, and not 0.7000000000000001.
+    return float(f"{length:.12g}")
+
+
+_TIMES_S = {"s": 1.0, "ms": 1e-3, "min": 60.0, "": 1.0}
+
+
+def key_seconds(text: str | float | None) -> float | None:
+    """A distance of key stretches in seconds, from a number of seconds or a text such as ``2s``, ``500ms`` or ``none``."""
+    if text is None:
+        return None
+    if str(text) in ("none", "inf"):
+        return math.inf
+    found = re.fullmatch(r"\s*([0-9.]+)\s*(s|ms|min|)\s*", str(text))
+    try:
+        return float(f"{float(found[1]) * _TIMES_S[found[2]]:.12g}") if found else math.nan
+    except ValueError:
+        return math.nan
+
+
+def format_of(name: str) -> str | None:
+    """The format of a source, by the end of its name; None for another file."""
+    stem, dot, end = name.rpartition("/")[2].rpartition(".")
+    return end.lower() if stem and dot and end.lower() in FORMATS else None
 
 
 @dataclass(frozen=True)
@@ -60,19 +84,29 @@ class Settings:
     drop_foreign: bool = False
 
     def __post_init__(self) -> None:
+        """Checks the settings, as the importer does, and writes them as it does, so that equal settings have equal keys."""
+
+        def assign(**values: Any) -> None:
+            for name, value in values.items():
+                object.__setattr__(self, name, value)
+
         is_lossless = self.resampler.partition(":")[0] == "lossless"
-        if is_lossless:
-            object.__setattr__(self, "tolerance_mm", None)
-        elif self.tolerance_mm is None:
+        if not is_lossless and self.tolerance_mm is None:
             raise ValueError(f"{self.resampler} needs a tolerance: state one, or use lossless:predictive")
-        if self.resampler == "dense":
-            object.__setattr__(self, "effort", 3 if self.effort is None else self.effort)
-            if not 1 <= int(self.effort or 0) <= 9:
-                raise ValueError(f"effort {self.effort}: expected 1 to 9")
-        elif self.effort is not None:
+        is_dense = self.resampler == "dense"
+        if not is_dense and self.effort not in (None, 1):
             raise ValueError(f"the effort is for the resampler dense: omit it with {self.resampler}")
-        else:
-            object.__setattr__(self, "effort", 1)
+        effort = self.effort if self.effort is not None else 3 if is_dense else 1
+        if not 1 <= effort <= 9:
+            raise ValueError(f"effort {effort}: expected 1 to 9")
+        assign(
+            tolerance_mm=None if is_lossless or self.tolerance_mm is None else float(self.tolerance_mm),
+            effort=int(effort),
+            keys_s=None if self.keys_s is None else float(self.keys_s),
+            analog_tolerance=tuple(self.analog_tolerance),
+        )
+        resampler, unit, up, analog = normal_options(self.options("c3d", None))
+        assign(resampler=resampler, unit=unit, up=up, analog_tolerance=tuple(analog))
 
     def options(self, format: str, subject: str | None) -> ImportOptions:
         """The options of the importer for a file."""
@@ -80,17 +114,18 @@ class Settings:
         options["analog_tolerance"] = list(self.analog_tolerance)
         return cast("ImportOptions", options)
 
-    def text(self, format: str, subject: str | None) -> str:
-        """The settings that apply to a source, as JSON with sorted keys. None do to a take, which stays as it is."""
+    def document(self, format: str, subject: str | None) -> dict[str, Any]:
+        """The settings that apply to a source. None do to a take, which stays as it is."""
         if format == "take":
-            return _json({"format": format})
+            return {"format": format}
         options = dict(self.options(format, subject))
         if options["keys_s"] == math.inf:
             options["keys_s"] = "none"
-        return _json(options)
+        return options
 
 
-def _json(document: dict[str, Any]) -> str:
+def to_json(document: dict[str, Any]) -> str:
+    """JSON with sorted keys, without spaces."""
     return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -99,10 +134,12 @@ def source_hash(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def content_key(source_sha256: str, settings_text: str, importer: int = IMPORTER_VERSION) -> str:
-    """The key of a source with settings: :meth:`Settings.text`."""
-    document = {"importer": importer, "settings": json.loads(settings_text), "source": source_sha256}
-    return hashlib.sha256(_json(document).encode()).hexdigest()
+def content_key(source_sha256: str, settings: dict[str, Any], importer: int = IMPORTER_VERSION) -> str:
+    """The key of a source with settings: :meth:`Settings.document`."""
+    document: dict[str, Any] = {"settings": settings, "source": source_sha256}
+    if settings["format"] != "take":
+        document["importer"] = importer
+    return hashlib.sha256(to_json(document).encode()).hexdigest()
 
 
 def object_name(key: str, repacked: str = "") -> str:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 import mocapd
@@ -90,6 +87,7 @@ SCHEMA = pa.schema(
         ),
         ("warnings", pa.list_(pa.string())),
         ("take_bytes", pa.int64()),
+        ("take_sha256", pa.string()),
         # All settings of the import, as JSON.
         ("settings", pa.string()),
         ("importer", pa.int32()),
@@ -100,66 +98,31 @@ SCHEMA = pa.schema(
 )
 
 
-@dataclass(frozen=True)
-class MarkerMotion:
-    """What the markers of a take did: arrays with a row for each marker."""
-
-    samples: npt.NDArray[np.uint64]
-    gaps: npt.NDArray[np.uint64]
-    low_mm: npt.NDArray[np.float32]
-    high_mm: npt.NDArray[np.float32]
-    peak_speed_mm_per_s: npt.NDArray[np.float64]
-
-    @classmethod
-    def of_import(cls, imported: Imported) -> MarkerMotion:
-        return cls(
-            imported.samples, imported.gaps, imported.low_mm, imported.high_mm, imported.peak_speed_mm_per_s
-        )
-
-    @classmethod
-    def of_positions(cls, positions: npt.NDArray[np.float32], rate_hz: float) -> MarkerMotion:
-        """Of float32 [frames, markers, 3], NaN for missing samples."""
-        present: npt.NDArray[np.bool_] = np.asarray(np.isfinite(positions).all(axis=2))
-        missing = ~present
-        starts = missing & np.vstack([np.ones((1, missing.shape[1]), bool), present[:-1]])[: len(missing)]
-        steps_mm = np.linalg.norm(np.diff(positions.astype(np.float64), axis=0), axis=2)
-        speeds = np.nan_to_num(steps_mm, nan=0.0).max(axis=0, initial=0.0) * rate_hz
-        low = np.where(present[..., None], positions, np.inf).min(axis=0, initial=np.inf)
-        high = np.where(present[..., None], positions, -np.inf).max(axis=0, initial=-np.inf)
-        nothing = ~present.any(axis=0)
-        low[nothing], high[nothing] = np.nan, np.nan
-        return cls(
-            present.sum(axis=0).astype(np.uint64),
-            starts.sum(axis=0).astype(np.uint64),
-            low.astype(np.float32),
-            high.astype(np.float32),
-            speeds,
-        )
-
-    def fields(self) -> dict[str, Any]:
-        seen = self.samples > 0
-        columns = (self.samples, self.gaps, self.low_mm, self.high_mm, self.peak_speed_mm_per_s)
-        by_marker = [
-            {
-                "samples": int(samples),
-                "gaps": int(gaps),
-                "low_mm": low.tolist() if samples else None,
-                "high_mm": high.tolist() if samples else None,
-                "peak_speed_mm_per_s": float(speed),
-            }
-            for samples, gaps, low, high, speed in zip(*columns)
-        ]
-        return {
-            "samples": int(self.samples.sum()),
-            "gaps": int(self.gaps.sum()),
-            "low_mm": self.low_mm[seen].min(axis=0).tolist() if seen.any() else None,
-            "high_mm": self.high_mm[seen].max(axis=0).tolist() if seen.any() else None,
-            "peak_speed_mm_per_s": float(self.peak_speed_mm_per_s.max(initial=0.0)),
-            "motion": by_marker,
+def _motion_fields(measured: Imported) -> dict[str, Any]:
+    """What the markers of a take did."""
+    seen = measured.samples > 0
+    columns = (measured.samples, measured.gaps, measured.low_mm, measured.high_mm, measured.peak_speed_mm_per_s)
+    by_marker = [
+        {
+            "samples": int(samples),
+            "gaps": int(gaps),
+            "low_mm": low.tolist() if samples else None,
+            "high_mm": high.tolist() if samples else None,
+            "peak_speed_mm_per_s": float(speed),
         }
+        for samples, gaps, low, high, speed in zip(*columns)
+    ]
+    return {
+        "samples": int(measured.samples.sum()),
+        "gaps": int(measured.gaps.sum()),
+        "low_mm": measured.low_mm[seen].min(axis=0).tolist() if seen.any() else None,
+        "high_mm": measured.high_mm[seen].max(axis=0).tolist() if seen.any() else None,
+        "peak_speed_mm_per_s": float(measured.peak_speed_mm_per_s.max(initial=0.0)),
+        "motion": by_marker,
+    }
 
 
-def take_fields(take: TakeFile, motion: MarkerMotion, max_error_mm: float) -> dict[str, Any]:
+def take_fields(take: TakeFile, measured: Imported) -> dict[str, Any]:
     """The columns that describe a take."""
     header, ledger, subject = take.header(), take.ledger(), take.subject()
     source = header["source"] or {}
@@ -179,12 +142,12 @@ def take_fields(take: TakeFile, motion: MarkerMotion, max_error_mm: float) -> di
         "up_axis": header["up_axis"],
         "tolerance_mm": header["tolerance_mm"],
         "resampler": header["resampler"],
-        "max_error_mm": max_error_mm,
+        "max_error_mm": measured.max_error_mm,
         "ledger": ledger and {field.name: ledger[field.name] for field in LEDGER},
         "events": events,
         "warnings": list(source.get("warnings") or ()) + take.problems,
     }
-    return fields | motion.fields()
+    return fields | _motion_fields(measured)
 
 
 def new_row(status: str, source: str, **fields: Any) -> dict[str, Any]:

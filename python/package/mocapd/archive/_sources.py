@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from ._keys import FORMATS
+from ._keys import FORMATS, format_of
 from ._store import FolderStore, Store, StoreError, open_store
 
 BATCH_FILES = 64
@@ -28,12 +29,13 @@ class SourceFile:
 
     @property
     def source(self) -> str:
-        """The name in the catalogue: a URL."""
-        return f"{self.store.url.rstrip('/')}/{self.name}"
+        """The name in the catalogue: a URL. Bytes that are no text in UTF-8 are written as ``\\xfc``."""
+        url = f"{self.store.url.rstrip('/')}/{self.name}"
+        return url.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
     @property
     def format(self) -> str:
-        return self.name.rpartition(".")[2].lower()
+        return format_of(self.name) or ""
 
     def read(self) -> bytes:
         return self.store.get(self.name)
@@ -55,34 +57,53 @@ class Names:
         """The subject and the session."""
         found = re.search(self.pattern, source) if self.pattern else None
         groups = found.groupdict() if found else {}
-        return groups.get("subject"), groups.get("session")
+        return groups.get("subject") or None, groups.get("session") or None
 
 
 Sources = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
-def find(sources: Sources) -> Iterator[SourceFile]:
-    """The files in folders, with all folders in them, and single files: in order of names, each once."""
+def find(sources: Sources, bucket: Store) -> Iterator[SourceFile]:
+    """The files in folders, with all folders in them, and single files: in order of names, each once. The takes of the
+    archive itself are none.
+    """
     listed = [sources] if isinstance(sources, (str, os.PathLike)) else list(sources)
+    found: set[str] = set()
+    own = f"{bucket.url.rstrip('/')}/takes/"
     for one in listed:
-        text = os.fspath(one)
-        if "://" not in text and not os.path.exists(text):
+        for file in _find_in(os.fspath(one)):
+            if file.source not in found and not file.source.startswith(own):
+                found.add(file.source)
+                yield file
+
+
+def _find_in(text: str) -> Iterator[SourceFile]:
+    folder, _, name = text.rstrip("/").rpartition("/")
+    if "://" not in text:
+        if not os.path.exists(text):
             raise FileNotFoundError(2, "no such file or folder to ingest", text)
-        folder, name = os.path.split(text.rstrip("/"))
-        is_file = os.path.isfile(text) if "://" not in text else name.rpartition(".")[2].lower() in FORMATS
-        if not is_file:
-            store = open_store(text)
-            for entry in store.list():
-                if entry.name.rpartition(".")[2].lower() in FORMATS:
-                    yield SourceFile(store, entry.name, entry.n_bytes)
-            continue
-        store = open_store(folder or ".")
-        n_bytes = store.size(name)
-        if n_bytes is None:
-            raise FileNotFoundError(2, "no such file to ingest", text)
-        if name.rpartition(".")[2].lower() not in FORMATS:
+        file = None if os.path.isdir(text) else _one(open_store(folder or ("/" if text.startswith("/") else ".")), name)
+        if file is not None and file.format == "":
             raise ValueError(f"{text}: expected a file whose name ends in {', '.join(FORMATS)}")
-        yield SourceFile(store, name, n_bytes)
+    else:
+        # A name of a file may also be that of a folder.
+        is_folder = text.endswith("/") or format_of(name) is None
+        file = None if is_folder else _one(open_store(folder), name)
+    if file is not None:
+        yield file
+        return
+    store, is_empty = open_store(text), True
+    for entry in store.list():
+        is_empty = False
+        if format_of(entry.name) is not None:
+            yield SourceFile(store, entry.name, entry.n_bytes)
+    if is_empty and "://" in text:
+        raise FileNotFoundError(2, "no such file or folder to ingest, or an empty one", text)
+
+
+def _one(store: Store, name: str) -> SourceFile | None:
+    n_bytes = store.size(name)
+    return None if n_bytes is None else SourceFile(store, name, n_bytes)
 
 
 def batches(files: Iterable[SourceFile], files_max: int) -> Iterator[list[SourceFile]]:
@@ -99,6 +120,12 @@ def batches(files: Iterable[SourceFile], files_max: int) -> Iterator[list[Source
         yield batch
 
 
-def is_of_file(error: OSError, file: SourceFile) -> bool:
+OF_STORE = {errno.EIO, errno.ESTALE, errno.ENOTCONN, errno.ETIMEDOUT, errno.ENODEV, errno.EHOSTDOWN, errno.ENOMEM}
+"""Errors of reading that every file of a disk or share has that is gone."""
+
+
+def is_of_file(error: Exception, file: SourceFile) -> bool:
     """Whether an error of reading is of the file, and not of its store."""
-    return isinstance(file.store, FolderStore) and not isinstance(error, StoreError)
+    # Credentials that expire are refused for every object.
+    is_refused = isinstance(error, PermissionError) and not isinstance(file.store, FolderStore)
+    return not (isinstance(error, StoreError) or is_refused or getattr(error, "errno", None) in OF_STORE)

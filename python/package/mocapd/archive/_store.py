@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
+import secrets
 import stat
-import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
-from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +30,8 @@ class Entry:
 
     name: str
     n_bytes: int
-    modified_s: float
-    """Seconds since 1970."""
+    modified_s: float | None
+    """Seconds since 1970; None if the store does not state it."""
 
 
 @runtime_checkable
@@ -42,11 +41,15 @@ class Store(Protocol):
     url: str
 
     def put_if_absent(self, name: str, data: bytes) -> bool:
-        """Creates an object. False if it exists, which stays as it is."""
+        """Creates an object. False if it exists with these bytes.
+
+        Raises
+        ------
+        FileExistsError
+            If it exists with others, and stays as it is.
+        """
 
     def get(self, name: str) -> bytes: ...
-
-    def get_range(self, name: str, start: int, stop: int) -> bytes: ...
 
     def size(self, name: str) -> int | None:
         """The size in bytes; None if there is no such object."""
@@ -70,15 +73,14 @@ class WindowTake(Protocol):
     def window(self, first: int, stop: int, columns: list[int]) -> npt.NDArray[np.float32]:
         """Positions of frames, as :meth:`mocapd.Take.read` gives them."""
 
-    def close(self) -> None: ...
-
 
 class FolderStore:
     """A folder, which may be on a network file system with hard links."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._root = Path(path).absolute()
-        self.url = self._root.as_uri()
+        self._root = Path(path).resolve()
+        # Literal, as mocapd's other commands write URLs of files: nothing is encoded.
+        self.url = f"file://{self._root}"
 
     def _path(self, name: str) -> Path:
         parts = name.split("/")
@@ -89,19 +91,18 @@ class FolderStore:
     def put_if_absent(self, name: str, data: bytes) -> bool:
         path = self._path(name)
         try:
-            if path.exists():
+            if not path.exists():
+                _make_folder(path.parent)
+                if _create(path, data):
+                    return True
+            if path.read_bytes() == data:
                 return False
-            path.parent.mkdir(parents=True, exist_ok=True)
-            return _create(path, data)
         except OSError as error:
             raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+        raise FileExistsError(17, "exists already with other bytes", str(path))
 
     def get(self, name: str) -> bytes:
         return self._path(name).read_bytes()
-
-    def get_range(self, name: str, start: int, stop: int) -> bytes:
-        with open(self._path(name), "rb") as file:
-            return os.pread(file.fileno(), stop - start, start)
 
     def size(self, name: str) -> int | None:
         try:
@@ -123,12 +124,18 @@ class FolderStore:
             if entry.name.startswith(".") or not entry.name.startswith(begin):
                 continue
             name = f"{folder}/{entry.name}" if folder else entry.name
-            if entry.is_dir():
+            # Links to folders are not followed, as by other commands: they may lead back.
+            if entry.is_dir(follow_symlinks=False):
                 yield from self._walk(name)
-            else:
+                continue
+            try:
                 status = entry.stat()
-                if stat.S_ISREG(status.st_mode):
-                    yield Entry(name, status.st_size, status.st_mtime)
+            except OSError:
+                # It was removed, or its link leads nowhere: who reads it gets the error.
+                yield Entry(name, 0, None)
+                continue
+            if stat.S_ISREG(status.st_mode):
+                yield Entry(name, status.st_size, status.st_mtime)
 
     def remove(self, name: str) -> None:
         self._path(name).unlink(missing_ok=True)
@@ -146,9 +153,6 @@ class _FileTake:
 
     def window(self, first: int, stop: int, columns: list[int]) -> npt.NDArray[np.float32]:
         return self._take.read(start_frame=first, stop_frame=stop, markers=columns)
-
-    def close(self) -> None:
-        self._take.close()
 
 
 class BucketStore:
@@ -169,10 +173,6 @@ class BucketStore:
     def get(self, name: str) -> bytes:
         with _temporary_failures():
             return self._native.read(name)
-
-    def get_range(self, name: str, start: int, stop: int) -> bytes:
-        with _temporary_failures():
-            return self._native.read(name, start, stop)
 
     def size(self, name: str) -> int | None:
         with _temporary_failures():
@@ -211,9 +211,6 @@ class _BucketTake:
             warnings.warn(f"{self._url}: {problem}", mocapd.TakeWarning, stacklevel=4)
         return out
 
-    def close(self) -> None:
-        """Nothing is open."""
-
 
 @contextmanager
 def _temporary_failures() -> Iterator[None]:
@@ -223,14 +220,32 @@ def _temporary_failures() -> Iterator[None]:
         raise StoreError(str(error)) from error
 
 
+def _make_folder(path: Path) -> None:
+    """Makes a folder and those above it, which are there after a power cut."""
+    if path.is_dir():
+        return
+    _make_folder(path.parent)
+    path.mkdir(exist_ok=True)
+    _sync_folder(path.parent)
+
+
+def _sync_folder(path: Path) -> None:
+    folder = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
 def _create(path: Path, data: bytes) -> bool:
-    """Creates a file that is complete when its name appears, unless the name exists."""
+    """Creates a file that is complete when its name appears, and there after a power cut, unless the name exists."""
     try:
         # A file without a name: if this process is killed, nothing is left of it.
         file = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, 0o644)
         temporary = None
     except (AttributeError, OSError):
-        file, temporary = tempfile.mkstemp(prefix=".", dir=path.parent)
+        temporary = path.parent / f".mocapd-{os.getpid()}-{secrets.token_hex(4)}"
+        file = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
     try:
         with os.fdopen(file, "wb", closefd=False) as out:
             out.write(data)
@@ -240,6 +255,7 @@ def _create(path: Path, data: bytes) -> bool:
             os.link(f"/proc/self/fd/{file}", path, src_dir_fd=file)
         else:
             os.link(temporary, path)
+        _sync_folder(path.parent)
         return True
     except FileExistsError:
         return False
@@ -254,9 +270,11 @@ def open_store(bucket: str | os.PathLike[str] | Store) -> Store:
     if isinstance(bucket, Store):
         return bucket
     text = os.fspath(bucket)
-    scheme = urlsplit(text).scheme if "://" in text else ""
-    if scheme in ("", "file"):
-        return FolderStore(unquote(urlsplit(text).path) if scheme else text)
+    scheme, is_url, rest = text.partition("://")
+    if not is_url:
+        return FolderStore(text)
+    if scheme == "file" and rest.startswith("/"):
+        return FolderStore(rest)
     if scheme in ("s3", "gs", "az"):
         return BucketStore(text)
-    raise ValueError(f"{text}: expected a folder, or a URL that begins with s3://, gs://, az:// or file://")
+    raise ValueError(f"{text}: expected a folder, or a URL that begins with s3://, gs://, az:// or file:///")

@@ -10,15 +10,21 @@ from typing import Any
 from .._native import TakeError, TakeFile, check_take, repack_take
 from ._catalogue import Catalogue, bucket_of
 from ._keys import object_key, object_name, source_hash
-from ._store import Entry, Store, open_store
+from ._lease import DEAD_S, leases, writing
+from ._store import Entry, Store, StoreError, open_store
 from ._workers import run_tasks
 
 BATCH_TAKES = 64
 """Takes of a task, as of an ingest."""
 
 YOUNG_S = 24 * 3600.0
-"""Age below which :func:`collect` leaves an object: the longest time that an ingest may need from an object to its row,
-with a day for the clocks of the store and this machine to differ."""
+"""Age below which :func:`collect` leaves an object, and time for which it leaves one that a row named: what reads an older
+version of the table, such as an epoch of training, has a day to end."""
+
+MOVED_ROWS = 5000
+MOVED_S = 60.0
+"""Takes, and time, after which a repack commits their new objects. A commit rewrites the files of the table that name
+them."""
 
 
 @dataclass
@@ -49,15 +55,18 @@ class VerifyReport:
 class _Verify:
     bucket: Store
 
-    def run(self, rows: Sequence[dict[str, Any]]) -> list[tuple[str, int, str | None]]:
-        """For each row the object, its size, and what is wrong."""
-        found: list[tuple[str, int, str | None]] = []
+    def run(self, rows: Sequence[dict[str, Any]]) -> list[tuple[str, int | None, str | None]]:
+        """For each row the object, its size, None if it is missing, and what is wrong."""
+        found: list[tuple[str, int | None, str | None]] = []
         for row in rows:
             try:
                 data = self.bucket.get(row["object"])
-            except OSError as error:
-                found.append((row["object"], 0, error.strerror or str(error)))
+            except FileNotFoundError:
+                found.append((row["object"], None, None))
                 continue
+            except OSError as error:
+                # Of the store, not of the take.
+                raise StoreError(f"cannot read {row['object']}: {error}") from error
             found.append((row["object"], len(data), self._problem(row, data)))
         return found
 
@@ -69,10 +78,12 @@ class _Verify:
             problems = check_take(data)
             take = TakeFile.from_bytes(data)
             present = (take.ledger() or {}).get("samples_present")
-        except TakeError as error:
+        except (TakeError, ValueError, OSError) as error:
             return str(error)
         if problems:
             return problems[0]
+        if source_hash(data) != row["take_sha256"]:
+            return "its bytes are not those in the catalogue"
         if (take.n_rows, len(take.labels), present) != (row["frames"], row["markers"], row["samples"]):
             return "its frames, markers or samples are not those in the catalogue"
         return None
@@ -81,20 +92,23 @@ class _Verify:
 def verify(bucket: Any = None, *, workers: int | None = None) -> VerifyReport:
     """Reads every take of an archive whole, decodes it, and compares it with its row."""
     store = open_store(bucket_of(bucket))
-    Catalogue(store).existing()
-    columns = ["status", "object", "take_bytes", "frames", "markers", "samples"]
-    rows = [row for row in Catalogue(store).arrow(columns).to_pylist() if row["status"] == "take"]
+    table = Catalogue(store)
+    table.existing()
+    columns = ["status", "object", "take_bytes", "take_sha256", "frames", "markers", "samples"]
+    listed = table.arrow(columns).to_pylist()
+    # Two rows of a take are those of two ingests at once.
+    rows = list({row["object"]: row for row in listed if row["status"] == "take"}.values())
     report = VerifyReport(takes=len(rows))
-    entries = {entry.name for entry in store.list("takes/")}
-    report.missing = [row["object"] for row in rows if row["object"] not in entries]
-    report.unlisted = sorted(entries - {row["object"] for row in rows})
-    there = [row for row in rows if row["object"] in entries]
-    for _, found in run_tasks(_Verify(store).run, _groups(there), workers):
+    report.unlisted = sorted({entry.name for entry in store.list("takes/")} - {row["object"] for row in listed})
+    for _, found in run_tasks(_Verify(store).run, _groups(rows), workers):
         for name, n_bytes, problem in found:
-            report.n_bytes += n_bytes
-            if problem is not None:
+            report.n_bytes += n_bytes or 0
+            if n_bytes is None:
+                report.missing.append(name)
+            elif problem is not None:
                 report.damaged.append((name, problem))
     report.damaged.sort()
+    report.missing.sort()
     return report
 
 
@@ -126,13 +140,13 @@ class _Repack:
     def _repack(self, row: dict[str, Any]) -> dict[str, Any]:
         try:
             new = repack_take(self.bucket.get(row["object"]))
-        except (TakeError, ValueError, OSError) as error:
+        except (TakeError, ValueError, FileNotFoundError) as error:
             return {"error": str(error)}
         if new is None:
             return {"error": None}
         name = object_name(row["key"], source_hash(new))
         self.bucket.put_if_absent(name, new)
-        return {"error": None, "new": name, "new_bytes": len(new)}
+        return {"error": None, "new": name, "new_bytes": len(new), "new_sha256": source_hash(new)}
 
 
 def repack(bucket: Any = None, *, workers: int | None = None) -> RepackReport:
@@ -144,35 +158,62 @@ def repack(bucket: Any = None, *, workers: int | None = None) -> RepackReport:
     table = Catalogue(store)
     table.existing()
     rows = table.arrow(["status", "key", "object", "take_bytes"]).to_pylist()
-    rows = [row for row in rows if row["status"] == "take"]
+    rows = list({row["object"]: row for row in rows if row["status"] == "take"}.values())
     report = RepackReport(takes=len(rows))
     changed: list[dict[str, Any]] = []
-    for _, found in run_tasks(_Repack(store).run, _groups(rows), workers):
-        for row in found:
-            report.bytes_before += row["take_bytes"]
-            report.bytes_after += row.get("new_bytes", row["take_bytes"])
-            if row["error"] is not None:
-                report.failed.append((row["object"], row["error"]))
-            elif "new" in row:
-                changed.append(row)
-    table.move(changed)
-    report.repacked = len(changed)
+    with writing(store):
+        since = time.monotonic()
+        try:
+            for _, found in run_tasks(_Repack(store).run, _groups(rows), workers):
+                for row in found:
+                    report.bytes_before += row["take_bytes"]
+                    report.bytes_after += row.get("new_bytes", row["take_bytes"])
+                    if row["error"] is not None:
+                        report.failed.append((row["object"], row["error"]))
+                    elif "new" in row:
+                        changed.append(row)
+                        report.repacked += 1
+                if len(changed) >= MOVED_ROWS or time.monotonic() - since >= MOVED_S:
+                    moving, changed, since = changed, [], time.monotonic()
+                    table.move(moving)
+        finally:
+            table.move(changed)
     return report
 
 
 def collect(bucket: Any = None, *, remove: bool = False, older_than_s: float = YOUNG_S) -> list[Entry]:
     """The takes that no row of the catalogue names: of an ingest that was interrupted and not repeated, of rows that were
     deleted, and those that a repack replaced. With ``remove`` they are removed; former versions of the table then name
-    takes that do not exist. Never run it with an age shorter than that of an ingest that is running.
+    takes that do not exist.
+
+    Takes of less than this age are left out, and those that a version of the table named within this time, because what
+    was read from it may still be used.
+
+    Raises
+    ------
+    StoreError
+        If they are to be removed while an ingest or repack is running, or after one was killed less than an hour ago.
     """
     store = open_store(bucket_of(bucket))
-    Catalogue(store).existing()
+    table = Catalogue(store)
+    table.existing()
+    if remove and (held := leases(store, older_than_s)):
+        raise StoreError(
+            f"an ingest or a repack is running ({', '.join(entry.name for entry in held)}), or was killed less than "
+            f"{DEAD_S / 60:.0f} min ago: wait for it, or state an age of 0 if none is running"
+        )
     entries = [entry for entry in store.list("takes/") if object_key(entry.name)]
     # Read after the list: rows are added after their objects exist.
-    named = set(Catalogue(store).arrow(["object"]).column("object").to_pylist())
+    named = table.named_objects(older_than_s)
     now_s = time.time()
-    found = [entry for entry in entries if entry.name not in named and now_s - entry.modified_s >= older_than_s]
+
+    def is_old(entry: Entry) -> bool:
+        return entry.modified_s is not None and now_s - entry.modified_s >= older_than_s
+
+    found = [entry for entry in entries if entry.name not in named and is_old(entry)]
     if remove:
+        if not named and found:
+            raise StoreError("no row names a take, so nothing is removed: remove the bucket if it is not needed")
         for entry in found:
             store.remove(entry.name)
     return found

@@ -1,8 +1,9 @@
-"""Runs functions on a Ray cluster, or in this process."""
+"""Runs tasks on the workers of a Ray cluster, or in this process."""
 
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
@@ -13,8 +14,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 ATTEMPTS = 5
-"""Runs of a task, of which all but the last may end in a dead worker or a failing store. A node that leaves the cluster
-takes a task with it once; a task that fails five times fails for a reason of its own."""
+"""Attempts of an operation whose store fails, and of a task whose worker dies: a node that leaves the cluster takes a task
+with it once; one that fails five times fails for a reason of its own."""
 
 WAIT_S = 0.5
 """Before the second attempt when a store failed; twice as long before each further one, 7.5 s in all."""
@@ -24,33 +25,42 @@ QUEUED_PER_WORKER = 3
 
 
 def run_tasks(
-    run: Callable[[Item], Result], items: Sequence[Item], workers: int | None
-) -> Iterator[tuple[int, Result]]:
-    """Calls a function for each item, on at most so many workers, and yields the indices of items with their results,
-    as they are done. ``workers=0`` calls it in this process.
+    run: Callable[[list[Item]], Result],
+    items: Sequence[list[Item]],
+    workers: int | None,
+    lost: Callable[[Item], Result] | None = None,
+) -> Iterator[tuple[list[Item], Result]]:
+    """Calls a function for each list of items, on at most so many workers, and yields the lists with their results, as they
+    are done. ``workers=0`` calls it in this process.
+
+    If a worker dies, the items of its list follow one by one, so that others are not lost with one that needs too much
+    memory; ``lost`` gives the result of an item that has ended its worker in each attempt.
 
     Raises
     ------
     StoreError
-        If the store of a task failed, or its worker died, in each of its attempts.
+        If the store of a task failed in each of its attempts, or a worker died in each of them without ``lost``.
     """
     if workers == 0:
-        for index, item in enumerate(items):
-            yield index, call(run, item)
+        for item in items:
+            yield item, call(run, item)
         return
     import ray
 
     started = not ray.is_initialized()
     if started:
-        ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+        options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+        if not os.environ.get("RAY_ADDRESS"):
+            options |= {"address": "local", "num_cpus": workers, "include_dashboard": False}
+        ray.init(**options)
     try:
-        yield from _on_ray(ray, run, items, workers)
+        yield from _on_ray(ray, run, items, workers, lost)
     finally:
         if started:
             ray.shutdown()
 
 
-def call(run: Callable[[Item], Result], item: Item) -> Result:
+def call(run: Callable[[Any], Result], item: Any) -> Result:
     """Calls a function again when its store fails."""
     for attempt in range(ATTEMPTS - 1):
         try:
@@ -60,34 +70,46 @@ def call(run: Callable[[Item], Result], item: Item) -> Result:
     return run(item)
 
 
-def _on_ray(ray: Any, run: Callable[[Item], Result], items: Sequence[Item], workers: int | None) -> Iterator[Any]:
+def _on_ray(ray: Any, run: Any, items: Any, workers: int | None, lost: Any) -> Iterator[Any]:
     # Put once: every task would otherwise carry the function with its data.
     shared = ray.put(run)
-    task = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(call)
+    # Ray would repeat a task whose worker was killed for its memory for ever.
+    task = ray.remote(num_cpus=1, max_retries=0)(call)
     cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
     # Ray has no limit on the workers of a function: on a larger cluster, no more tasks than workers are handed out.
     queued_max = workers if workers and workers < cores else cores * QUEUED_PER_WORKER
-    waiting: dict[Any, int] = {}
-    ahead = iter(enumerate(items))
+    waiting: dict[Any, tuple[list[Any], int]] = {}
+    ahead = iter(items)
+    again: list[tuple[list[Any], int]] = []
     try:
         while True:
-            while len(waiting) < queued_max and (found := next(ahead, None)) is not None:
-                index, item = found
-                waiting[task.remote(shared, item)] = index
+            while len(waiting) < queued_max:
+                item, died = again.pop() if again else (next(ahead, None), 0)
+                if item is None:
+                    break
+                waiting[task.remote(shared, item)] = item, died
             if not waiting:
                 return
             done, _ = ray.wait(list(waiting), num_returns=1)
             for reference in done:
-                index = waiting.pop(reference)
+                item, died = waiting.pop(reference)
                 try:
                     result = ray.get(reference)
-                except ray.exceptions.WorkerCrashedError as error:
-                    message = f"a worker died {ATTEMPTS} times on the same files: see the logs of Ray"
-                    raise StoreError(message) from error
                 except ray.exceptions.RayTaskError as error:
-                    raise error.cause from error
-                yield index, result
+                    if isinstance(error.cause, Exception):
+                        raise error.cause from error
+                    raise
+                except ray.exceptions.RayError as error:
+                    if len(item) > 1:
+                        again += [([one], 1) for one in item]
+                        continue
+                    if died + 1 < ATTEMPTS:
+                        again.append((item, died + 1))
+                        continue
+                    if lost is None:
+                        raise StoreError(f"a worker died {ATTEMPTS} times on the same task: {error}") from error
+                    result = lost(item[0])
+                yield item, result
     finally:
         for reference in waiting:
             ray.cancel(reference, force=False)
-

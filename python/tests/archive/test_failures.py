@@ -1,0 +1,235 @@
+"""What fails in an archive, and what the same command does then."""
+
+import os
+import stat
+
+import pytest
+from deltalake.exceptions import DeltaError
+
+archive = pytest.importorskip("mocapd.archive")
+
+import mocapd.archive._catalogue as catalogue_module  # noqa: E402
+import mocapd.archive._workers as workers_module  # noqa: E402
+from made import c3d, write_c3ds  # noqa: E402
+from mocapd.archive._lease import leases, writing  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def no_waiting(monkeypatch):
+    monkeypatch.setattr(workers_module, "WAIT_S", 0.001)
+
+
+def ingest(folder, bucket, **options):
+    return archive.ingest(folder, bucket, workers=0, progress=False, **options)
+
+
+def takes(bucket):
+    rows = archive.catalogue(bucket).arrow().to_pylist()
+    return [row for row in rows if row["status"] == "take"]
+
+
+def test_lost_and_damaged_takes_are_imported_again(tmp_path):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 5)
+    ingest(tmp_path / "c3d", bucket)
+    good = {row["object"]: (bucket / row["object"]).read_bytes() for row in takes(bucket)}
+    lost, cut, changed, *_ = sorted(good)
+    (bucket / lost).unlink()
+    (bucket / cut).write_bytes(good[cut][:-1])
+    (bucket / changed).write_bytes(good[changed][:-1] + b"?")
+    report = archive.verify(bucket, workers=0)
+    assert report.missing == [lost] and [name for name, _ in report.damaged] == sorted([cut, changed])
+    # Another source of a damaged take fails with a reason, and without a row that stays.
+    report = ingest(tmp_path / "c3d", bucket)
+    assert (report.failed, report.takes) == (1, 0) and cut in report.errors[0][1]
+    assert (bucket / lost).read_bytes() == good[lost]
+    # The way that the page describes: remove what is damaged, and repeat the command.
+    (bucket / cut).unlink()
+    (bucket / changed).unlink()
+    report = ingest(tmp_path / "c3d", bucket)
+    assert report.failed == 0 and {name: (bucket / name).read_bytes() for name in good} == good
+    assert archive.verify(bucket, workers=0).is_intact
+    assert archive.catalogue(bucket).arrow().num_rows == 5
+
+
+def test_a_lost_repacked_take_is_imported_again(tmp_path):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 2, frames=400)
+    options = {"tolerance": None, "resampler": "lossless"}
+    ingest(tmp_path / "c3d", bucket, **options)
+    assert archive.repack(bucket, workers=0).repacked == 2
+    # A copy under another name belongs to the repacked take.
+    (tmp_path / "c3d" / "copy.c3d").write_bytes(c3d(0, frames=400))
+    assert ingest(tmp_path / "c3d", bucket, **options).duplicates == 1
+    repacked = {row["key"]: row["object"] for row in takes(bucket)}
+    rows = archive.catalogue(bucket).arrow().to_pylist()
+    assert all(row["object"] == repacked[row["key"]] for row in rows)
+    archive.collect(bucket, older_than_s=0, remove=True)
+    for name in repacked.values():
+        (bucket / name).unlink()
+    assert ingest(tmp_path / "c3d", bucket, **options).failed == 0
+    assert archive.verify(bucket, workers=0).is_intact and len(takes(bucket)) == 2
+    assert archive.collect(bucket, older_than_s=0) == []
+
+
+
+
+@pytest.mark.parametrize("error", [DeltaError("no answer"), OSError("no answer"), KeyboardInterrupt()])
+def test_a_commit_whose_answer_is_lost_is_not_repeated(error, tmp_path, monkeypatch):
+    write = catalogue_module.write_deltalake
+    bucket, failures = tmp_path / "archive", [True]
+    write_c3ds(tmp_path / "c3d", 4)
+
+    def write_and_fail(*args, **options):
+        write(*args, **options)
+        if failures:
+            failures.pop()
+            raise error
+
+    monkeypatch.setattr(catalogue_module, "write_deltalake", write_and_fail)
+    if isinstance(error, KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt):
+            ingest(tmp_path / "c3d", bucket)
+    else:
+        assert ingest(tmp_path / "c3d", bucket).takes == 4
+    assert len(takes(bucket)) == 4 and not failures
+    ingest(tmp_path / "c3d", bucket)
+    assert len(takes(bucket)) == 4
+
+
+def test_a_commit_that_fails_is_repeated_and_then_ends_the_ingest(tmp_path, monkeypatch):
+    write = catalogue_module.write_deltalake
+    bucket, failures = tmp_path / "archive", [True] * 3
+    write_c3ds(tmp_path / "c3d", 4)
+
+    def fail_and_write(*args, **options):
+        if failures:
+            failures.pop()
+            raise DeltaError("no answer")
+        write(*args, **options)
+
+    monkeypatch.setattr(catalogue_module, "write_deltalake", fail_and_write)
+    assert ingest(tmp_path / "c3d", bucket).takes == len(takes(bucket)) == 4
+    failures.extend([True] * 99)
+    write_c3ds(tmp_path / "c3d", 8)
+    with pytest.raises(archive.StoreError, match="no answer"):
+        ingest(tmp_path / "c3d", bucket)
+    failures.clear()
+    assert ingest(tmp_path / "c3d", bucket).takes == 4 and len(takes(bucket)) == 8
+
+
+def test_each_bad_file_is_a_row_and_the_others_continue(tmp_path):
+    folder, bucket = tmp_path / "c3d", tmp_path / "archive"
+    write_c3ds(folder, 2)
+    (folder / "bad.c3d").write_bytes(b"no C3D file")
+    (folder / "empty.c3d").write_bytes(b"")
+    (folder / "empty.csv").write_bytes(b"")
+    (folder / "hostile.take").write_bytes(b"\x89TAK\r\n\x1a\n" + b"\xff" * 100)
+    (folder / "gone.c3d").symlink_to(folder / "nothing.c3d")
+    (folder / "gone.txt").symlink_to(folder / "nothing.txt")
+    (folder / "back").symlink_to(folder)
+    (folder / "c3d").write_bytes(b"not of this format, only of this name")
+    with open(os.fsencode(folder) + b"/M\xfcller.c3d", "wb") as file:
+        file.write(c3d(7))
+    report = ingest(folder, bucket, names=r"/(?P<subject>[^/]+)\.")
+    assert (report.files, report.takes, report.failed) == (8, 3, 5), report.errors
+    rows = archive.catalogue(bucket).sql("select source from failures order by source").column("source").to_pylist()
+    assert [row.rpartition("/")[2] for row in rows] == ["bad.c3d", "empty.c3d", "empty.csv", "gone.c3d", "hostile.take"]
+    (row,) = archive.catalogue(bucket).sql("select subject from takes where source like '%ller.c3d'").to_pylist()
+    assert row["subject"] == "M\\xfcller"
+    # What was corrected is no failure any more.
+    (folder / "bad.c3d").write_bytes(c3d(8))
+    assert ingest(folder, bucket, names=r"/(?P<subject>[^/]+)\.").takes == 1
+    assert len(archive.catalogue(bucket).sql("select source from failures")) == 4
+
+
+def test_a_source_is_one_however_it_is_named(tmp_path, monkeypatch):
+    folder, bucket = tmp_path / "J\u00fcrgen K#1", tmp_path / "an archive?#"
+    write_c3ds(folder, 2)
+    (tmp_path / "link").symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    names = r"/(?P<subject>[^/]+)/s\d/"
+    assert ingest(folder, bucket, names=names).takes == 2
+    for other in (tmp_path, f"file://{folder}", "link/", f"{folder}/s0/../", folder / "s0" / "day0" / "walk0000.c3d"):
+        report = ingest(other, bucket, names=names)
+        assert report.takes == report.duplicates == 0 and report.unchanged > 0, other
+    assert {row["subject"] for row in takes(bucket)} == {"J\u00fcrgen K#1"}
+    assert archive.verify(bucket, workers=0).is_intact
+    with pytest.raises(ValueError, match="%"):
+        ingest(folder, tmp_path / "100%")
+
+
+def test_the_archive_is_no_source_of_itself(tmp_path):
+    write_c3ds(tmp_path / "c3d", 2)
+    for _ in range(2):
+        assert ingest(tmp_path, tmp_path / "archive").files == 2
+    assert ingest([tmp_path / "c3d", tmp_path / "c3d" / "s0"], tmp_path / "archive").files == 2
+
+
+def test_nothing_is_removed_while_takes_are_added(tmp_path):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 3)
+    ingest(tmp_path / "c3d", bucket)
+    store = archive.open_store(bucket)
+    assert leases(store) == []
+    key = "ab" + "0" * 62
+    store.put_if_absent(archive.object_name(key), b"no row yet")
+    os.utime(bucket / archive.object_name(key), (0, 0))
+    with writing(store):
+        assert len(leases(store)) == 1
+        assert len(archive.collect(bucket)) == 1
+        with pytest.raises(archive.StoreError, match="is running"):
+            archive.collect(bucket, remove=True)
+    assert len(archive.collect(bucket, remove=True)) == 1
+
+
+def test_what_a_row_named_today_is_kept(tmp_path):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 3, frames=400)
+    ingest(tmp_path / "c3d", bucket, tolerance=None, resampler="lossless")
+    before = {row["object"] for row in takes(bucket)}
+    for name in before:
+        os.utime(bucket / name, (0, 0))
+    assert archive.repack(bucket, workers=0).repacked == 3
+    archive.catalogue(bucket).delete(f"key = '{takes(bucket)[0]['key']}'")
+    assert archive.collect(bucket, remove=True) == []
+    removed = {entry.name for entry in archive.collect(bucket, remove=True, older_than_s=0)}
+    assert removed > before and len(removed) == 4
+    archive.catalogue(bucket).delete("true")
+    with pytest.raises(archive.StoreError, match="no row"):
+        archive.collect(bucket, remove=True, older_than_s=0)
+
+
+def test_rows_of_two_ingests_at_once_do_not_stop_a_repack(tmp_path):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 2, frames=400)
+    ingest(tmp_path / "c3d", bucket, tolerance=None, resampler="lossless")
+    table = archive.catalogue(bucket)
+    table.append(table.arrow().to_batches(), "another run", 1)
+    report = archive.repack(bucket, workers=0)
+    assert (report.takes, report.repacked) == (2, 2)
+    assert archive.verify(bucket, workers=0).is_intact
+
+
+def test_a_take_whose_row_was_deleted_is_listed_again_by_its_other_source(tmp_path):
+    bucket = tmp_path / "archive"
+    (old, _) = write_c3ds(tmp_path / "old", 2)
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "a.c3d").write_bytes(old.read_bytes())
+    ingest(tmp_path / "old", bucket)
+    assert ingest(tmp_path / "new", bucket).duplicates == 1
+    archive.catalogue(bucket).delete("source like '%/old/%'")
+    assert takes(bucket) == []
+    assert ingest(tmp_path / "new", bucket).takes == 1 and len(takes(bucket)) == 1
+
+
+def test_folders_without_files_without_names(tmp_path, monkeypatch):
+    """As on NFS."""
+    monkeypatch.delattr(os, "O_TMPFILE")
+    store = archive.FolderStore(tmp_path / "a")
+    assert store.put_if_absent("x/y", b"one") and not store.put_if_absent("x/y", b"one")
+    path = tmp_path / "a" / "x" / "y"
+    mask = os.umask(0)
+    os.umask(mask)
+    assert path.read_bytes() == b"one" and stat.S_IMODE(path.stat().st_mode) == 0o644 & ~mask
+    assert os.listdir(path.parent) == ["y"]
