@@ -102,12 +102,14 @@ def test_takes_move_from_a_folder_to_a_bucket_unchanged(bucket, tmp_path):
     assert stored == {store.get(entry.name) for entry in store.list("takes/")}
 
 
-def test_a_window_costs_at_most_three_requests(endpoint, tmp_path):
-    """A second of 40 s, at random; the bytes are a part of the take's."""
-    url = f"s3://takes-test/windows/{os.getpid()}"
-    for number in range(6):
-        points = motion(number, frames=12_000, markers=30)
-        mocapd.write_take(tmp_path / f"{number}.take", points, [f"m{at}" for at in range(30)], RATE_HZ, 0.05, "fast")
+@pytest.mark.parametrize("resampler, tolerance", [("dense", 0.5), ("fast", 0.05), ("lossless", None)])
+def test_a_window_costs_at_most_three_requests(resampler, tolerance, endpoint, tmp_path):
+    """A second of a minute, at random; the bytes are a part of the take's. Run with -s it prints the page's table."""
+    url = f"s3://takes-test/windows/{resampler}/{os.getpid()}"
+    for number in range(2):
+        points = motion(number, frames=6000, markers=30)
+        labels = [f"m{at}" for at in range(30)]
+        mocapd.write_take(tmp_path / f"{number}.take", points, labels, RATE_HZ, tolerance, resampler)
     archive.ingest(tmp_path, url, workers=0, progress=False)
     sizes = [entry.n_bytes for entry in archive.open_store(url).list("takes/")]
     found = archive.windows("select * from takes", 1.0, RATE_HZ, ["m3", "m7"], bucket=url, shuffle=5, batch=1)
@@ -121,9 +123,12 @@ def test_a_window_costs_at_most_three_requests(endpoint, tmp_path):
         assert batch["valid"].any()
         requests.append(store.traffic()[0])
         n_bytes.append(store.traffic()[1])
-    print("requests", requests, "bytes", n_bytes, "of", sizes)
+    n_tail = 64 << 10
+    mean = np.mean(n_bytes)
+    print(f"| `{resampler}` | {np.mean(sizes):.0f} | {np.mean(requests):.2f} | {max(requests)} | {mean:.0f} |")
     assert max(requests) <= 3
-    assert np.mean(n_bytes) < 0.6 * np.mean(sizes)
+    # A window is in a stretch of ten seconds, or in two.
+    assert mean < n_tail + 0.4 * np.mean(sizes)
 
 
 def test_windows_in_a_bucket_are_those_in_a_folder(endpoint, tmp_path):

@@ -137,9 +137,10 @@ def test_each_bad_file_is_a_row_and_the_others_continue(tmp_path):
     assert [row.rpartition("/")[2] for row in rows] == ["bad.c3d", "empty.c3d", "empty.csv", "gone.c3d", "hostile.take"]
     (row,) = archive.catalogue(bucket).sql("select subject from takes where source like '%ller.c3d'").to_pylist()
     assert row["subject"] == "M\\xfcller"
-    # What was corrected is no failure any more.
+    # What was corrected is no failure any more; the others are not tried again, and not forgotten.
     (folder / "bad.c3d").write_bytes(c3d(8))
-    assert ingest(folder, bucket, names=r"/(?P<subject>[^/]+)\.").takes == 1
+    report = ingest(folder, bucket, names=r"/(?P<subject>[^/]+)\.")
+    assert (report.takes, report.failed, report.failed_before) == (1, 0, 4)
     assert len(archive.catalogue(bucket).sql("select source from failures")) == 4
 
 

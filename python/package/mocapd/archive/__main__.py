@@ -94,7 +94,9 @@ def _ingest(args: argparse.Namespace) -> int:
     _report(args, report)
     for source, error in report.errors:
         print(f"{source}: {error}", file=sys.stderr)
-    return _FAILED if report.failed else _DONE
+    if report.failed_before:
+        print("failed before: mocapd archive sql 'select source, error from failures'", file=sys.stderr)
+    return _FAILED if report.failed or report.failed_before else _DONE
 
 
 def _sql(args: argparse.Namespace) -> int:

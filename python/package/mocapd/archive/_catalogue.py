@@ -230,6 +230,8 @@ class Known:
     def __init__(self, table: Catalogue) -> None:
         self.moved: list[dict[str, Any]] = []
         """Objects of takes that are there again, under another name than in their rows."""
+        self.failed: set[str] = set()
+        """Sources that have failed, and have no take."""
         self._lost: dict[str | None, str] = {}
         self._of_lost: set[tuple[str | None, str]] = set()
         rows = table.arrow(["status", "key", "source", "object", "take_bytes"])
@@ -243,9 +245,12 @@ class Known:
                 self._pairs.add((key, source))
             elif status == "take":
                 self._lost[key] = name
-        for _, key, source, *_ in found:
+        for status, key, source, *_ in found:
             if key in self._lost:
                 self._of_lost.add((key, source))
+            if status == "failed":
+                self.failed.add(source)
+        self.failed.difference_update(source for status, _, source, *_ in found if status != "failed")
 
     def digests(self) -> npt.NDArray[np.bytes_]:
         """What workers need to skip the files that have a row, and to import no bytes twice: sorted, of each pair and of each
@@ -261,6 +266,8 @@ class Known:
             if pair in self._pairs or row["status"] == "damaged":
                 continue
             self._pairs.add(pair)
+            if row["status"] != "failed":
+                self.failed.discard(row["source"])
             if row["status"] == "take" and (lost := self._lost.pop(key, None)) is not None:
                 self._objects[key] = row["object"]
                 if lost != row["object"]:

@@ -50,6 +50,8 @@ class IngestReport:
     """Files with an error that the catalogue did not have yet."""
     unchanged: int = 0
     """Files that have a row from a former ingest."""
+    failed_before: int = 0
+    """Of these, files that failed then, and were not tried again."""
     source_bytes: int = 0
     """Of the new takes."""
     take_bytes: int = 0
@@ -82,7 +84,7 @@ class IngestReport:
         return (
             f"{self.files} files in {self.seconds:.1f} s ({rate:.0f} a second): {self.takes} takes of "
             f"{self.take_bytes / 1e6:.1f} MB from {self.source_bytes / 1e6:.1f} MB ({self.ratio:.1f}:1), "
-            f"{self.duplicates} duplicates, {self.unchanged} unchanged, {self.failed} failed"
+            f"{self.duplicates} duplicates, {self.unchanged} unchanged, {self.failed} failed, {self.failed_before} failed before"
         )
 
 
@@ -290,6 +292,7 @@ def ingest(
     files = list(find(sources, store))
     with writing(store):
         known, report = Known(table), IngestReport(files=len(files))
+        failed_before = known.failed & {file.source for file in files}
         rows = _Rows(table, known, report)
         task = ImportTask(store, settings, Names(names), known.digests())
         with _Progress(len(files), progress) as shown:
@@ -300,6 +303,7 @@ def ingest(
                     shown.update(len(done), batch)
             finally:
                 rows.commit()
+    report.failed_before = len(failed_before & known.failed)
     report.seconds = time.monotonic() - started
     return report
 
