@@ -216,9 +216,7 @@ class _Rows:
     def add(self, batch: pa.RecordBatch) -> None:
         for row in batch.filter(pc.equal(batch.column("status"), "damaged")).to_pylist():
             self._report.fail(row["source"], row["error"])
-        new = self._known.new(batch)
-        if new.num_rows:
-            self._waiting.append(new)
+        self._waiting += self._known.new(batch)
         n_rows = sum(waiting.num_rows for waiting in self._waiting)
         if n_rows >= COMMIT_ROWS or time.monotonic() - self._since >= COMMIT_S:
             self.commit()
