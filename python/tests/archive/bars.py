@@ -27,6 +27,10 @@ import mocapd
 from mocapd import archive
 
 
+ROWS = 5000
+"""Of a commit of an ingest."""
+
+
 def load():
     return " ".join(f"{load:.1f}" for load in os.getloadavg())
 
@@ -73,25 +77,29 @@ def catalogue(args):
     if not bucket.exists():
         small = args.folder / "small"
         archive.ingest(sources(args.folder, 500), small, workers=0, effort=1, progress=False)
-        base = archive.catalogue(small).arrow().to_pylist()
+        base = archive.catalogue(small).arrow()
+        base = pa.concat_tables([base] * (ROWS // len(base))).combine_chunks()
         random = np.random.default_rng(1)
-        labels = [f"L{number:02}" for number in range(60)]
+        labels = np.array([f"L{number:02}" for number in range(60)])
         table = archive.catalogue(bucket)
-        for first in range(0, args.rows, 5000):
-            rows = []
-            for number in range(first, min(first + 5000, args.rows)):
-                key = random.bytes(32).hex()
-                changed = {
-                    "key": key,
-                    "object": archive.object_name(key),
-                    "source": f"file:///data/s{number % 100}/{number}.c3d",
-                    "source_sha256": random.bytes(32).hex(),
-                    "labels": list(random.choice(labels, 20, replace=False)),
-                    "rate_hz": float(random.choice([60, 100, 120, 240])),
-                    "seconds": float(random.uniform(1, 300)),
-                }
-                rows.append(base[number % len(base)] | changed)
-            table.append([pa.RecordBatch.from_pylist(rows, archive.SCHEMA)], "bars", first // 5000 + 1)
+        for first in range(0, args.rows, ROWS):
+            keys = [random.bytes(32).hex() for _ in range(ROWS)]
+            picked = labels[np.argsort(random.random((ROWS, len(labels))))[:, :20]]
+            changed = {
+                "key": keys,
+                "object": [archive.object_name(key) for key in keys],
+                "source": [f"file:///data/s{number % 100}/{number}.c3d" for number in range(first, first + ROWS)],
+                "source_sha256": [random.bytes(32).hex() for _ in range(ROWS)],
+                "take_sha256": [random.bytes(32).hex() for _ in range(ROWS)],
+                "labels": picked.tolist(),
+                "rate_hz": random.choice([60.0, 100.0, 120.0, 240.0], ROWS),
+                "seconds": random.uniform(1, 300, ROWS),
+            }
+            rows = base
+            for name, values in changed.items():
+                kind = archive.SCHEMA.field(name)
+                rows = rows.set_column(archive.SCHEMA.names.index(name), kind, pa.array(values, kind.type))
+            table.append(rows.to_batches(), "bars", first // ROWS + 1)
     query = "select key, object from takes where array_has(labels, 'L07') and rate_hz >= 200 and seconds between 100 and 110"
     os.sched_setaffinity(0, {0})
     table = archive.catalogue(bucket)

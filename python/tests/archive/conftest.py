@@ -1,5 +1,6 @@
 """The folder of the tests' own modules, and a test store."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -10,6 +11,9 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+
+# Ray's workers are nice by 15: beside other load of the machine these tests would take several times as long.
+os.environ.setdefault("RAY_worker_niceness", "0")
 
 
 @pytest.fixture(scope="session")
