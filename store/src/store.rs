@@ -2,6 +2,7 @@
 
 use std::{
     collections::HashMap,
+    mem::ManuallyDrop,
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
@@ -71,7 +72,7 @@ impl Store {
         let process = std::process::id();
         if stores.as_ref().is_some_and(|(of, _)| *of != process) {
             // Not dropped: connections would be closed, which are the parent's, too.
-            std::mem::forget(stores.take());
+            let _inherited = ManuallyDrop::new(stores.take());
         }
         let (_, stores) = stores.get_or_insert_with(|| (process, HashMap::new()));
         if let Some(store) = stores.get(url.root()) {
