@@ -276,6 +276,65 @@ def test_another_version_of_the_importer_adds_takes(tmp_path, monkeypatch):
     assert archive.catalogue(copy, version=1).arrow().num_rows == 7
 
 
+def test_retired_takes_were_made_again_from_the_same_bytes_with_the_same_settings(tmp_path, monkeypatch):
+    import mocapd.archive._ingest as module
+
+    bucket, (path,) = tmp_path / "archive", write_c3ds(tmp_path / "c3d", 1)
+    for tolerance in (0.5, 2.0):
+        archive.ingest(path, bucket, tolerance=tolerance, workers=0, progress=False)
+    first_bytes = path.read_bytes()
+    path.write_bytes(c3d(77))
+    archive.ingest(path, bucket, workers=0, progress=False)
+    new_row = module.new_row
+    monkeypatch.setattr(module, "content_key", lambda *args: archive.content_key(*args, importer=2))
+    monkeypatch.setattr(module, "new_row", lambda *args, **fields: new_row(*args, **fields | {"importer": 2}))
+    archive.ingest(path, bucket, workers=0, progress=False)
+    catalogue = archive.catalogue(bucket)
+    assert catalogue.retire(2) == 1
+    left = catalogue.sql("select source_sha256, tolerance_mm, importer from takes").to_pylist()
+    first, second = (hashlib.sha256(data).hexdigest() for data in (first_bytes, path.read_bytes()))
+    assert sorted(tuple(row.values()) for row in left) == sorted([(first, 0.5, 1), (first, 2.0, 1), (second, 0.5, 2)])
+
+
+def test_the_latest_take_of_a_file_may_be_listed_under_another_name(tmp_path):
+    """A file that was cut off is replaced by one whose bytes the archive has already."""
+    bucket, (path, other) = tmp_path / "archive", write_c3ds(tmp_path / "c3d", 2)
+    archive.ingest(tmp_path / "c3d", bucket, workers=0, progress=False)
+    path.write_bytes(other.read_bytes())
+    report = archive.ingest(tmp_path / "c3d", bucket, workers=0, progress=False)
+    assert (report.takes, report.duplicates) == (0, 1)
+    (row,) = archive.catalogue(bucket).sql("select source from latest").to_pylist()
+    assert row["source"].endswith(other.name)
+
+
+def test_nothing_is_removed_while_an_ingest_holds_a_lease(tmp_path):
+    from mocapd.archive._lease import writing
+    from mocapd.archive._store import StoreError, open_store
+
+    bucket = tmp_path / "archive"
+    archive.ingest(write_c3ds(tmp_path / "c3d", 2), bucket, workers=0, progress=False)
+    archive.catalogue(bucket).delete("source like '%walk0000%'")
+    with writing(open_store(bucket)):
+        for older_than_s in (0, 600, 86400):
+            with pytest.raises(StoreError, match="--ignore-leases"):
+                archive.collect(bucket, remove=True, older_than_s=older_than_s)
+        assert len(objects(bucket)) == 2
+        assert len(archive.collect(bucket, remove=True, older_than_s=0, ignore_leases=True)) == 1
+    assert len(objects(bucket)) == 1
+
+
+def test_collect_after_former_versions_were_vacuumed(tmp_path):
+    bucket = tmp_path / "archive"
+    archive.ingest(write_c3ds(tmp_path / "c3d", 3), bucket, workers=0, progress=False)
+    table = archive.catalogue(bucket)
+    table.delete("source like '%walk0000%'")
+    assert archive.collect(bucket, older_than_s=60) == []  # named a moment ago, and young
+    table.delta().vacuum(0, dry_run=False, enforce_retention_duration=False)
+    assert archive.collect(bucket, older_than_s=60) == []
+    assert len(archive.collect(bucket, remove=True, older_than_s=0)) == 1
+    assert archive.verify(bucket, workers=0).is_intact
+
+
 def test_takes_are_stored_as_they_are(tmp_path):
     points = motion(5)
     mocapd.write_take(tmp_path / "a.take", points, LABELS, RATE_HZ, 0.5)

@@ -48,6 +48,22 @@ def test_windows_hold_the_samples_of_their_frames(bucket):
             assert np.array_equal(positions[:, :2], points) and valid[:, :2].all()
 
 
+def test_rows_of_a_query_may_repeat_takes_or_have_none(bucket):
+    """As rows of duplicates and of files that failed, which have no rate, in any order."""
+    wanted = rows(bucket)
+    (name,) = wanted.column("object").to_pylist()[:1]
+    others = pa.table({"source": ["copy", "bad", "copy"], "object": [name, None, name], "rate_hz": [None, None, RATE_HZ], "frames": [None, None, 121]})
+    others = others.cast(wanted.schema)
+    expected = archive.windows(wanted, 1.0, RATE_HZ, ["a"], bucket=bucket)
+    for table in (pa.concat_tables([others, wanted]), pa.concat_tables([wanted, others])):
+        found = archive.windows(table, 1.0, RATE_HZ, ["a"], bucket=bucket)
+        assert found.places.objects == expected.places.objects and found.n_windows == expected.n_windows
+        assert found.state() == expected.state()
+    differing = pa.table({"source": ["x"], "object": [name], "rate_hz": [50.0], "frames": [121]}).cast(wanted.schema)
+    with pytest.raises(ValueError, match="differ in rate_hz or frames"):
+        archive.windows(pa.concat_tables([wanted, differing]), 1.0, RATE_HZ, ["a"], bucket=bucket)
+
+
 def test_a_gap_is_invalid(bucket):
     (batch,) = archive.windows(rows(bucket).slice(0, 1), 1.0, RATE_HZ, ["b"], bucket=bucket)
     expected = np.ones(100, bool)

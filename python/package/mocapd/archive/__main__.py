@@ -58,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     workers(added)
     added = command("collect", "List, and with --remove remove, the takes that no row of the catalogue names", _collect)
     added.add_argument("--remove", action="store_true")
+    added.add_argument("--ignore-leases", action="store_true", help="although an ingest or a repack seems to be running")
     added.add_argument("--older-than", type=float, default=YOUNG_S, metavar="SECONDS", help="[default: a day]")
     added.add_argument("--json", action="store_true", help="print a JSON document for each object")
     return parser
@@ -137,7 +138,7 @@ def _repack(args: argparse.Namespace) -> int:
 
 
 def _collect(args: argparse.Namespace) -> int:
-    found = collect(args.bucket, remove=args.remove, older_than_s=args.older_than)
+    found = collect(args.bucket, remove=args.remove, older_than_s=args.older_than, ignore_leases=args.ignore_leases)
     for entry in found:
         print(json.dumps(asdict(entry)) if args.json else entry.name)
     if not args.json:

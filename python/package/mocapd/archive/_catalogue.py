@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +69,11 @@ class Catalogue:
         table = self.delta()
         if table is None:
             return pa.schema([SCHEMA.field(name) for name in names]).empty_table()
-        return table.to_pyarrow_table(columns=names)
+        return _read(table, names)
 
     def sql(self, query: str) -> pa.Table:
         """The result of a query by DataFusion. The table is ``catalogue``; ``takes`` has only its takes, ``latest`` the last
-        take of each source, and ``failures`` the sources that failed and have no take.
+        take of each source, once where sources share it, and ``failures`` the sources that failed and have no take.
 
         Raises
         ------
@@ -105,13 +107,19 @@ class Catalogue:
     def named_objects(self, within_s: float) -> set[str]:
         """The objects that rows name, or named within this time."""
         table = self.existing()
-        named = set(table.to_pyarrow_table(columns=["object"]).column("object").to_pylist())
+        named = set(_read(table, ["object"]).column("object").to_pylist())
         since_ms = (time.time() - within_s) * 1000
-        for entry in table.history():
-            # Before any other operation than an append there may be rows that are not there now.
-            if entry["timestamp"] >= since_ms and entry["operation"] not in ("WRITE", "CREATE TABLE") and entry["version"]:
-                before = DeltaTable(self.url, version=entry["version"] - 1, storage_options=self._options)
-                named.update(before.to_pyarrow_table(columns=["object"]).column("object").to_pylist())
+        # An append leaves all rows there are.
+        changes = [entry for entry in table.history() if entry["operation"] not in ("WRITE", "CREATE TABLE")]
+        changes = [entry for entry in changes if entry["timestamp"] >= since_ms and entry["version"]]
+        # What rows named when the time began, and before each deletion. Objects that a repack replaced later are young.
+        versions = {min((entry["version"] for entry in changes), default=0)}
+        versions |= {entry["version"] for entry in changes if entry["operation"] == "DELETE"}
+        for version in versions - {0}:
+            before = DeltaTable(self.url, version=version - 1, storage_options=self._options)
+            # A version that was vacuumed can be read by nobody.
+            with suppress(FileNotFoundError):
+                named.update(_read(before, ["object"]).column("object").to_pylist())
         return named - {None}
 
     def append(self, batches: list[pa.RecordBatch], run: str, number: int) -> None:
@@ -159,18 +167,20 @@ class Catalogue:
         return int(self.existing().delete(where)["num_deleted_rows"])
 
     def retire(self, importer: int) -> int:
-        """Removes the rows of takes that former importers made, where all their sources have takes of this importer or a
-        later one. Other rows stay: their takes are the only ones of their sources. Returns the number of rows.
+        """Removes the rows of takes that former importers made, where this importer or a later one has made a take of each of
+        their sources, of the same bytes and with the same settings. Returns the number of rows.
         """
-        rows = self.arrow(["status", "key", "source", "importer"])
-        rows = rows.filter(pc.not_equal(rows.column("status"), "failed"))
-        is_new = pc.greater_equal(rows.column("importer"), importer)
-        renewed = rows.filter(is_new).column("source")
-        old = rows.filter(pc.invert(is_new))
-        is_renewed = pc.is_in(old.column("source"), value_set=renewed.combine_chunks())
-        needed = old.filter(pc.invert(is_renewed)).column("key").combine_chunks()
-        retired = old.filter(pc.invert(pc.is_in(old.column("key"), value_set=needed)))
-        keys = pa.table({"key": retired.column("key").unique()})
+        columns = ["status", "key", "source", "source_sha256", "settings", "importer"]
+        rows = self.arrow(columns).to_pylist()
+        has_take = {row["key"] for row in rows if row["status"] == "take"}
+        # What was imported: the take of other bytes or settings replaces none.
+        imported = itemgetter("source", "source_sha256", "settings")
+        rows = [row for row in rows if row["key"] in has_take and row["importer"] is not None]
+        renewed = {imported(row) for row in rows if row["importer"] >= importer}
+        old = [row for row in rows if row["importer"] < importer]
+        needed = {row["key"] for row in old if imported(row) not in renewed}
+        retired = [row["key"] for row in old if row["key"] not in needed]
+        keys = pa.table({"key": pa.array(sorted(set(retired)), pa.string())})
         if keys.num_rows:
 
             def remove(existing: DeltaTable | None) -> None:
@@ -179,7 +189,7 @@ class Catalogue:
                 merge.when_matched_delete("old.status <> 'failed'").execute()
 
             self._commit(remove)
-        return int(retired.num_rows)
+        return len(retired)
 
     def _commit(self, write: Callable[[DeltaTable | None], None]) -> None:
         """Calls ``write`` with the newest table, again if another process has committed meanwhile or the store fails."""
@@ -193,10 +203,27 @@ class Catalogue:
         call(once, None)
 
 
+def _read(table: DeltaTable, names: list[str]) -> pa.Table:
+    """Columns of all rows, by DataFusion: pyarrow's threads call Python, and abort a program that ends meanwhile.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a file of this version was vacuumed.
+    """
+    columns = ", ".join(f'"{name}"' for name in names)
+    try:
+        found = QueryBuilder().register("catalogue", table).execute(f"select {columns} from catalogue").read_all()
+    except Exception as error:  # deltalake has no narrower class for errors of reading
+        is_missing = "Object at location" in str(error) and "not found" in str(error)
+        raise (FileNotFoundError if is_missing else StoreError)(f"cannot read the catalogue: {error}") from error
+    return pa.table(found).cast(pa.schema([SCHEMA.field(name) for name in names]))
+
+
 VIEWS = {
     "takes": "select * from catalogue where status = 'take'",
-    "latest": "select * exclude (newest) from (select *, row_number() over (partition by source order by ingested desc) "
-    "as newest from takes) where newest = 1",
+    "latest": "select * from takes where key in (select key from (select key, row_number() over (partition by source "
+    "order by ingested desc) as newest from catalogue where status <> 'failed') where newest = 1)",
     "failures": "select source, error, ingested from catalogue where status = 'failed' and source not in "
     "(select source from catalogue where status <> 'failed')",
 }

@@ -52,8 +52,7 @@ def writing(store: Store) -> Iterator[None]:
                 store.remove(name)
 
 
-def leases(store: Store, younger_than_s: float = DEAD_S) -> list[Entry]:
+def leases(store: Store) -> list[Entry]:
     """The leases that are held."""
     now_s = time.time()
-    limit_s = min(younger_than_s, DEAD_S)
-    return [entry for entry in store.list(f"{FOLDER}/") if entry.modified_s is None or now_s - entry.modified_s < limit_s]
+    return [entry for entry in store.list(f"{FOLDER}/") if entry.modified_s is None or now_s - entry.modified_s < DEAD_S]

@@ -181,7 +181,9 @@ def repack(bucket: Any = None, *, workers: int | None = None) -> RepackReport:
     return report
 
 
-def collect(bucket: Any = None, *, remove: bool = False, older_than_s: float = YOUNG_S) -> list[Entry]:
+def collect(
+    bucket: Any = None, *, remove: bool = False, older_than_s: float = YOUNG_S, ignore_leases: bool = False
+) -> list[Entry]:
     """The takes that no row of the catalogue names: of an ingest that was interrupted and not repeated, of rows that were
     deleted, and those that a repack replaced. With ``remove`` they are removed; former versions of the table then name
     takes that do not exist.
@@ -193,15 +195,13 @@ def collect(bucket: Any = None, *, remove: bool = False, older_than_s: float = Y
     ------
     StoreError
         If they are to be removed while an ingest or repack is running, or after one was killed less than an hour ago.
+        ``ignore_leases`` removes them nevertheless: only if none is running.
     """
     store = open_store(bucket_of(bucket))
     table = Catalogue(store)
     table.existing()
-    if remove and (held := leases(store, older_than_s)):
-        raise StoreError(
-            f"an ingest or a repack is running ({', '.join(entry.name for entry in held)}), or was killed less than "
-            f"{DEAD_S / 60:.0f} min ago: wait for it, or state an age of 0 if none is running"
-        )
+    if remove and not ignore_leases:
+        _refuse_leases(store)
     entries = [entry for entry in store.list("takes/") if object_key(entry.name)]
     # Read after the list: rows are added after their objects exist.
     named = table.named_objects(older_than_s)
@@ -214,9 +214,20 @@ def collect(bucket: Any = None, *, remove: bool = False, older_than_s: float = Y
     if remove:
         if not named and found:
             raise StoreError("no row names a take, so nothing is removed: remove the bucket if it is not needed")
+        if not ignore_leases:
+            # One that began while takes and rows were listed may name some of them soon.
+            _refuse_leases(store)
         for entry in found:
             store.remove(entry.name)
     return found
+
+
+def _refuse_leases(store: Store) -> None:
+    if held := leases(store):
+        raise StoreError(
+            f"an ingest or a repack is running ({', '.join(entry.name for entry in held)}), or was killed less than "
+            f"{DEAD_S / 60:.0f} min ago: wait for it, or ignore its lease (--ignore-leases) if none is running"
+        )
 
 
 def _groups(rows: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:

@@ -134,9 +134,13 @@ class Form:
     def places(self, rows: pa.Table, stride_s: float) -> Places:
         """All windows that lie within the takes of these rows. Their order is that of the objects, because that of the rows
         of a query is another one each time: readers and checkpoints have the same."""
-        objects, at = np.unique(np.array(rows.column("object").to_pylist(), dtype=str), return_index=True)
+        rows = pa.table({name: rows.column(name) for name in ("object", "rate_hz", "frames")}).drop_null()
+        rows = rows.group_by(["object", "rate_hz", "frames"]).aggregate([]).sort_by("object")
+        objects = np.array(rows.column("object").to_pylist(), dtype=str)
+        if len(repeated := objects[1:][objects[1:] == objects[:-1]]):
+            raise ValueError(f"rows of {repeated[0]} differ in rate_hz or frames: select each take once")
         columns = (rows.column(name).to_numpy(zero_copy_only=False) for name in ("rate_hz", "frames"))
-        rate_hz, frames = (column.astype(np.float64)[at] for column in columns)
+        rate_hz, frames = (column.astype(np.float64) for column in columns)
         # From the first sample to the last one; a nanosecond absorbs the rounding of the division.
         last_start_s = (frames - 1) / rate_hz - (self.samples - 1) / self.hz + 1e-9
         counts = np.where(last_start_s >= 0, np.floor(last_start_s / stride_s + 1e-9) + 1, 0).astype(np.int64)
