@@ -6,6 +6,8 @@
 //! is therefore the same on every machine, without tables. Two degrees have a heavy tail, sixteen are almost a normal
 //! distribution; mixtures of several widths approximate those in between.
 
+use std::hint::black_box;
+
 /// Number of distributions in the mixture.
 pub(super) const PARTS: usize = 8;
 
@@ -25,18 +27,21 @@ const SHAPES: [(usize, f64, usize); PARTS] = [
     (2, 2.5, 2),
 ];
 
-/// Coefficients of the polynomial by part; a part uses those below half its degrees of freedom.
-const COEFFICIENTS: [[f64; PARTS]; 8] = {
-    let mut table = [[0.0; PARTS]; 8];
+/// The parts by lane of a vector: those of sixteen degrees of freedom, and the others, whose polynomials are shorter.
+const LANES: [[usize; 4]; 2] = [[0, 2, 3, 6], [1, 5, 4, 7]];
+
+/// Coefficients of the polynomials, by lane; a part has those below half its degrees of freedom.
+const COEFFICIENTS: [[[f64; 4]; 8]; 2] = {
+    let mut table = [[[0.0; 4]; 8]; 2];
     let mut power = 0;
     let mut coefficient = 1.0;
     while power < 8 {
-        let mut part = 0;
-        while part < PARTS {
-            if 2 * power < SHAPES[part].2 {
-                table[power][part] = coefficient;
+        let mut at = 0;
+        while at < PARTS {
+            if 2 * power < SHAPES[LANES[at / 4][at % 4]].2 {
+                table[at / 4][power][at % 4] = coefficient;
             }
-            part += 1;
+            at += 1;
         }
         power += 1;
         coefficient *= (2 * power - 1) as f64 / (2 * power) as f64;
@@ -63,16 +68,16 @@ const SMALLEST: f64 = 1e-12;
 #[derive(Debug, Clone)]
 pub(super) struct Distribution {
     averages: [f64; 3],
-    weights: [f64; PARTS],
-    inverse_widths: [f64; PARTS],
+    weights: [[f64; 4]; 2],
+    inverse_widths: [[f64; 4]; 2],
 }
 
 impl Distribution {
     pub(super) fn new() -> Self {
         let mut new = Self {
             averages: [1.0; 3],
-            weights: [1.0 / PARTS as f64; PARTS],
-            inverse_widths: [0.0; PARTS],
+            weights: [[1.0 / PARTS as f64; 4]; 2],
+            inverse_widths: [[0.0; 4]; 2],
         };
         new.set_widths();
         new
@@ -80,7 +85,10 @@ impl Distribution {
 
     #[inline(always)]
     fn set_widths(&mut self) {
-        for (inverse, (average, width, degrees)) in self.inverse_widths.iter_mut().zip(SHAPES) {
+        for (inverse, part) in
+            self.inverse_widths.as_flattened_mut().iter_mut().zip(LANES.as_flattened())
+        {
+            let (average, width, degrees) = SHAPES[*part];
             *inverse = 1.0 / (self.averages[average] * (width * root(degrees)));
         }
     }
@@ -99,35 +107,46 @@ impl Distribution {
         if least < c { least } else { c }
     }
 
-    /// The distribution function of each part. Step by step for all parts, which are then computed side by side.
+    /// The distribution functions of one vector of parts, whose polynomials have `POWERS` coefficients.
     #[inline(always)]
-    fn parts(&self, error: f64) -> [f64; PARTS] {
-        let (mut u, mut c) = ([0.0; PARTS], [0.0; PARTS]);
-        for part in 0..PARTS {
-            u[part] = error * self.inverse_widths[part];
-            c[part] = 1.0 / (1.0 + u[part] * u[part]);
+    fn lanes<const POWERS: usize>(&self, vector: usize, error: f64) -> [f64; 4] {
+        let coefficients = &COEFFICIENTS[vector];
+        let (mut u, mut c, mut sums) = ([0.0; 4], [0.0; 4], [0.0; 4]);
+        for lane in 0..4 {
+            u[lane] = error * self.inverse_widths[vector][lane];
+            c[lane] = 1.0 / (1.0 + u[lane] * u[lane]);
+            sums[lane] = coefficients[POWERS - 1][lane];
         }
-        let mut sums = COEFFICIENTS[7];
-        for coefficients in COEFFICIENTS[..7].iter().rev() {
-            for part in 0..PARTS {
-                sums[part] = sums[part] * c[part] + coefficients[part];
+        for power in (0..POWERS - 1).rev() {
+            for lane in 0..4 {
+                sums[lane] = sums[lane] * c[lane] + coefficients[power][lane];
             }
         }
-        for part in 0..PARTS {
-            sums[part] = 0.5 + 0.5 * (u[part] * c[part].sqrt() * sums[part]);
+        for lane in 0..4 {
+            sums[lane] = 0.5 + 0.5 * (u[lane] * c[lane].sqrt() * sums[lane]);
         }
         sums
+    }
+
+    /// The distribution function of each part, by lane.
+    #[inline(always)]
+    fn parts(&self, error: f64) -> [[f64; 4]; 2] {
+        [self.lanes::<8>(0, error), self.lanes::<2>(1, error)]
     }
 
     /// The probability of an error below this.
     #[inline(always)]
     pub(super) fn below(&self, error: f64) -> f64 {
         let parts = self.parts(error);
-        let mut sums = [0.0; 4];
-        for part in 0..PARTS {
-            sums[part % 4] += parts[part] * self.weights[part];
+        let mut products = [[0.0; 4]; 2];
+        for vector in 0..2 {
+            for lane in 0..4 {
+                products[vector][lane] = parts[vector][lane] * self.weights[vector][lane];
+            }
         }
-        (sums[0] + sums[1]) + (sums[2] + sums[3])
+        // Opaque: a compiler that sees what becomes of each product computes them one by one. Encoding takes 20 % less time.
+        let [[p0, p2, p3, p6], [p1, p5, p4, p7]] = black_box(products);
+        ((p0 + p4) + (p1 + p5)) + ((p2 + p6) + (p3 + p7))
     }
 
     /// Learns from an error, in the cell between two errors.
@@ -141,16 +160,19 @@ impl Distribution {
             (low, high)
         };
         let (below, within) = (self.parts(low), self.parts(high));
-        let mut likelihoods = [0.0; PARTS];
-        let mut sum = 0.0;
-        for part in 0..PARTS {
-            likelihoods[part] = self.weights[part] * (within[part] - below[part] + 1e-12);
-            sum += likelihoods[part];
+        let mut likelihoods = [[0.0; 4]; 2];
+        for vector in 0..2 {
+            for lane in 0..4 {
+                let probability = within[vector][lane] - below[vector][lane] + 1e-12;
+                likelihoods[vector][lane] = self.weights[vector][lane] * probability;
+            }
         }
+        let likelihoods = black_box(likelihoods);
+        let [[l0, l2, l3, l6], [l1, l5, l4, l7]] = likelihoods;
+        let sum = l0 + l1 + l2 + l3 + l4 + l5 + l6 + l7;
         let share = (1.0 - SPREAD) / sum;
-        for (weight, likelihood) in self.weights.iter_mut().zip(likelihoods) {
-            *weight = likelihood * share + SPREAD / PARTS as f64;
-        }
+        self.weights = likelihoods
+            .map(|lanes| lanes.map(|likelihood| likelihood * share + SPREAD / PARTS as f64));
         let magnitude = if error < 0.0 { -error } else { error };
         for (average, rate) in self.averages.iter_mut().zip(RATES) {
             *average += (magnitude - *average) * rate;

@@ -12,6 +12,7 @@ mod hostile;
 mod mixtures;
 mod motions;
 mod order;
+mod portable;
 mod predictive;
 mod presence;
 mod rates;
