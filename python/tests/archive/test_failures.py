@@ -1,16 +1,23 @@
 """What fails in an archive, and what the same command does then."""
 
+import errno
 import os
 import stat
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from deltalake.exceptions import DeltaError
 
 archive = pytest.importorskip("mocapd.archive")
 
+import mocapd._native as mocapd_native  # noqa: E402
 import mocapd.archive._catalogue as catalogue_module  # noqa: E402
+import mocapd.archive._ingest as ingest_module  # noqa: E402
+import mocapd.archive._upkeep as upkeep_module  # noqa: E402
 import mocapd.archive._workers as workers_module  # noqa: E402
-from made import c3d, write_c3ds  # noqa: E402
+from made import c3d, c3d_file, channel_records, motion, write_c3ds  # noqa: E402
+from mocapd.archive._keys import source_hash  # noqa: E402
 from mocapd.archive._lease import leases, writing  # noqa: E402
 
 
@@ -234,3 +241,183 @@ def test_folders_without_files_without_names(tmp_path, monkeypatch):
     os.umask(mask)
     assert path.read_bytes() == b"one" and stat.S_IMODE(path.stat().st_mode) == 0o644 & ~mask
     assert os.listdir(path.parent) == ["y"]
+
+
+def failing_reads(monkeypatch, errors):
+    """Lets reads of objects fail: a dict of the ends of names with their errors."""
+    read = archive.FolderStore.get
+
+    def get(self, name):
+        for end, error in errors.items():
+            if name.endswith(end):
+                raise error
+        return read(self, name)
+
+    monkeypatch.setattr(archive.FolderStore, "get", get)
+
+
+def test_verify_and_repack_go_on_past_takes_that_cannot_be_read(tmp_path, monkeypatch):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 4, frames=400)
+    ingest(tmp_path / "c3d", bucket, tolerance=None, resampler="lossless")
+    sector, locked, *_ = names = sorted(row["object"] for row in takes(bucket))
+    errors = {sector: OSError(errno.EIO, "bad sector"), locked: PermissionError(errno.EACCES, "not yours")}
+    failing_reads(monkeypatch, errors)
+    report = archive.verify(bucket, workers=0)
+    assert report.damaged == [(sector, "cannot be read: bad sector"), (locked, "cannot be read: not yours")]
+    assert report.missing == [] and report.takes == 4 and report.n_bytes > 0
+    repacked = archive.repack(bucket, workers=0)
+    assert (repacked.repacked, dict(repacked.failed)) == (2, dict(report.damaged))
+    # A share that is gone, and a machine without files, end both.
+    for number in (errno.ESTALE, errno.EMFILE):
+        errors[sector] = OSError(number, "gone")
+        for command in (archive.verify, archive.repack):
+            with pytest.raises(archive.StoreError, match=f"{names[0]}.*gone"):
+                command(bucket, workers=0)
+
+
+def test_a_damaged_object_of_a_former_repack_is_a_failure_of_its_take(tmp_path):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 3, frames=400)
+    ingest(tmp_path / "c3d", bucket, tolerance=None, resampler="lossless")
+    row, *_ = takes(bucket)
+    new = mocapd_native.repack_take((bucket / row["object"]).read_bytes())
+    orphan = archive.object_name(row["key"], source_hash(new))
+    (bucket / orphan).write_bytes(new[:-1])
+    report = archive.repack(bucket, workers=0)
+    assert report.repacked == 2
+    ((name, error),) = report.failed
+    assert name == row["object"] and orphan in error and "remove this object" in error
+    (bucket / orphan).unlink()
+    assert archive.repack(bucket, workers=0).repacked == 1
+
+
+MACHINE = [
+    OSError(errno.ENOSPC, "No space left"),
+    OSError(errno.EMFILE, "Too many open files"),
+    BlockingIOError(errno.EAGAIN, "no thread"),
+    OSError(errno.ENOMEM, "Cannot allocate"),
+    # As the import states its temporary files.
+    OSError("cannot write the analog samples of the take to a temporary file"),
+    MemoryError(),
+]
+
+
+@pytest.mark.parametrize("error", MACHINE, ids=repr)
+def test_trouble_of_the_machine_is_no_failure_of_a_file(error, tmp_path, monkeypatch):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 3)
+
+    def fail(*_):
+        raise error
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ingest_module, "import_motion", fail)
+        with pytest.raises(archive.StoreError, match="on this machine"):
+            ingest(tmp_path / "c3d", bucket)
+    if error.args[1:] or isinstance(error, MemoryError):
+        with monkeypatch.context() as patched:
+            failing_reads(patched, {".c3d": error})
+            with pytest.raises(archive.StoreError, match="cannot read"):
+                ingest(tmp_path / "c3d", bucket)
+    assert not (bucket / "_delta_log").exists() or archive.catalogue(bucket).arrow().num_rows == 0
+    report = ingest(tmp_path / "c3d", bucket)
+    assert (report.takes, report.failed_before) == (3, 0)
+
+
+def test_no_folder_for_temporary_files_is_no_failure_of_a_file(tmp_path, monkeypatch):
+    (tmp_path / "c3d").mkdir()
+    frames, per_frame, channels = 12_000, 10, 20
+    analog = np.random.default_rng(1).normal(0, 1, (frames * per_frame, channels))
+    data = c3d_file(motion(1, frames), analog, per_frame, channel_records(channels), rate_hz=100.0)
+    (tmp_path / "c3d" / "long.c3d").write_bytes(data)
+    with monkeypatch.context() as patched:
+        patched.setenv("TMPDIR", str(tmp_path / "none"))
+        with pytest.raises(archive.StoreError, match="TMPDIR"):
+            ingest(tmp_path / "c3d", tmp_path / "archive")
+    assert ingest(tmp_path / "c3d", tmp_path / "archive").takes == 1
+
+
+def test_a_locked_folder_is_a_failed_row_and_the_others_continue(tmp_path, monkeypatch):
+    folder, bucket = tmp_path / "c3d", tmp_path / "archive"
+    write_c3ds(folder, 3)
+    locked = folder / "deep" / "lost+found"
+    locked.mkdir(parents=True)
+    scan = os.scandir
+
+    def scandir(path="."):
+        # Root may list all folders.
+        if os.fspath(path) == str(locked):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    report = ingest(folder, bucket)
+    assert (report.takes, report.failed) == (3, 1)
+    ((source, error),) = report.errors
+    assert source == f"file://{locked}" and "may not be listed" in error
+    report = ingest(folder, bucket)
+    assert (report.failed, report.failed_before, report.unchanged) == (0, 1, 4)
+    # The archive itself has none: what is in it would be taken for missing.
+    locked = bucket / "takes"
+    with pytest.raises(PermissionError):
+        archive.verify(bucket, workers=0)
+    locked = folder
+    with pytest.raises(PermissionError):
+        ingest(folder, bucket)
+
+
+class FakeRay:
+    """Ray, every task of which ends with an error."""
+
+    def __init__(self, name, *words):
+        self.exceptions = pytest.importorskip("ray").exceptions
+        self.error = getattr(self.exceptions, name)(*words)
+
+    def put(self, value):
+        return value
+
+    def remote(self, **_):
+        return lambda _: SimpleNamespace(remote=lambda *_: object())
+
+    def cluster_resources(self):
+        return {"CPU": 1}
+
+    def wait(self, references, num_returns):
+        return references[:1], references[1:]
+
+    def cancel(self, *_, **__):
+        pass
+
+    def get(self, _):
+        raise self.error
+
+
+@pytest.mark.parametrize("name", ["RuntimeEnvSetupError", "RaySystemError", "TaskUnschedulableError", "OutOfDiskError"])
+def test_trouble_of_ray_is_no_failure_of_a_file(name):
+    fake = FakeRay(name, "no such environment")
+    with pytest.raises(archive.StoreError, match=f"(?s){name}.*no such environment"):
+        list(workers_module._on_ray(fake, None, [["a", "b"]], 1, lambda item, reason: reason))
+
+
+@pytest.mark.parametrize("name", ["WorkerCrashedError", "OutOfMemoryError", "NodeDiedError"])
+def test_a_killed_worker_is_a_failure_with_its_reason(name):
+    fake = FakeRay(name, *([] if name == "WorkerCrashedError" else ["killed\nmore"]))
+    found = list(workers_module._on_ray(fake, None, [["a", "b"]], 1, lambda item, reason: (item, reason)))
+    assert sorted(item for item, _ in found) == [["a"], ["b"]]
+    assert all(name in reason and "\n" not in reason for _, (_, reason) in found)
+
+
+def test_takes_that_end_their_worker_are_lines_of_the_reports(tmp_path, monkeypatch):
+    bucket = tmp_path / "archive"
+    write_c3ds(tmp_path / "c3d", 2)
+    ingest(tmp_path / "c3d", bucket)
+
+    def end_each(run, items, workers, lost=None):
+        return workers_module._on_ray(FakeRay("WorkerCrashedError"), run, items, workers, lost)
+
+    monkeypatch.setattr(upkeep_module, "run_tasks", end_each)
+    names = {row["object"] for row in takes(bucket)}
+    for found in (archive.verify(bucket).damaged, archive.repack(bucket).failed):
+        assert {name for name, _ in found} == names
+        assert all("ended the process 5 times" in error and "WorkerCrashed" in error for _, error in found)

@@ -25,7 +25,7 @@ from ._catalogue import Catalogue, Known, bucket_of, pair_digest
 from ._keys import Settings, content_key, key_seconds, object_name, source_hash, to_json, tolerance_mm
 from ._lease import writing
 from ._schema import SCHEMA, new_row, take_fields
-from ._sources import BATCH_FILES, Names, SourceFile, Sources, batches, find, is_of_file
+from ._sources import BATCH_FILES, Names, SourceFile, Sources, batches, find, is_of_file, is_of_machine
 from ._store import Store, StoreError, open_store
 from ._workers import ATTEMPTS, run_tasks
 
@@ -102,13 +102,16 @@ class ImportTask:
         rows = [row for file in files if (row := self._row(file)) is not None]
         try:
             return pa.RecordBatch.from_pylist(rows, SCHEMA)
+        except MemoryError as error:
+            # Also an ArrowException.
+            raise StoreError(f"no memory for {len(rows)} rows: {error}") from error
         except (pa.ArrowException, OverflowError):
             # A number in one of them, such as a count of a hostile take, has no place in its column.
             return pa.RecordBatch.from_pylist([_representable(row) for row in rows], SCHEMA)
 
-    def lost(self, file: SourceFile) -> pa.RecordBatch:
+    def lost(self, file: SourceFile, reason: str) -> pa.RecordBatch:
         """The row of a file whose import ends each worker."""
-        error = f"its import ended the process {ATTEMPTS} times: out of memory?"
+        error = f"its import ended the process {ATTEMPTS} times, out of memory? {reason}"
         is_known = self._is_known(None, file.source)
         return pa.RecordBatch.from_pylist([] if is_known else [self._failed(file, error)], SCHEMA)
 
@@ -122,7 +125,7 @@ class ImportTask:
             # Of the archive, and not of the file: no row.
             return new_row("damaged", file.source, error=f"{error}: remove this object if it is damaged")
         except Exception as error:
-            if not is_of_file(error, file):
+            if not is_of_file(error, file.store):
                 raise StoreError(f"cannot read {file.source}: {error}") from error
             return self._failed(file, f"cannot be imported: {_reason(error)}")
 
@@ -135,7 +138,7 @@ class ImportTask:
         try:
             data = file.read()
         except Exception as error:
-            if isinstance(error, StoreError) or not is_of_file(error, file):
+            if isinstance(error, StoreError) or not is_of_file(error, file.store):
                 raise
             if self._is_known(None, file.source):
                 return None
@@ -158,6 +161,9 @@ class ImportTask:
         try:
             take, described = self._import(data, file.format, subject)
         except Exception as error:
+            # A source is bytes in memory, and wrong ones are no OSError: that is of temporary files and threads.
+            if is_of_machine(error) or (isinstance(error, OSError) and file.format != "take"):
+                raise StoreError(f"cannot import {file.source} on this machine: {error or 'out of memory'}") from error
             return self._failed(file, _reason(error), **fields)
         try:
             self.bucket.put_if_absent(object_name(key), take)
@@ -194,6 +200,8 @@ def _representable(row: dict[str, Any]) -> dict[str, Any]:
         pa.RecordBatch.from_pylist([row], SCHEMA)
         return row
     except (pa.ArrowException, OverflowError) as error:
+        if isinstance(error, MemoryError):
+            raise
         kept = ("key", "source_sha256", "source_bytes", "format", "settings", "session")
         fields = {name: row.get(name) for name in kept}
         return new_row("failed", row["source"], error=f"its description cannot be stored: {error}", **fields)

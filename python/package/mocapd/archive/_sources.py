@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from ._keys import FORMATS, format_of
-from ._store import FolderStore, Store, StoreError, open_store
+from ._store import Entry, FolderStore, Store, StoreError, open_store
 
 BATCH_FILES = 64
 """Most files of a task: at 60 files a second a task then takes a second, a hundred times what Ray needs to start it."""
@@ -93,12 +93,38 @@ def _find_in(text: str) -> Iterator[SourceFile]:
         yield file
         return
     store, is_empty = open_store(text), True
+    if isinstance(store, FolderStore):
+        store = _SourceFolder(store.url.removeprefix("file://"))
     for entry in store.list():
         is_empty = False
-        if format_of(entry.name) is not None:
+        if format_of(entry.name) is not None or (isinstance(store, _SourceFolder) and entry.name in store.locked):
             yield SourceFile(store, entry.name, entry.n_bytes)
     if is_empty and "://" in text:
         raise FileNotFoundError(2, "no such file or folder to ingest, or an empty one", text)
+
+
+class _SourceFolder(FolderStore):
+    """A folder of sources. A folder in it that may not be listed, such as lost+found, is listed itself: as a file, which
+    fails when it is read.
+    """
+
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        self.locked: set[str] = set()
+
+    def _walk(self, folder: str, begin: str = "") -> Iterator[Entry]:
+        try:
+            yield from super()._walk(folder, begin)
+        except PermissionError:
+            if not folder:
+                raise
+            self.locked.add(folder)
+            yield Entry(folder, 0, None)
+
+    def get(self, name: str) -> bytes:
+        if name in self.locked:
+            raise PermissionError(errno.EACCES, "the folder may not be listed", name)
+        return super().get(name)
 
 
 def _one(store: Store, name: str) -> SourceFile | None:
@@ -120,12 +146,21 @@ def batches(files: Iterable[SourceFile], files_max: int) -> Iterator[list[Source
         yield batch
 
 
-OF_STORE = {errno.EIO, errno.ESTALE, errno.ENOTCONN, errno.ETIMEDOUT, errno.ENODEV, errno.EHOSTDOWN, errno.ENOMEM}
+OF_STORE = {errno.EIO, errno.ESTALE, errno.ENOTCONN, errno.ETIMEDOUT, errno.ENODEV, errno.EHOSTDOWN}
 """Errors of reading that every file of a disk or share has that is gone."""
 
 
-def is_of_file(error: Exception, file: SourceFile) -> bool:
-    """Whether an error of reading is of the file, and not of its store."""
+OF_MACHINE = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM}
+"""Errors that say that this machine lacks space, files, threads or memory: any file may get them."""
+
+
+def is_of_machine(error: Exception) -> bool:
+    return isinstance(error, MemoryError) or getattr(error, "errno", None) in OF_MACHINE
+
+
+def is_of_file(error: Exception, store: Store) -> bool:
+    """Whether an error of reading a file is its own, and neither of its store nor of this machine."""
     # Credentials that expire are refused for every object.
-    is_refused = isinstance(error, PermissionError) and not isinstance(file.store, FolderStore)
-    return not (isinstance(error, StoreError) or is_refused or getattr(error, "errno", None) in OF_STORE)
+    is_refused = isinstance(error, PermissionError) and not isinstance(store, FolderStore)
+    is_of_store = isinstance(error, StoreError) or is_refused or getattr(error, "errno", None) in OF_STORE
+    return not is_of_store and not is_of_machine(error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,8 +12,9 @@ from .._native import TakeError, TakeFile, check_take, repack_take
 from ._catalogue import Catalogue, bucket_of
 from ._keys import object_key, object_name, source_hash
 from ._lease import DEAD_S, leases, writing
-from ._store import Entry, Store, StoreError, open_store
-from ._workers import run_tasks
+from ._sources import is_of_file, is_of_machine
+from ._store import Entry, FolderStore, Store, StoreError, open_store
+from ._workers import ATTEMPTS, run_tasks
 
 BATCH_TAKES = 64
 """Takes of a task, as of an ingest."""
@@ -34,7 +36,7 @@ class VerifyReport:
     takes: int = 0
     n_bytes: int = 0
     damaged: list[tuple[str, str]] = field(default_factory=list)
-    """Objects, and what is wrong with each."""
+    """Objects, and what is wrong with each, or why it could not be read or verified."""
     missing: list[str] = field(default_factory=list)
     """Objects that rows name, but that do not exist."""
     unlisted: list[str] = field(default_factory=list)
@@ -51,6 +53,14 @@ class VerifyReport:
         )
 
 
+def _unreadable(store: Store, name: str, error: OSError) -> str:
+    """What is wrong with a take that cannot be read, or a StoreError if it is the store."""
+    # A bad sector of a disk has the error of a share that is gone; of that, every take is listed.
+    if is_of_file(error, store) or (error.errno == errno.EIO and isinstance(store, FolderStore)):
+        return f"cannot be read: {error.strerror or error}"
+    raise StoreError(f"cannot read {name}: {error}") from error
+
+
 @dataclass(frozen=True)
 class _Verify:
     bucket: Store
@@ -65,10 +75,14 @@ class _Verify:
                 found.append((row["object"], None, None))
                 continue
             except OSError as error:
-                # Of the store, not of the take.
-                raise StoreError(f"cannot read {row['object']}: {error}") from error
+                found.append((row["object"], 0, _unreadable(self.bucket, row["object"], error)))
+                continue
             found.append((row["object"], len(data), self._problem(row, data)))
         return found
+
+    @staticmethod
+    def lost(row: dict[str, Any], reason: str) -> list[tuple[str, int | None, str | None]]:
+        return [(row["object"], 0, f"its verification ended the process {ATTEMPTS} times, out of memory? {reason}")]
 
     @staticmethod
     def _problem(row: dict[str, Any], data: bytes) -> str | None:
@@ -79,6 +93,8 @@ class _Verify:
             take = TakeFile.from_bytes(data)
             present = (take.ledger() or {}).get("samples_present")
         except (TakeError, ValueError, OSError) as error:
+            if is_of_machine(error):
+                raise StoreError(f"cannot verify {row['object']} on this machine: {error}") from error
             return str(error)
         if problems:
             return problems[0]
@@ -90,7 +106,9 @@ class _Verify:
 
 
 def verify(bucket: Any = None, *, workers: int | None = None) -> VerifyReport:
-    """Reads every take of an archive whole, decodes it, and compares it with its row."""
+    """Reads every take of an archive whole, decodes it, and compares it with its row. One that cannot be read is listed
+    as damaged, and the others follow.
+    """
     store = open_store(bucket_of(bucket))
     table = Catalogue(store)
     table.existing()
@@ -100,7 +118,7 @@ def verify(bucket: Any = None, *, workers: int | None = None) -> VerifyReport:
     rows = list({row["object"]: row for row in listed if row["status"] == "take"}.values())
     report = VerifyReport(takes=len(rows))
     report.unlisted = sorted({entry.name for entry in store.list("takes/")} - {row["object"] for row in listed})
-    for _, found in run_tasks(_Verify(store).run, _groups(rows), workers):
+    for _, found in run_tasks(_Verify(store).run, _groups(rows), workers, _Verify.lost):
         for name, n_bytes, problem in found:
             report.n_bytes += n_bytes or 0
             if n_bytes is None:
@@ -137,15 +155,31 @@ class _Repack:
         """The rows, with the new object and its size, or with an error."""
         return [row | self._repack(row) for row in rows]
 
+    @staticmethod
+    def lost(row: dict[str, Any], reason: str) -> list[dict[str, Any]]:
+        return [row | {"error": f"its repack ended the process {ATTEMPTS} times, out of memory? {reason}"}]
+
     def _repack(self, row: dict[str, Any]) -> dict[str, Any]:
         try:
-            new = repack_take(self.bucket.get(row["object"]))
-        except (TakeError, ValueError, FileNotFoundError) as error:
+            data = self.bucket.get(row["object"])
+        except FileNotFoundError as error:
+            return {"error": str(error)}
+        except OSError as error:
+            return {"error": _unreadable(self.bucket, row["object"], error)}
+        try:
+            new = repack_take(data)
+        except (TakeError, ValueError) as error:
             return {"error": str(error)}
         if new is None:
             return {"error": None}
         name = object_name(row["key"], source_hash(new))
-        self.bucket.put_if_absent(name, new)
+        try:
+            self.bucket.put_if_absent(name, new)
+        except FileExistsError as error:
+            # Of a repack that did not end, and damaged since.
+            return {"error": f"{error}: remove this object if it is damaged"}
+        except OSError as error:
+            raise StoreError(f"cannot write {name}: {error}") from error
         return {"error": None, "new": name, "new_bytes": len(new), "new_sha256": source_hash(new)}
 
 
@@ -164,7 +198,7 @@ def repack(bucket: Any = None, *, workers: int | None = None) -> RepackReport:
     with writing(store):
         since = time.monotonic()
         try:
-            for _, found in run_tasks(_Repack(store).run, _groups(rows), workers):
+            for _, found in run_tasks(_Repack(store).run, _groups(rows), workers, _Repack.lost):
                 for row in found:
                     report.bytes_before += row["take_bytes"]
                     report.bytes_after += row.get("new_bytes", row["take_bytes"])

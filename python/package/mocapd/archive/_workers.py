@@ -28,18 +28,19 @@ def run_tasks(
     run: Callable[[list[Item]], Result],
     items: Sequence[list[Item]],
     workers: int | None,
-    lost: Callable[[Item], Result] | None = None,
+    lost: Callable[[Item, str], Result] | None = None,
 ) -> Iterator[tuple[list[Item], Result]]:
     """Calls a function for each list of items, on at most so many workers, and yields the lists with their results, as they
     are done. ``workers=0`` calls it in this process.
 
     If a worker dies, the items of its list follow one by one, so that others are not lost with one that needs too much
-    memory; ``lost`` gives the result of an item that has ended its worker in each attempt.
+    memory; ``lost`` gives the result of an item that has ended its worker in each attempt, from the item and Ray's reason.
 
     Raises
     ------
     StoreError
-        If the store of a task failed in each of its attempts, or a worker died in each of them without ``lost``.
+        If the store of a task failed in each of its attempts, a worker died in each of them without ``lost``, or Ray cannot
+        run tasks.
     """
     if workers == 0:
         for item in items:
@@ -100,6 +101,9 @@ def _on_ray(ray: Any, run: Any, items: Any, workers: int | None, lost: Any) -> I
                         raise error.cause from error
                     raise
                 except ray.exceptions.RayError as error:
+                    # Others, such as of an environment that cannot be set up, are of every task.
+                    if not isinstance(error, _deaths(ray)):
+                        raise StoreError(f"Ray cannot run a task: {type(error).__name__}: {error}") from error
                     if len(item) > 1:
                         again += [([one], 1) for one in item]
                         continue
@@ -108,8 +112,19 @@ def _on_ray(ray: Any, run: Any, items: Any, workers: int | None, lost: Any) -> I
                         continue
                     if lost is None:
                         raise StoreError(f"a worker died {ATTEMPTS} times on the same task: {error}") from error
-                    result = lost(item[0])
+                    result = lost(item[0], _first_line(error))
                 yield item, result
     finally:
         for reference in waiting:
             ray.cancel(reference, force=False)
+
+
+def _deaths(ray: Any) -> tuple[type[Exception], ...]:
+    """Ray's errors of a task whose worker or node ended, with the result that was there."""
+    found = ray.exceptions
+    return found.WorkerCrashedError, found.OutOfMemoryError, found.NodeDiedError, found.ObjectLostError
+
+
+def _first_line(error: Exception) -> str:
+    """Of what Ray says, which goes on with its configuration and lists of processes."""
+    return f"{type(error).__name__}: {error}".splitlines()[0][:200]
