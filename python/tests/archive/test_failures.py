@@ -1,8 +1,10 @@
 """What fails in an archive, and what the same command does then."""
 
 import errno
+import json
 import os
 import stat
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +14,7 @@ from deltalake.exceptions import DeltaError
 archive = pytest.importorskip("mocapd.archive")
 
 import mocapd._native as mocapd_native  # noqa: E402
+import mocapd.archive.__main__ as command_module  # noqa: E402
 import mocapd.archive._catalogue as catalogue_module  # noqa: E402
 import mocapd.archive._ingest as ingest_module  # noqa: E402
 import mocapd.archive._upkeep as upkeep_module  # noqa: E402
@@ -421,3 +424,13 @@ def test_takes_that_end_their_worker_are_lines_of_the_reports(tmp_path, monkeypa
     for found in (archive.verify(bucket).damaged, archive.repack(bucket).failed):
         assert {name for name, _ in found} == names
         assert all("ended the process 5 times" in error and "WorkerCrashed" in error for _, error in found)
+
+
+def test_an_axis_that_points_down_on_the_command_line(tmp_path, monkeypatch, capsys):
+    write_c3ds(tmp_path / "c3d", 2)
+    for up in (["--up", "-z"], ["--up=-z"]):
+        words = ["ingest", str(tmp_path / "c3d"), "-b", str(tmp_path / "archive"), "--workers", "0", *up]
+        monkeypatch.setattr(sys, "argv", ["mocapd archive", *words])
+        assert command_module.main() == 0, capsys.readouterr().err
+    assert {json.loads(row["settings"])["up"] for row in takes(tmp_path / "archive")} == {"-z"}
+    assert len(takes(tmp_path / "archive")) == 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from dataclasses import asdict
 from typing import Any
@@ -147,8 +148,19 @@ def _collect(args: argparse.Namespace) -> int:
     return _DONE
 
 
+def _joined(words: list[str]) -> list[str]:
+    """The words of a command line, with ``--up -z`` as ``--up=-z``: argparse would take ``-z`` for an option."""
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1] == "--up" and "--" not in joined and re.fullmatch("-[xyzXYZ]", word):
+            joined[-1] = f"--up={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
 def main() -> int:
-    args = _parser().parse_args()
+    args = _parser().parse_args(_joined(sys.argv[1:]))
     try:
         return int(args.run(args))
     except ValueError as error:
