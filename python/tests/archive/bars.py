@@ -4,8 +4,9 @@
     python python/tests/archive/bars.py catalogue --rows 1000000
     python python/tests/archive/bars.py windows --takes 1000 --bucket s3://takes-test/bars
 
-The last one needs the package zarr. Each prints the load of the machine. Files are generated, at most 40 kB, and stay in --folder for the next run. With
-AWS_ENDPOINT_URL and --bucket s3://..., the store is measured, as moto.server; CONTRIBUTING.md says how times are compared.
+The last one needs the package zarr. Each prints the load of the machine. Files are generated, at most 40 kB, and stay
+in --folder for the next run. With AWS_ENDPOINT_URL and --bucket s3://..., the store is measured, as moto.server;
+CONTRIBUTING.md says how times are compared.
 """
 
 import argparse
@@ -17,15 +18,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import zarr
-import zarr.storage
 from made import RATE_HZ, c3d, motion
 from pyarrow import parquet
-from zarr.core.buffer import cpu as cpu_buffer
 
 import mocapd
 from mocapd import archive
-
 
 ROWS = 5000
 """Of a commit of an ingest."""
@@ -150,6 +147,9 @@ def windows(args):
         found = file.read_row_groups(groups, columns=columns, use_threads=False).to_pandas().to_numpy()
         return found[first - 1000 * groups[0] :][:100].reshape(100, 2, 3)
 
+    import zarr.storage
+    from zarr.core.buffer import cpu as cpu_buffer
+
     def from_zarr(number, first):
         names = ["zarr.json", *(f"c/{chunk}/0/0" for chunk in sorted({first // 500, (first + 99) // 500}))]
         found = {name: cpu_buffer.Buffer.from_bytes(whole(store, f"zarr/{number}/{name}")) for name in names}
@@ -224,6 +224,8 @@ def as_parquet(points, labels):
 
 
 def as_zarr(points):
+    import zarr.storage
+
     store = zarr.storage.MemoryStore()
     array = zarr.create_array(store, shape=points.shape, chunks=(500, 20, 3), dtype="float32")
     array[:] = points
