@@ -38,6 +38,23 @@ def takes(bucket):
     return [row for row in rows if row["status"] == "take"]
 
 
+def test_a_file_system_that_cannot_sync_folders(tmp_path, monkeypatch):
+    """As that of a Windows drive in WSL; other errors of the disk are errors of the store."""
+    sync, code = os.fsync, errno.EINVAL
+
+    def fsync(file):
+        if stat.S_ISDIR(os.fstat(file).st_mode):
+            raise OSError(code, os.strerror(code))
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_c3ds(tmp_path / "c3d", 2)
+    assert ingest(tmp_path / "c3d", tmp_path / "archive").takes == 2
+    code = errno.EIO
+    with pytest.raises(archive.StoreError):
+        ingest(tmp_path / "c3d", tmp_path / "other")
+
+
 def test_lost_and_damaged_takes_are_imported_again(tmp_path):
     bucket = tmp_path / "archive"
     write_c3ds(tmp_path / "c3d", 5)

@@ -126,6 +126,8 @@ def test_reading_resumes_where_it_was(bucket):
     ):
         with pytest.raises(ValueError, match="other windows"):
             others.resume(state)
+    with pytest.raises(ValueError, match="sharded"):
+        again.sharded(0, 2)
 
 
 def test_the_order_of_rows_changes_nothing(bucket):

@@ -34,8 +34,8 @@ const REPEATED_MAX: Duration = Duration::from_secs(30);
 /// Longest time of one call: a request, its repetitions, and as much for credentials.
 const CALL_MAX: Duration = Duration::from_secs(2 * (60 + 30));
 
-/// Longest time of a list. Each of its requests, for a thousand objects, has [`REQUEST_MAX`]; a million objects took 1000
-/// requests one after another, a few minutes.
+/// Longest time of a list. A request lists at most a thousand objects, and each has [`REQUEST_MAX`]: for a million objects,
+/// which need 1000 requests one after another, 3.6 s remain for each.
 pub(super) const LIST_MAX: Duration = Duration::from_secs(3600);
 
 /// The client of the bucket of `url`, whose requests may take `request_max`, unless the environment has another limit.

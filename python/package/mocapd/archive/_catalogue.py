@@ -117,7 +117,7 @@ class Catalogue:
         versions |= {entry["version"] for entry in changes if entry["operation"] == "DELETE"}
         for version in versions - {0}:
             before = DeltaTable(self.url, version=version - 1, storage_options=self._options)
-            # A version that was vacuumed can be read by nobody.
+            # Nobody can read a version whose files were vacuumed.
             with suppress(FileNotFoundError):
                 named.update(_read(before, ["object"]).column("object").to_pylist())
         return named - {None}

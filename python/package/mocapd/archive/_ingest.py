@@ -27,13 +27,14 @@ from ._lease import writing
 from ._schema import SCHEMA, new_row, take_fields
 from ._sources import BATCH_FILES, Names, SourceFile, Sources, batches, find, is_of_file, is_of_machine
 from ._store import Store, StoreError, open_store
-from ._workers import ATTEMPTS, run_tasks
+from ._workers import ended_process, run_tasks
 
 COMMIT_ROWS = 5000
 """Rows of a commit: a Delta table of 10^6 rows then has 200 files, each of about a megabyte."""
 
 COMMIT_S = 60.0
-"""Time after which rows are committed although they are fewer: the work that a killed driver loses the rows of."""
+"""Time after which fewer rows are committed: a killed driver loses those of a minute, and a repack's new objects have rows
+before they are old enough to be collected."""
 
 
 @dataclass
@@ -111,12 +112,12 @@ class ImportTask:
 
     def lost(self, file: SourceFile, reason: str) -> pa.RecordBatch:
         """The row of a file whose import ends each worker."""
-        error = f"its import ended the process {ATTEMPTS} times, out of memory? {reason}"
+        error = ended_process("its import", reason)
         is_known = self._is_known(None, file.source)
         return pa.RecordBatch.from_pylist([] if is_known else [self._failed(file, error)], SCHEMA)
 
     def _row(self, file: SourceFile) -> dict[str, Any] | None:
-        """The row of a file: whatever is wrong with a file ends in a row of its own."""
+        """The row of a file; of one that cannot be imported, a row with the error."""
         try:
             return self._imported(file)
         except StoreError:

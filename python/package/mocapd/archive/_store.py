@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import stat
@@ -233,6 +234,10 @@ def _sync_folder(path: Path) -> None:
     folder = os.open(path, os.O_RDONLY)
     try:
         os.fsync(folder)
+    except OSError as error:
+        # Some file systems, such as those of Windows in WSL, cannot sync folders.
+        if error.errno != errno.EINVAL:
+            raise
     finally:
         os.close(folder)
 

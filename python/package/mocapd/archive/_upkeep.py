@@ -10,23 +10,16 @@ from typing import Any
 
 from .._native import TakeError, TakeFile, check_take, repack_take
 from ._catalogue import Catalogue, bucket_of
+from ._ingest import COMMIT_ROWS, COMMIT_S
 from ._keys import object_key, object_name, source_hash
 from ._lease import DEAD_S, leases, writing
-from ._sources import is_of_file, is_of_machine
+from ._sources import BATCH_FILES, is_of_file, is_of_machine
 from ._store import Entry, FolderStore, Store, StoreError, open_store
-from ._workers import ATTEMPTS, run_tasks
-
-BATCH_TAKES = 64
-"""Takes of a task, as of an ingest."""
+from ._workers import ended_process, run_tasks
 
 YOUNG_S = 24 * 3600.0
 """Age below which :func:`collect` leaves an object, and time for which it leaves one that a row named: what reads an older
 version of the table, such as an epoch of training, has a day to end."""
-
-MOVED_ROWS = 5000
-MOVED_S = 60.0
-"""Takes, and time, after which a repack commits their new objects. A commit rewrites the files of the table that name
-them."""
 
 
 @dataclass
@@ -82,7 +75,7 @@ class _Verify:
 
     @staticmethod
     def lost(row: dict[str, Any], reason: str) -> list[tuple[str, int | None, str | None]]:
-        return [(row["object"], 0, f"its verification ended the process {ATTEMPTS} times, out of memory? {reason}")]
+        return [(row["object"], 0, ended_process("its verification", reason))]
 
     @staticmethod
     def _problem(row: dict[str, Any], data: bytes) -> str | None:
@@ -157,7 +150,7 @@ class _Repack:
 
     @staticmethod
     def lost(row: dict[str, Any], reason: str) -> list[dict[str, Any]]:
-        return [row | {"error": f"its repack ended the process {ATTEMPTS} times, out of memory? {reason}"}]
+        return [row | {"error": ended_process("its repack", reason)}]
 
     def _repack(self, row: dict[str, Any]) -> dict[str, Any]:
         try:
@@ -207,7 +200,7 @@ def repack(bucket: Any = None, *, workers: int | None = None) -> RepackReport:
                     elif "new" in row:
                         changed.append(row)
                         report.repacked += 1
-                if len(changed) >= MOVED_ROWS or time.monotonic() - since >= MOVED_S:
+                if len(changed) >= COMMIT_ROWS or time.monotonic() - since >= COMMIT_S:
                     moving, changed, since = changed, [], time.monotonic()
                     table.move(moving)
         finally:
@@ -265,4 +258,4 @@ def _refuse_leases(store: Store) -> None:
 
 
 def _groups(rows: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
-    return [rows[first : first + BATCH_TAKES] for first in range(0, len(rows), BATCH_TAKES)]
+    return [rows[first : first + BATCH_FILES] for first in range(0, len(rows), BATCH_FILES)]

@@ -278,7 +278,9 @@ class Windows:
         return replace(self, epoch=self.epoch + 1, done=0)
 
     def sharded(self, rank: int, count: int) -> Windows:
-        """One of several parts, for the readers of a cluster."""
+        """One of several parts, for the readers of a cluster. Divide first, and resume then: a position is that of a part."""
+        if self.done:
+            raise ValueError("windows that were resumed cannot be divided: call sharded() before resume()")
         return replace(self, shard=_checked((rank, count)), done=0)
 
     def state(self) -> dict[str, Any]:

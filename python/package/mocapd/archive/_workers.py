@@ -14,8 +14,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 ATTEMPTS = 5
-"""Attempts of an operation whose store fails, and of a task whose worker dies: a node that leaves the cluster takes a task
-with it once; one that fails five times fails for a reason of its own."""
+"""Attempts of an operation whose store fails, and of a task whose worker dies: a task that was
+running on a node that left the cluster succeeds elsewhere; one that fails five times will not succeed."""
 
 WAIT_S = 0.5
 """Before the second attempt when a store failed; twice as long before each further one, 7.5 s in all."""
@@ -59,6 +59,11 @@ def run_tasks(
     finally:
         if started:
             ray.shutdown()
+
+
+def ended_process(what: str, reason: str) -> str:
+    """The error of an item that is lost."""
+    return f"{what} ended the process {ATTEMPTS} times, out of memory? {reason}"
 
 
 def call(run: Callable[[Any], Result], item: Any) -> Result:
