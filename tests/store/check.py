@@ -5,6 +5,7 @@ the requests and bytes of windows.
     check.py --mocapd target/debug/mocapd --mocapd-sim target/debug/mocapd-sim --windows target/debug/examples/windows
 
 With --mocapd-sim, a service records a simulated device and uploads its takes while the store hangs, fails and comes back.
+With --markers 200 --rate 1000 --seconds 20 each take is one of a large rig; docs/archive.md has the result.
 """
 
 import argparse
@@ -31,6 +32,9 @@ def main():
     arguments.add_argument("--windows", required=True, type=Path, help="the example `windows` of the crate mocapd-store")
     arguments.add_argument("--mocapd-sim", type=Path)
     arguments.add_argument("--only-uploads", action="store_true")
+    arguments.add_argument("--markers", type=int, default=15, help="of the simulated device")
+    arguments.add_argument("--rate", type=int, default=240, help="frames a second of the simulated device")
+    arguments.add_argument("--seconds", type=float, default=1, help="of each take that is recorded")
     options = arguments.parse_args()
     # A rig waits for a store most of the time: the commands have another one meanwhile.
     with ThreadPoolExecutor() as pool:
@@ -48,7 +52,7 @@ def with_store(check, options):
 
 
 def check_uploads(options, folder, store):
-    uploads.check(report, options.mocapd, options.mocapd_sim, folder / "rig", store)
+    uploads.check(report, options, folder / "rig", store)
 
 
 def check_commands(options, folder, store):

@@ -15,8 +15,11 @@ JOURNAL = ".mocapd-archive.json"
 class Service:
     """A simulated device, and the service that records it and uploads to the store."""
 
-    def __init__(self, mocapd, simulator, folder, store, archive):
-        self.mocapd, self.simulator, self.folder, self.store = mocapd, simulator, folder, store
+    def __init__(self, options, folder, store, archive):
+        self.mocapd, self.simulator, self.folder, self.store = options.mocapd, options.mocapd_sim, folder, store
+        self.motion = ["--markers", options.markers, "--rate", options.rate]
+        # For one request: a take of some seconds is sent in one.
+        self.time_limit_s = max(1, round(options.seconds / 2))
         self.takes, self.pty, self.children = folder / "takes", folder / "rig", []
         self.url = f"http://127.0.0.1:{free_port()}"
         self.config = folder / "mocapd.toml"
@@ -30,7 +33,7 @@ class Service:
         )
 
     def __enter__(self):
-        self.spawn(self.simulator, "serve", "--generate", "jump:1", "--seconds", "3", "--rate", "240", "--loop",
+        self.spawn(self.simulator, "serve", "--generate", "jump:1", "--seconds", "3", *self.motion, "--loop",
                    f"--pty={self.pty}")
         until(self.pty.exists, 20)
         self.start()
@@ -46,7 +49,7 @@ class Service:
 
     def spawn(self, program, *arguments):
         log = open(self.folder / f"{program.name}.log", "ab")
-        environment = {**self.store.environment(), "AWS_TIMEOUT": "1 second"}
+        environment = {**self.store.environment(), "AWS_TIMEOUT": f"{self.time_limit_s} seconds"}
         child = subprocess.Popen([str(program), *map(str, arguments)], stdout=log, stderr=log, env=environment)
         self.children.append(child)
         return child
@@ -105,25 +108,27 @@ def lossless(ledger):
     return ledger["closes"] and ledger["recorded"] > 0 and ledger["frames_sent"] == ledger["recorded"]
 
 
-def check(report, mocapd, simulator, folder, store):
+def check(report, options, folder, store):
     folder.mkdir()
-    with Service(mocapd, simulator, folder, store, "") as service:
-        ledgers = [service.record("works", 1)]
+    with Service(options, folder, store, "") as service:
+        ledgers = [service.record("works", options.seconds)]
         uploaded = until(lambda: service.uploads().get("works") == "uploaded", 20)
         same = store.content("rig/works.take") == (service.takes / "works.take").read_bytes()
         report("a finished take is uploaded", uploaded and same, service.log())
         # The upload of the take before meets a store that hangs, or fails, while the next one is recorded.
         for mode in ("hangs", "fails"):
-            ledgers.append(service.record(f"before-{mode}", 1))
+            ledgers.append(service.record(f"before-{mode}", options.seconds))
             store.mode = mode
             before = len(store.requests)
             # Requests that only ask are repeated, which takes some seconds.
             service.ask("/v1/start", {"name": f"while-{mode}"})
             until(lambda: service.status()["archive"]["error"] is not None, 40)
+            time.sleep(options.seconds)
             asked = len(store.requests) - before
             status = service.status()["archive"]
             ledgers.append(service.ask("/v1/stop", {})["ledger"])
-            waiting = service.uploads().get(f"before-{mode}") == "waiting"
+            # Or on its next attempt.
+            waiting = service.uploads().get(f"before-{mode}") in ("waiting", "uploading")
             store.mode = "works"
             report(f"while the store {mode}, takes wait, and the status says why",
                    asked > 0 and waiting and status["error"] is not None and status["waiting"] >= 1, f"{asked} {status}")

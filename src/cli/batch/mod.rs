@@ -151,11 +151,14 @@ impl Job<'_> {
         Phase { counter, _display: None }
     }
 
-    /// A report as JSON: indented for a single file, a line for one of many.
+    /// A report as JSON: indented for a single file, a line for one of many; empty unless it was asked for.
     ///
     /// # Errors
     /// If it cannot be serialised.
     pub(crate) fn json(&self, report: &impl Serialize) -> anyhow::Result<String> {
+        if !self.is_json {
+            return Ok(String::new());
+        }
         if self.is_single { pretty_json(report) } else { json_line(report) }
     }
 }
