@@ -295,7 +295,10 @@ impl Uploader {
             return true;
         }
         self.store_retry = Some(Retry::after(self.store_retry));
-        inner.uploads.set(name, UploadState::Waiting, url, message.clone());
+        // A take that failed for a reason of its own has not got rid of it.
+        let has_own_reason = self.take_retries.contains_key(name);
+        let state = if has_own_reason { UploadState::Failed } else { UploadState::Waiting };
+        inner.uploads.set(name, state, url, message.clone());
         let before = lock(&inner.uploads.error).replace(message.clone());
         if before.is_none() {
             let message = format!("takes cannot be uploaded: {message}; retrying");

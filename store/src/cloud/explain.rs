@@ -92,6 +92,8 @@ fn element<'a>(answer: &'a str, name: &str) -> Option<&'a str> {
 fn detail(texts: &[String]) -> String {
     let of_xml = texts.iter().find_map(|text| element(text, "Message"));
     let text = of_xml.or_else(|| texts.last().map(String::as_str)).unwrap_or_default();
+    // A status that came without a text is followed by a colon and nothing.
+    let text = text.trim_start_matches(NOT_SUCCESSFUL).trim_end_matches([':', ' ', '\n']);
     let words: Vec<&str> = text.split_whitespace().collect();
     words.join(" ").chars().take(DETAIL_CHARS_MAX).collect()
 }
@@ -123,6 +125,13 @@ mod tests {
                 StoreError::Unavailable {
                     url: name(),
                     detail: "status 503, after 3 retries, retry_timeout: 30s".to_owned(),
+                },
+            ),
+            (
+                generic("Server returned non-2xx status code: 503 Service Unavailable: "),
+                StoreError::Unavailable {
+                    url: name(),
+                    detail: "503 Service Unavailable".to_owned(),
                 },
             ),
             (
