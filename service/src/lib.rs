@@ -18,6 +18,7 @@ pub mod http;
 pub mod live;
 pub mod log;
 pub mod notify;
+pub mod playback;
 pub mod process;
 pub mod status;
 pub mod subject;

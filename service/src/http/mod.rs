@@ -19,6 +19,7 @@ mod guard;
 mod login;
 mod metrics;
 mod options;
+mod playback;
 mod problem;
 mod routes;
 mod server;

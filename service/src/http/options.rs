@@ -24,7 +24,7 @@ pub(super) const UNIX_EXTRA: usize = work_queues::REQUESTS_MAX;
 const DESCRIPTORS: usize = 1024;
 
 /// Descriptors for everything but connections: the device, the take and its folder, the journal, timers and listeners
-/// need some 40, and each of the 14 threads of the listeners opens a few files.
+/// need some 40, and each of the 16 threads of the listeners opens a few files.
 const DESCRIPTORS_ELSEWHERE: usize = 128;
 
 /// For each of two listeners: its connections, a file for each download (half of them), rejected connections, and one
@@ -32,7 +32,7 @@ const DESCRIPTORS_ELSEWHERE: usize = 128;
 const DESCRIPTORS_OF_CONNECTIONS: usize =
     2 * (CONNECTIONS_MAX + CONNECTIONS_MAX.div_ceil(2) + LINGER_MAX + 1) + UNIX_EXTRA;
 
-// 2 * (256 + 128 + 32 + 1) + 55 + 128 = 1017.
+// 2 * (256 + 128 + 32 + 1) + 61 + 128 = 1023.
 const _: () = assert!(DESCRIPTORS_OF_CONNECTIONS + DESCRIPTORS_ELSEWHERE <= DESCRIPTORS);
 
 /// Where the server listens, and for whom.

@@ -26,7 +26,7 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     Shared,
     auth::COOKIE,
-    commands, guard, login, metrics,
+    commands, guard, login, metrics, playback,
     problem::{PROBLEM_JSON, Problem},
     streams, takes,
 };
@@ -46,6 +46,9 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(takes::takes))
         .routes(routes!(takes::download))
         .routes(routes!(takes::verify))
+        .routes(routes!(playback::overview))
+        .routes(routes!(playback::window))
+        .routes(routes!(playback::gaps))
         .routes(routes!(streams::events))
         .routes(routes!(streams::live))
         .routes(routes!(commands::healthz))

@@ -1,0 +1,162 @@
+//! Where samples are missing, for a time axis: counts in bins of equal length.
+
+use std::{
+    io::{Read, Seek},
+    ops::Range,
+    time::Duration,
+};
+
+use mocapd_take::{
+    TakeError, TakeTraversal, motion::frame_at, stretch::Span, timeline::Timeline,
+    traversal::Decode,
+};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::SAMPLES_MAX;
+
+/// Maximum number of bins of a take: about one per pixel of a time axis.
+pub const BINS: u64 = 1024;
+
+/// Missing samples and lost frames of a part of a take.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct GapBins {
+    /// The first frame of the part.
+    pub first_frame: u64,
+    /// One past its last frame: the next request begins here, unless it is the end of the take.
+    pub end_frame: u64,
+    /// Number of frames in the whole take.
+    pub frames: u64,
+    /// Number of frames in a bin. Bin 0 begins at the first frame of the take.
+    pub bin_frames: u64,
+    /// The bin that `first_frame` belongs to; the counts begin with it.
+    pub first_bin: u64,
+    /// By bin, the number of samples that are missing in frames of the part that are not lost.
+    pub missing_samples: Vec<u64>,
+    /// By bin, the number of frames of the part that are lost: on the link, in the device, in the host, or to damage.
+    pub lost_frames: Vec<u64>,
+    /// Whether anything damaged was found in the part.
+    pub is_damaged: bool,
+}
+
+/// Counts what is missing from a time on, in as many frames as one call may decode.
+///
+/// # Errors
+/// Those of the reader. Nothing is counted from the end of the take on.
+pub fn read_gaps(input: &mut (impl Read + Seek), from: Duration) -> Result<GapBins, TakeError> {
+    let map = super::open(input)?;
+    let n_markers = map.channels.len() as u64;
+    let first = frame_at(from, map.header.rate_hz).min(map.n_rows);
+    let frames_max = (SAMPLES_MAX / n_markers.max(1)).max(1);
+    let rows = first..map.n_rows.min(first + frames_max);
+    let bin_frames = map.n_rows.div_ceil(BINS).max(1);
+    let first_bin = rows.start / bin_frames;
+    let n_bins = (rows.end.div_ceil(bin_frames) - first_bin) as usize;
+    let mut bins = GapBins {
+        first_frame: rows.start,
+        end_frame: rows.end,
+        frames: map.n_rows,
+        bin_frames,
+        first_bin,
+        missing_samples: vec![0; n_bins],
+        lost_frames: vec![0; n_bins],
+        is_damaged: map.damaged,
+    };
+    if rows.is_empty() {
+        return Ok(bins);
+    }
+    let mut take = TakeTraversal::from_map(input, &map, Decode::All)?;
+    let mut next_row = rows.start;
+    take.read_rows(&rows, |take, part, offset| {
+        // Rows in no stretch.
+        bins.lose(next_row..part.start);
+        bins.add_stretch(take, part.clone(), offset, n_markers);
+        next_row = part.end;
+        Ok(())
+    })?;
+    bins.lose(next_row..rows.end);
+    bins.is_damaged |= !take.is_intact();
+    Ok(bins)
+}
+
+impl GapBins {
+    /// Counts frames as lost.
+    fn lose(&mut self, rows: Range<u64>) {
+        add(&mut self.lost_frames, self.first_bin, self.bin_frames, rows);
+    }
+
+    /// Counts the rows `part` of the last stretch; the first of them has the index `offset` in it.
+    fn add_stretch<R: Read + Seek>(
+        &mut self,
+        take: &TakeTraversal<R>,
+        part: Range<u64>,
+        offset: usize,
+        n_markers: u64,
+    ) {
+        let n_rows = (part.end - part.start) as usize;
+        let mut present = vec![0_u64; n_rows];
+        for rows in take.rows().flatten() {
+            let found = rows.present.iter().skip(offset);
+            present.iter_mut().zip(found).for_each(|(n, &found)| *n += u64::from(found));
+        }
+        let span = Span {
+            first_row: part.start - offset as u64,
+            n_rows: u32::try_from(offset + n_rows).unwrap_or(u32::MAX),
+            key: false,
+            number: 0,
+        };
+        let lost = lost_rows(take.timeline(), span);
+        let mut lost = lost.iter().peekable();
+        for (row, n) in (part.start..).zip(present) {
+            while lost.next_if(|run| run.end <= row).is_some() {}
+            let bin = (row / self.bin_frames - self.first_bin) as usize;
+            if lost.peek().is_some_and(|run| run.contains(&row)) {
+                self.lost_frames[bin] += 1;
+            } else {
+                self.missing_samples[bin] += n_markers.saturating_sub(n);
+            }
+        }
+    }
+}
+
+/// Adds each of the rows to its bin.
+fn add(bins: &mut [u64], first_bin: u64, bin_frames: u64, mut rows: Range<u64>) {
+    while rows.start < rows.end {
+        let bin = rows.start / bin_frames;
+        let end = rows.end.min((bin + 1) * bin_frames);
+        if let Some(n) = bins.get_mut((bin - first_bin) as usize) {
+            *n += end - rows.start;
+        }
+        rows.start = end;
+    }
+}
+
+/// The runs of lost rows that a time line states within the rows of its stretch.
+fn lost_rows(timeline: Option<&Timeline>, span: Span) -> Vec<Range<u64>> {
+    let mut lost = Vec::new();
+    let Some(timeline) = timeline else { return lost };
+    let mut at = timeline.first_row;
+    for run in &timeline.runs {
+        let end = at.saturating_add(run.rows);
+        if run.lost.is_some() && end > span.first_row {
+            lost.push(at..end);
+        }
+        at = end;
+    }
+    lost
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_counted_in_their_bins() {
+        let mut bins = [0; 4];
+        add(&mut bins, 2, 10, 25..47);
+        assert_eq!(bins, [5, 10, 7, 0]);
+        add(&mut bins, 2, 10, 59..59);
+        add(&mut bins, 2, 10, 59..60);
+        assert_eq!(bins, [5, 10, 7, 1]);
+    }
+}
