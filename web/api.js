@@ -20,6 +20,13 @@ export function onUnauthorized(handler) {
   logIn = handler;
 }
 
+/** A token that every request carries; without one the cookie of a login must do. */
+let token = null;
+
+export function setToken(text) {
+  token = text;
+}
+
 const RESPONSE_TIMEOUT_MS = 2500;
 /** The service itself gives up after 60 s and reports it. */
 const COMMAND_TIMEOUT_MS = 65_000;
@@ -27,9 +34,10 @@ const COMMAND_TRIES = 6;
 
 async function send(path, options, timeoutMs) {
   const timeout = AbortSignal.timeout(timeoutMs);
+  const headers = { ...options.headers, ...(token ? { Authorization: `Bearer ${token}` } : {}) };
   let response;
   try {
-    response = await fetch(path, { ...options, signal: timeout, cache: "no-store" });
+    response = await fetch(path, { ...options, headers, signal: timeout, cache: "no-store" });
   } catch {
     throw new ConnectionError(timeout.aborted ? `no reply within ${timeoutMs / 1000} s` : "the service cannot be reached");
   }
@@ -48,11 +56,15 @@ async function checkStatus(response) {
 }
 
 /** The JSON document at a path. */
-export async function get(path) {
+export const get = (path, timeoutMs = RESPONSE_TIMEOUT_MS) => read(path, timeoutMs, (response) => response.json());
+
+/** The bytes at a path. */
+export const getBytes = (path, timeoutMs) => read(path, timeoutMs, (response) => response.arrayBuffer());
+
+async function read(path, timeoutMs, body) {
   for (;;) {
     try {
-      const response = await send(path, {}, RESPONSE_TIMEOUT_MS);
-      return await response.json();
+      return await body(await send(path, {}, timeoutMs));
     } catch (error) {
       if (error.status === 401) await logIn();
       else if (error instanceof ServiceError || error instanceof ConnectionError) throw error;

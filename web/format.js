@@ -47,6 +47,12 @@ export function elapsed(seconds) {
   return `${h ? `${h}:${two(min)}` : min}:${two(s % 60)}.${tenths % 10}`;
 }
 
+/** A time in a take, with milliseconds: `0:42.700`, `1:02:03.450`. Rounded down, as clocks do. */
+export function takeTime(seconds) {
+  const ms = Math.floor(Math.max(0, seconds) * 1000 + 1e-3);
+  return `${elapsed(Math.floor(ms / 1000)).slice(0, -2)}.${String(ms % 1000).padStart(3, "0")}`;
+}
+
 /** A fraction from 0 to 1 in percent. Only 1 is shown as 100, and only 0 as 0. */
 export function percent(share) {
   if (share >= 1) return "100";

@@ -3,7 +3,7 @@
 import { byId } from "./dom.js";
 
 /** Whether the focused element or an open dialog handles the key itself. */
-function isTaken(event) {
+export function isTaken(event) {
   if (event.ctrlKey || event.metaKey || event.altKey || event.isComposing) return true;
   if (document.querySelector("dialog[open]")) return true;
   const { target } = event;

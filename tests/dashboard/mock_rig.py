@@ -11,7 +11,7 @@ from mock_body import Body
 #: Faults: `lose_responses` executes that many commands without a response; `cut_streams` ends the streams opened before
 #: that time.
 FAULTS = {"presence": "streaming", "obstacle": None, "lossy": False, "frozen": False, "delay_s": 0.0, "refuse": None,
-          "free_bytes": 412_000_000_000, "lose_responses": 0, "cut_streams": 0.0}
+          "free_bytes": 412_000_000_000, "lose_responses": 0, "cut_streams": 0.0, "refuse_windows": None}
 
 
 class Refused(Exception):
@@ -33,7 +33,7 @@ class Rig:
         self.faults = dict(FAULTS)
         self.gone_at, self.missed_s = None, 0.0
         self.session, self.cookie = secrets.token_hex(4), secrets.token_hex(8)
-        self.events, self.replies = [], {}
+        self.events, self.replies, self.requests = [], {}, []
         now = int(time.time() * 1000)
         self.takes = [self._take(f"jump-{n:03}", now - (6 - n) * 420_000, 8.4 + 3 * n, health) for n, health in
                       [(5, "unknown"), (4, "complete"), (3, "lossy"), (2, "cut off"), (1, "complete")]]

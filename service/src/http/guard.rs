@@ -19,6 +19,7 @@ use super::{
     Counts, Shared, Via,
     login::{self, LOGIN_PATH},
     problem::{PROBLEM_JSON, Problem, ProblemKind},
+    routes::is_page_file,
     slots::ConnectionSlot,
 };
 
@@ -76,7 +77,7 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     if is_authorized && let Some(slot) = request.extensions().get::<Arc<ConnectionSlot>>() {
         slot.authorize();
     }
-    if is_authorized || is_open(uri.path()) {
+    if is_authorized || is_open(uri.path()) || (app.is_viewer && is_page_file(uri.path())) {
         return Ok(());
     }
     if request.method() == Method::GET && login::wants_html(headers) {

@@ -65,6 +65,8 @@ struct App {
     auth: Arc<Auth>,
     counts: Arc<Counts>,
     limits: TimeLimits,
+    /// Whether only the player is served, whose files need no token.
+    is_viewer: bool,
     allowed_hosts: watch::Receiver<Vec<String>>,
     events: Arc<EventBroadcast>,
     live: Arc<LiveBroadcast>,

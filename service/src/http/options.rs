@@ -50,6 +50,9 @@ pub struct HttpOptions {
     pub connections_max: usize,
     /// Time limits.
     pub limits: TimeLimits,
+    /// Serves the player as the first page instead of the dashboard. Its files need no token: its script reads the token
+    /// from the part of the address that browsers send to nobody.
+    pub is_viewer: bool,
 }
 
 impl Default for HttpOptions {
@@ -61,6 +64,7 @@ impl Default for HttpOptions {
             allowed_hosts: Vec::new(),
             connections_max: CONNECTIONS_MAX,
             limits: TimeLimits::default(),
+            is_viewer: false,
         }
     }
 }
@@ -75,6 +79,7 @@ impl std::fmt::Debug for HttpOptions {
             .field("allowed_hosts", &self.allowed_hosts)
             .field("connections_max", &self.connections_max)
             .field("limits", &self.limits)
+            .field("is_viewer", &self.is_viewer)
             .finish()
     }
 }

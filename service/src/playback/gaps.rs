@@ -79,7 +79,57 @@ pub fn read_gaps(input: &mut (impl Read + Seek), from: Duration) -> Result<GapBi
     Ok(bins)
 }
 
+/// The frames of a take that are lost, as ranges in order. Nothing is decoded.
+///
+/// # Errors
+/// Those of the reader.
+pub fn lost_runs(input: &mut (impl Read + Seek)) -> Result<Vec<Range<u64>>, TakeError> {
+    let map = super::open(input)?;
+    let mut take = TakeTraversal::from_map(input, &map, Decode::Groups(Vec::new()))?;
+    let mut runs: Vec<Range<u64>> = Vec::new();
+    let mut add = |run: Range<u64>| match runs.last_mut() {
+        Some(last) if last.end >= run.start => last.end = last.end.max(run.end),
+        _ if run.start < run.end => runs.push(run),
+        _ => {}
+    };
+    let mut next_row = 0;
+    while let Some(span) = take.next_stretch()? {
+        if span.n_rows > 0 {
+            add(next_row..span.first_row);
+            lost_rows(take.timeline(), span).into_iter().for_each(&mut add);
+            next_row = span.end_row();
+        }
+    }
+    add(next_row..map.n_rows);
+    Ok(runs)
+}
+
 impl GapBins {
+    /// Bins for so many frames, in which nothing is missing yet.
+    #[must_use]
+    pub fn new(frames: u64) -> Self {
+        let bin_frames = frames.div_ceil(BINS).max(1);
+        let n_bins = frames.div_ceil(bin_frames) as usize;
+        Self {
+            end_frame: frames,
+            frames,
+            bin_frames,
+            missing_samples: vec![0; n_bins],
+            lost_frames: vec![0; n_bins],
+            ..Self::default()
+        }
+    }
+
+    /// Counts a frame in which so many samples are missing, or that is lost.
+    pub fn add_frame(&mut self, frame: u64, missing: u64, is_lost: bool) {
+        let bin = (frame / self.bin_frames.max(1)) as usize;
+        let (bins, n) =
+            if is_lost { (&mut self.lost_frames, 1) } else { (&mut self.missing_samples, missing) };
+        if let Some(count) = bins.get_mut(bin) {
+            *count += n;
+        }
+    }
+
     /// Counts frames as lost.
     fn lose(&mut self, rows: Range<u64>) {
         add(&mut self.lost_frames, self.first_bin, self.bin_frames, rows);

@@ -12,7 +12,7 @@ use std::io::{Read, Seek};
 use mocapd_take::{TakeError, TakeMap, TakeTail};
 
 pub use self::{
-    gaps::{BINS, GapBins, read_gaps},
+    gaps::{BINS, GapBins, lost_runs, read_gaps},
     overview::{PlaybackEvent, TakeOverview},
     window::{
         EVERY_MAX, FrameWindow, HEADER_BYTES, SECONDS_MAX, WINDOW_BYTES_MAX, WindowError,

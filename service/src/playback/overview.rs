@@ -5,6 +5,7 @@ use std::io::{Read, Seek};
 use mocapd_report::labels::marker_lines;
 use mocapd_take::{
     TakeError, TakeMap,
+    motion::MotionInfo,
     record::{Event, Ledger},
 };
 use serde::{Deserialize, Serialize};
@@ -122,6 +123,31 @@ impl TakeOverview {
             problems: map.problems.iter().take(PROBLEMS_MAX).map(ToString::to_string).collect(),
             problems_total: map.problems.len(),
             window_frames_max: frames_max(map.channels.len()),
+        }
+    }
+}
+
+impl TakeOverview {
+    /// The overview of what an export of a take has: its frames, markers and events may be fewer, and rotated.
+    #[must_use]
+    pub fn of_export(name: &str, map: &TakeMap, info: &MotionInfo) -> Self {
+        let labels: Vec<String> = info.markers.iter().map(|marker| marker.label.clone()).collect();
+        let events = info.events.iter().take(EVENTS_MAX);
+        Self {
+            frames: info.n_frames,
+            seconds: info.n_frames as f64 / info.rate_hz,
+            bones: marker_lines(&labels),
+            labels,
+            up_axis: info.up.code(),
+            events_total: info.events.len(),
+            events: events
+                .map(|event| PlaybackEvent {
+                    frame: event.frame,
+                    kind: event.kind.name().to_owned(),
+                    text: cut(&event.text),
+                })
+                .collect(),
+            ..Self::of(name, map)
         }
     }
 }

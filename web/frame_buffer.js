@@ -1,0 +1,143 @@
+// The frames of a take around the current row, loaded by windows. Memory is bounded, however long the take is.
+
+/** Bytes of all windows that are kept. */
+const KEPT_BYTES_MAX = 48e6;
+/** Bytes and seconds of a window: small enough to load quickly, large enough that there are few requests. */
+const WINDOW_BYTES = 400_000;
+const WINDOW_S = 10;
+/** The shortest window, unless a response cannot hold it. */
+const WINDOW_S_MIN = 0.5;
+/** Windows requested at once. */
+const PENDING_MAX = 2;
+/** Seconds of the page's clock that are loaded ahead while playing. */
+const AHEAD_S = 3;
+/** Bytes per second above which playback loads only the frames that a display can show. */
+const BYTES_PER_S_MAX = 6e6;
+const DISPLAY_HZ = 60;
+
+export class FrameBuffer {
+  /** Only every n-th row is loaded. */
+  every = 1;
+  #windows = new Map();
+  #pending = new Set();
+  #failed = new Map();
+  #wanted = [];
+
+  /**
+   * `source.window(firstRow, rows, every)` resolves to {firstRow, every, frames, positions}. `onLoaded` is called after
+   * each window, `onFailed` with the error of one that cannot be read.
+   */
+  constructor(source, overview, { onLoaded = () => {}, onFailed = () => {} } = {}) {
+    this.source = source;
+    this.n = overview.markers;
+    this.frames = overview.frames;
+    this.rateHz = overview.rate_hz;
+    this.onLoaded = onLoaded;
+    this.onFailed = onFailed;
+    const bytes = 12 * Math.max(1, this.n);
+    const shortest = Math.ceil(WINDOW_S_MIN * this.rateHz);
+    const rows = Math.max(shortest, Math.min(Math.ceil(WINDOW_S * this.rateHz), Math.floor(WINDOW_BYTES / bytes)));
+    /** Frames of a window. */
+    this.windowFrames = source.windowFrames ?? Math.max(1, Math.min(rows, overview.window_frames_max));
+    this.keptMax = Math.max(6, Math.floor(KEPT_BYTES_MAX / (bytes * this.windowFrames)));
+  }
+
+  /** The positions of a row, or of the loaded row before it while rows are left out; null if they are not loaded. */
+  positionsAt = (row) => {
+    const window = this.#windows.get(this.#index(row));
+    if (!window) return null;
+    const frame = Math.floor((row - window.firstRow) / window.every);
+    if (frame < 0 || frame >= window.frames) return null;
+    return window.positions.subarray(3 * this.n * frame, 3 * this.n * (frame + 1));
+  };
+
+  has(row) {
+    return this.positionsAt(row) !== null;
+  }
+
+  /** Ranges of rows that are loaded, [first, end], in no order. */
+  ranges() {
+    return [...this.#windows.values()].map(({ firstRow, frames, every }) => [firstRow, firstRow + frames * every]);
+  }
+
+  /** Loads the window of a row, and those around it that playback needs next. `rowsPerSecond` is 0 in a pause. */
+  want(row, rowsPerSecond = 0, loop = null) {
+    this.#chooseEvery(rowsPerSecond);
+    const at = this.#index(row);
+    const span = this.windowFrames * this.every;
+    const ahead = Math.max(1, Math.ceil((rowsPerSecond * AHEAD_S) / span));
+    const wanted = [at];
+    for (let i = 1; i <= Math.min(ahead, this.keptMax - 3); i += 1) {
+      if (loop && (at + i) * span > loop[1]) {
+        wanted.push(this.#index(loop[0]));
+        break;
+      }
+      wanted.push(at + i);
+    }
+    wanted.push(at - 1);
+    this.#wanted = wanted.filter((index) => index >= 0 && index * span < this.frames);
+    // The windows in use are the last to be removed.
+    for (const index of [...this.#wanted].reverse()) {
+      const window = this.#windows.get(index);
+      if (window && this.#windows.delete(index)) this.#windows.set(index, window);
+    }
+    this.#request();
+  }
+
+  /** Whether playback has to wait for the row: it is not loaded, and can be. */
+  isWaitingFor(row) {
+    return !this.has(row) && !this.#failed.has(this.#index(row));
+  }
+
+  #index(row) {
+    return Math.floor(row / (this.windowFrames * this.every));
+  }
+
+  /** Takes of very many markers, and high speeds: what no display can show is not loaded. */
+  #chooseEvery(rowsPerSecond) {
+    // A source whose windows are given has all frames at hand.
+    const needed = this.source.windowFrames ? 1 : (12 * this.n * rowsPerSecond) / BYTES_PER_S_MAX;
+    let every = 1;
+    while (every < needed && rowsPerSecond / (2 * every) >= DISPLAY_HZ) every *= 2;
+    if (every === this.every) return;
+    this.every = every;
+    this.#windows.clear();
+    this.#failed.clear();
+    this.#pending.clear();
+  }
+
+  #request() {
+    for (const index of this.#wanted) {
+      if (this.#pending.size >= PENDING_MAX) return;
+      if (this.#windows.has(index) || this.#pending.has(index) || this.#failed.has(index)) continue;
+      this.#load(index);
+    }
+  }
+
+  async #load(index) {
+    const { every, windowFrames } = this;
+    this.#pending.add(index);
+    try {
+      const firstRow = index * windowFrames * every;
+      const rows = Math.min(windowFrames * every, this.frames - firstRow);
+      const window = await this.source.window(firstRow, rows, every);
+      if (every !== this.every) return;
+      this.#windows.set(index, window);
+      while (this.#windows.size > this.keptMax) this.#windows.delete(this.#windows.keys().next().value);
+    } catch (error) {
+      if (every !== this.every) return;
+      this.#failed.set(index, error.message);
+      this.onFailed(error);
+    } finally {
+      if (every === this.every) this.#pending.delete(index);
+    }
+    this.#request();
+    this.onLoaded();
+  }
+
+  /** Tries again to load what could not be read. */
+  retry() {
+    this.#failed.clear();
+    this.#request();
+  }
+}

@@ -1,0 +1,291 @@
+// The player of a take: it connects the position, the frames, the scene, the time axis and the charts.
+// Where the frames come from is the source's matter: the service, or the page itself.
+
+import { CHOSEN_MAX, Charts } from "./charts.js";
+import { byId, setAttribute, setHidden, setText } from "./dom.js";
+import { count, percentile, plural, rounded, takeTime } from "./format.js";
+import { FrameBuffer } from "./frame_buffer.js";
+import { Playback } from "./playback.js";
+import { installPlayerKeys } from "./player_keys.js";
+import { PlayerLists } from "./player_lists.js";
+import { TakeMotion } from "./take_motion.js";
+import { GapCounts, TimeAxis } from "./time_axis.js";
+import { View } from "./view.js";
+
+/** Charts and texts change less often than the scene while playing. */
+const CHARTS_MS = 100;
+const TEXTS_MS = 60;
+/** Drawings over which the script time is measured. */
+const TIMES_MAX = 600;
+
+export class Player {
+  motion = new TakeMotion();
+  playback = new Playback(0, 1);
+  gaps = new GapCounts();
+  buffer = null;
+  /** Statistics for the tests: the script time of drawings in milliseconds, rows drawn, rows skipped. */
+  stats = { drawn: 0, skipped: 0, firstPictureMs: NaN, times: [] };
+  #openedMs = 0;
+  #lastMs = 0;
+  #chartsMs = 0;
+  #textsMs = 0;
+  #tickMs = 0;
+  #opened = 0;
+
+  constructor() {
+    this.view = new View(this.motion);
+    this.view.isLive = false;
+    // In a pause the camera does not move on to what is not quite in the picture.
+    this.view.camera.margin = 1.1;
+    this.view.timeOf = () => this.motion.timeMs();
+    this.view.onDrawn = () => this.#measure();
+    this.axis = new TimeAxis({ onSeek: (row) => this.seek(row), onHint: (text) => this.#hint(text) });
+    this.charts = new Charts();
+    this.lists = new PlayerLists({
+      onChoose: (slots) => this.#choose(slots),
+      onHover: (slot) => this.view.select({ hovered: slot }),
+      onEvent: (frame) => this.seek(frame),
+    });
+    this.view.onSelected = () => {
+      if (this.view.pinned >= 0 && this.view.hovered < 0) this.lists.add(this.view.pinned);
+    };
+    installPlayerKeys(this);
+    requestAnimationFrame((now) => this.#tick(now));
+  }
+
+  /** Opens the take of a source; what was open before is dropped. */
+  async open(source) {
+    this.#openedMs = performance.now();
+    const opened = (this.#opened += 1);
+    this.overview = null;
+    this.source = source;
+    this.#message("Loading");
+    this.#notice(null);
+    let overview;
+    try {
+      overview = await source.overview();
+    } catch (error) {
+      if (opened === this.#opened) this.#fail(error);
+      return;
+    }
+    if (opened !== this.#opened) return;
+    this.#show(overview, source);
+    await this.#countGaps(source, opened);
+  }
+
+  #show(overview, source) {
+    this.overview = overview;
+    this.playback = new Playback(overview.frames, overview.rate_hz);
+    this.gaps = new GapCounts();
+    this.gaps.isKnown = overview.samples_missing === 0 && overview.frames_lost === 0;
+    this.stats = { drawn: 0, skipped: 0, firstPictureMs: NaN, times: [] };
+    this.motion.setTake(overview);
+    this.view.settle();
+    this.view.updateMarkers();
+    this.buffer = new FrameBuffer(source, overview, {
+      onLoaded: () => this.#refresh(),
+      onFailed: (error) => this.#notice(`Frames cannot be read: ${error.message}`),
+    });
+    const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
+    this.axis.show(shown);
+    this.charts.show(shown);
+    this.lists.show(overview);
+    setText(byId("take-name"), overview.name);
+    setText(byId("take-facts"), facts(overview));
+    document.title = `${overview.name} – mocapd`;
+    if (overview.problems_total > 0) this.#notice(problemText(overview));
+    if (overview.frames === 0 || overview.markers === 0) {
+      this.#message(overview.frames === 0 ? "This take has no frames" : "This take has no markers");
+    }
+    for (const id of ["play", "back", "forward"]) byId(id).disabled = overview.frames < 2;
+    byId("next-event").disabled = overview.events.length === 0;
+    this.seek(0);
+  }
+
+  async #countGaps(source, opened) {
+    byId("next-gap").disabled = this.gaps.isKnown;
+    this.#hint(null);
+    if (this.gaps.isKnown) return;
+    try {
+      await source.gaps((part) => {
+        if (opened !== this.#opened) return false;
+        this.gaps.add(part);
+        this.axis.invalidate();
+        this.#hint(null);
+        return true;
+      });
+    } catch (error) {
+      if (opened === this.#opened) this.#notice(`The gaps of this take cannot be read: ${error.message}`);
+    }
+  }
+
+  /** Goes to a row; playing goes on from there. */
+  seek(row) {
+    if (!this.overview) return;
+    this.playback.seek(row);
+    this.#refresh();
+  }
+
+  step(rows) {
+    if (!this.overview) return;
+    this.playback.step(rows);
+    this.#refresh();
+  }
+
+  toggle() {
+    if (!this.overview) return;
+    this.playback.toggle();
+    this.#refresh();
+  }
+
+  setSpeed(speed) {
+    this.playback.speed = speed;
+    this.#refresh();
+  }
+
+  /** Changes the loop by a method of the position: loopFrom, loopTo, clearLoop. */
+  changeLoop(method) {
+    this.playback[method]();
+    this.#refresh();
+  }
+
+  /** Goes to the next (1) or previous (-1) event. */
+  goToEvent(direction) {
+    const { row } = this.playback;
+    const frames = (this.overview?.events ?? []).map(({ frame }) => frame);
+    const found = direction > 0 ? frames.find((frame) => frame > row) : frames.findLast((frame) => frame < row);
+    if (found !== undefined) this.seek(found);
+  }
+
+  /** Goes to the next (1) or previous (-1) gap of any marker: its bin of the time axis, then its first frame there. */
+  async goToGap(direction) {
+    if (!this.overview) return;
+    const { buffer, gaps } = this;
+    const row = gaps.next(this.playback.row, direction);
+    if (row === null) return this.#hint(direction > 0 ? "no gap after this frame" : "no gap before this frame");
+    this.seek(row);
+    for (let tries = 0; tries < 100 && buffer.isWaitingFor(row); tries += 1) await new Promise((resolve) => setTimeout(resolve, 50));
+    if (this.playback.row !== row || this.buffer !== buffer) return;
+    for (let at = row; at < row + gaps.binFrames && buffer.has(at); at += 1) {
+      if (buffer.positionsAt(at).some(Number.isNaN)) return this.seek(at);
+    }
+  }
+
+  #choose(slots) {
+    this.charts.choose(slots);
+    const note = slots.length === 0 ? `choose up to ${CHOSEN_MAX} markers` : "10 s around the current time";
+    setText(byId("charts-note"), note);
+  }
+
+  #tick(nowMs) {
+    requestAnimationFrame((now) => this.#tick(now));
+    const elapsedMs = nowMs - this.#lastMs;
+    this.#lastMs = nowMs;
+    if (!this.overview || !this.playback.isPlaying) return;
+    const beganMs = performance.now();
+    const before = this.playback.row;
+    const isChanged = this.playback.advance(elapsedMs, (row) => !this.buffer.isWaitingFor(row));
+    if (isChanged) {
+      if (this.playback.row > before + 1) this.stats.skipped += this.playback.row - before - 1;
+      this.#draw(nowMs);
+    }
+    if (isChanged || !this.playback.isPlaying) this.#showTexts(nowMs, !this.playback.isPlaying);
+    this.#tickMs = performance.now() - beganMs;
+  }
+
+  /** Shows the present state at once. */
+  #refresh() {
+    if (!this.overview) return;
+    this.#draw(Infinity);
+    this.#showTexts(Infinity, true);
+    this.axis.announce();
+  }
+
+  #draw(nowMs) {
+    const { playback, buffer, motion } = this;
+    buffer.want(playback.row, playback.isPlaying ? playback.rowsPerSecond : 0, playback.loop);
+    if (motion.show(playback.row, buffer.positionsAt)) {
+      this.#message(null);
+      this.view.invalidate();
+    } else if (buffer.isWaitingFor(playback.row) && this.overview.markers > 0 && this.overview.frames > 0) {
+      this.#message("Loading");
+    }
+    this.axis.invalidate();
+    if (nowMs - this.#chartsMs < CHARTS_MS) return;
+    this.#chartsMs = Number.isFinite(nowMs) ? nowMs : 0;
+    this.charts.invalidate();
+  }
+
+  #showTexts(nowMs, isAll) {
+    if (!isAll && nowMs - this.#textsMs < TEXTS_MS) return;
+    this.#textsMs = Number.isFinite(nowMs) ? nowMs : 0;
+    const { playback, motion } = this;
+    setText(byId("time"), takeTime(playback.seconds));
+    setText(byId("frame"), `frame ${count(playback.row)} of ${count(playback.lastRow)}`);
+    setText(byId("view-stats"), `${motion.nSeen} of ${motion.n} seen`);
+    if (!isAll) return;
+    setText(byId("play"), playback.isPlaying ? "Pause" : "Play");
+    byId("speed").value = String(playback.speed);
+    byId("loop-clear").disabled = playback.loop === null;
+  }
+
+  #measure() {
+    if (!this.overview || this.motion.row < 0) return;
+    const { stats } = this;
+    stats.drawn += 1;
+    if (Number.isNaN(stats.firstPictureMs)) stats.firstPictureMs = performance.now() - this.#openedMs;
+    stats.times.push(this.#tickMs + this.view.drawMs);
+    if (stats.times.length > TIMES_MAX) stats.times.shift();
+    stats.p95Ms = percentile(stats.times, 0.95);
+  }
+
+  #message(text) {
+    setHidden(byId("view-message"), text === null);
+    setText(byId("view-message"), text ?? "");
+    byId("view").classList.toggle("stale", text !== null);
+  }
+
+  #notice(text) {
+    setHidden(byId("notice"), text === null);
+    setText(byId("notice"), text ?? "");
+  }
+
+  #fail(error) {
+    this.#message("Cannot be played");
+    this.#notice(error.message);
+    setText(byId("take-name"), this.source.name ?? "Take");
+    setText(byId("take-facts"), "");
+    for (const id of ["play", "back", "forward", "next-gap", "next-event"]) byId(id).disabled = true;
+  }
+
+  /** The text below the axis: what the pointer is over, or what is known about gaps. */
+  #hint(text) {
+    setText(byId("axis-hint"), text ?? this.#gapText());
+  }
+
+  #gapText() {
+    if (!this.overview) return "";
+    const { gaps, overview } = this;
+    if (gaps.isKnown) return "No gaps: every sample of every frame is there";
+    const share = overview.frames > 0 ? Math.floor((100 * gaps.endRow) / overview.frames) : 100;
+    const [missing, lost] = [gaps.missing, gaps.lost].map((bins) => bins.reduce((sum, n) => sum + (n ?? 0), 0));
+    const found = `${plural(missing, "sample")} missing (bars), ${plural(lost, "frame")} lost (hatched)`;
+    return share < 100 ? `${found} in the first ${share} %; reading on` : found;
+  }
+}
+
+/** The facts about a take, as one line. Pure. */
+export function facts(overview) {
+  const { seconds, frames, rate_hz: rateHz, markers, tolerance_mm: tolerance, source, page } = overview;
+  const known = [takeTime(seconds), `${plural(frames, "frame")} at ${Number(rateHz.toFixed(3))} Hz`, plural(markers, "marker")];
+  if (page) known.push(`every position is within ${rounded(page.tolerance_mm)} mm of the original`);
+  else known.push(tolerance > 0 ? `within ${Number(tolerance.toPrecision(3))} mm of the original` : "lossless");
+  if (source) known.push(source);
+  return known.join(" · ");
+}
+
+/** The message about a damaged take. Pure. */
+export function problemText({ problems, problems_total: total }) {
+  const more = total > 2 ? `; and ${total - 2} more` : "";
+  return `This take is damaged: ${problems.slice(0, 2).join("; ")}${more}. What cannot be read is shown as a gap`;
+}
