@@ -123,6 +123,11 @@ export class Player {
   seek(row) {
     if (!this.overview) return;
     this.playback.seek(row);
+    // After a jump the camera looks for the markers again.
+    if (Math.abs(this.playback.row - this.motion.row) > this.playback.rateHz / 2) {
+      this.motion.box = null;
+      this.view.settle();
+    }
     this.#refresh();
   }
 
@@ -280,7 +285,7 @@ export function facts(overview) {
   const known = [takeTime(seconds), `${plural(frames, "frame")} at ${Number(rateHz.toFixed(3))} Hz`, plural(markers, "marker")];
   if (page) known.push(`every position is within ${rounded(page.tolerance_mm)} mm of the original`);
   else known.push(tolerance > 0 ? `within ${Number(tolerance.toPrecision(3))} mm of the original` : "lossless");
-  if (source) known.push(source);
+  if (source && source !== overview.name) known.push(source);
   return known.join(" · ");
 }
 

@@ -76,6 +76,7 @@ async function watchStatus() {
 
 byId("take-select").addEventListener("change", (event) => open(event.target.value));
 setHidden(byId("home"), isViewer);
+if (isViewer) setText(byId("login-text"), "Open the address that mocapd view printed: it contains the token. Or enter the token here.");
 setHidden(byId("brand"), !isViewer);
 if (!isViewer) watchStatus();
 try {

@@ -79,8 +79,9 @@ impl SharedPage {
         let overview = put_motion(out)?;
         // A label may contain the end of the element, or the beginning of a comment in it.
         let overview = overview.replace('<', "\\u003c");
-        let overview =
-            format!("</script>\n<script id=\"take\" type=\"application/json\">{overview}</script>\n");
+        let overview = format!(
+            "</script>\n<script id=\"take\" type=\"application/json\">{overview}</script>\n"
+        );
         out.write_all(overview.as_bytes())?;
         out.write_all(self.tail.as_bytes())?;
         Ok(())
@@ -194,7 +195,8 @@ impl Module {
 
     /// `import { a, b } from "./name.js"`.
     fn import(&mut self, statement: &str) -> anyhow::Result<()> {
-        let parts = statement.strip_prefix("import {").and_then(|rest| rest.split_once("} from \"./"));
+        let parts =
+            statement.strip_prefix("import {").and_then(|rest| rest.split_once("} from \"./"));
         let Some((names, file)) = parts else { bail!("{}: cannot join {statement}", self.name) };
         let file = file.strip_suffix('"').context("an import without its end")?;
         self.imports.push((file.to_owned(), names.trim().replace(" as ", ": ")));
@@ -209,8 +211,10 @@ impl Module {
             return Ok(());
         };
         let words = declaration.strip_prefix("async ").unwrap_or(declaration);
-        let name = ["function ", "const ", "class "].iter().find_map(|kind| words.strip_prefix(kind));
-        let name = name.and_then(|rest| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next());
+        let name =
+            ["function ", "const ", "class "].iter().find_map(|kind| words.strip_prefix(kind));
+        let name =
+            name.and_then(|rest| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next());
         let Some(name) = name.filter(|name| !name.is_empty()) else {
             bail!("{}: cannot join {line}", self.name);
         };

@@ -129,6 +129,9 @@ class Handler(BaseHTTPRequestHandler):
                     rig.fail(body.pop("fail"))
                 if body.pop("log_out", False):
                     rig.cookie = secrets.token_hex(8)
+                if "add_take" in body:
+                    name, seconds, health = body.pop("add_take")
+                    rig.takes.insert(0, rig.new_take(name, int(time.time() * 1000), seconds, health))
                 rig.set_faults({key: value for key, value in body.items() if key in FAULTS})
             return self.reply(200, {})
         if not self.is_authorized():

@@ -20,12 +20,11 @@ const CHECKS: Size = Size { running: 1, waiting: 0 };
 const DECODES: Size = Size { running: 1, waiting: 5 };
 
 /// Threads that a listener's runtime may have for all queues.
-pub(super) const THREADS: usize = 
+pub(super) const THREADS: usize =
     COMMANDS.running + FILES.running + CHECKS.running + DECODES.running;
 
 /// Requests that can be running or waiting at once; all others are replied to immediately.
-pub(super) const REQUESTS_MAX: usize = 
-    COMMANDS.all() + FILES.all() + CHECKS.all() + DECODES.all();
+pub(super) const REQUESTS_MAX: usize = COMMANDS.all() + FILES.all() + CHECKS.all() + DECODES.all();
 
 #[derive(Debug, Clone, Copy)]
 struct Size {

@@ -143,7 +143,9 @@ impl FormatArgs {
             return usage("--subtract-baseline is for .mot: omit it");
         }
         if self.tolerance.is_some() && format != Format::Html {
-            return usage("--tolerance is for .html: omit it, other formats have the samples of the take");
+            return usage(
+                "--tolerance is for .html: omit it, other formats have the samples of the take",
+            );
         }
         if self.for_spreadsheet && format != Format::Csv {
             return usage("--for-spreadsheet is for csv: omit it");

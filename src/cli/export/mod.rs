@@ -257,6 +257,9 @@ impl ExportPlan<'_> {
         attempt.written.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
+        if let Some(page) = &report.page {
+            job.notify_of(output, &page.to_string());
+        }
         Ok(FileReport {
             data_lost: !report.problems.is_empty(),
             text: String::new(),

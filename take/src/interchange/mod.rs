@@ -236,9 +236,7 @@ impl Format {
             | Self::Mcap
             | Self::Npz
             | Self::Bids
-            | Self::Html => {
-                (None, true, usize::MAX)
-            }
+            | Self::Html => (None, true, usize::MAX),
         };
         Capabilities { foreign, up_axis, events_max, sampled }
     }

@@ -82,7 +82,8 @@ impl Lattice {
 
     fn error_mm(self, point: [i32; 3], position: Position) -> f64 {
         let coded = self.position(point);
-        let squares = coded.iter().zip(position).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2));
+        let squares =
+            coded.iter().zip(position).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2));
         squares.sum::<f64>().sqrt()
     }
 }
@@ -264,7 +265,8 @@ fn quantised<'p, I: Iterator<Item = &'p Position>>(
             return if is_gap(position) { Sample::Missing } else { Sample::Exact(position) };
         };
         if history.n > 0 {
-            let sizes = [0, 1, 2].map(|axis| point[axis].wrapping_sub(expected[axis]).unsigned_abs());
+            let sizes =
+                [0, 1, 2].map(|axis| point[axis].wrapping_sub(expected[axis]).unsigned_abs());
             bits += match sizes {
                 [0, 0, 0] => STILL_BITS,
                 sizes => sizes.iter().map(|n| 1.5 + 1.5 * f64::from(32 - n.leading_zeros())).sum(),
@@ -420,10 +422,8 @@ fn code_block<C: BinaryCoder>(
             let is_present = match column.presence {
                 0 => true,
                 1 => false,
-                _ => coder.bit(
-                    &mut models.present[usize::from(history.n > 0)],
-                    given != Sample::Missing,
-                ),
+                _ => coder
+                    .bit(&mut models.present[usize::from(history.n > 0)], given != Sample::Missing),
             };
             if !is_present {
                 history.n = 0;
@@ -472,8 +472,7 @@ fn code_point<C: BinaryCoder>(
     }
     let expected = [0, 1, 2].map(|axis| history.predict(order, axis));
     let context = history.as_expected << 1 | usize::from(before.was_expected);
-    let is_expected =
-        !is_new && coder.bit(&mut models.as_expected[context], point == expected);
+    let is_expected = !is_new && coder.bit(&mut models.as_expected[context], point == expected);
     let mut residuals = [0_i32; 3];
     for axis in 0..3 {
         if is_expected {
