@@ -11,6 +11,15 @@ export function rounded(value) {
   return value.toFixed(size >= 99.95 || size === 0 ? 0 : size >= 9.995 ? 1 : 2);
 }
 
+/** A bound with three significant digits: never rounded down, since it would be wrong then. */
+export function roundedUp(value) {
+  if (!(value > 0)) return "0";
+  const digits = 2 - Math.floor(Math.log10(value));
+  const scale = 10 ** digits;
+  // A bound that is computed from decimal numbers is not meant to be above them by the last bit.
+  return String(Number((Math.ceil(value * scale - 1e-9) / scale).toFixed(Math.max(0, digits))));
+}
+
 /** Bytes as [number, unit], with decimal prefixes. */
 export function bytes(n) {
   const units = ["B", "kB", "MB", "GB", "TB", "PB"];

@@ -14,13 +14,16 @@ const AHEAD_S = 3;
 /** Bytes per second above which playback loads only the frames that a display can show. */
 const BYTES_PER_S_MAX = 6e6;
 const DISPLAY_HZ = 60;
+/** A window that could not be read is tried again after this time, while it is needed. */
+const RETRY_MS = 3000;
 
 export class FrameBuffer {
   /** Only every n-th row is loaded. */
   every = 1;
   #windows = new Map();
-  #pending = new Set();
-  #failed = new Map();
+  /** The promises of the windows that are being loaded, by index. */
+  #pending = new Map();
+  #failed = new Set();
   #wanted = [];
 
   /**
@@ -84,6 +87,19 @@ export class FrameBuffer {
     this.#request();
   }
 
+  /** Loads the window of a row, if it can be, and returns whether it has the row. */
+  async fetch(row) {
+    const index = this.#index(row);
+    if (!this.#windows.has(index)) await (this.#pending.get(index) ?? this.#load(index));
+    return this.has(row);
+  }
+
+  /** The first row of the window after that of a row (1), or the last row of the one before it (-1). */
+  beside(row, direction) {
+    const span = this.windowFrames * this.every;
+    return direction > 0 ? (this.#index(row) + 1) * span : this.#index(row) * span - 1;
+  }
+
   /** Whether playback has to wait for the row: it is not loaded, and can be. */
   isWaitingFor(row) {
     return !this.has(row) && !this.#failed.has(this.#index(row));
@@ -114,19 +130,26 @@ export class FrameBuffer {
     }
   }
 
-  async #load(index) {
+  #load(index) {
+    const loading = this.#loadWindow(index);
+    this.#pending.set(index, loading);
+    return loading;
+  }
+
+  async #loadWindow(index) {
     const { every, windowFrames } = this;
-    this.#pending.add(index);
     try {
       const firstRow = index * windowFrames * every;
       const rows = Math.min(windowFrames * every, this.frames - firstRow);
       const window = await this.source.window(firstRow, rows, every);
       if (every !== this.every) return;
       this.#windows.set(index, window);
+      this.#failed.delete(index);
       while (this.#windows.size > this.keptMax) this.#windows.delete(this.#windows.keys().next().value);
     } catch (error) {
       if (every !== this.every) return;
-      this.#failed.set(index, error.message);
+      this.#failed.add(index);
+      setTimeout(() => this.#retry(index, every), RETRY_MS);
       this.onFailed(error);
     } finally {
       if (every === this.every) this.#pending.delete(index);
@@ -135,7 +158,13 @@ export class FrameBuffer {
     this.onLoaded();
   }
 
-  /** Tries again to load what could not be read. */
+  #retry(index, every) {
+    if (every !== this.every) return;
+    this.#failed.delete(index);
+    if (this.#wanted.includes(index)) this.#request();
+  }
+
+  /** Tries again at once to load what could not be read. */
   retry() {
     this.#failed.clear();
     this.#request();

@@ -3,13 +3,13 @@
 
 import { CHOSEN_MAX, Charts } from "./charts.js";
 import { byId, setAttribute, setHidden, setText } from "./dom.js";
-import { count, percentile, plural, rounded, takeTime } from "./format.js";
+import { count, percentile, plural, roundedUp, takeTime } from "./format.js";
 import { FrameBuffer } from "./frame_buffer.js";
 import { Playback } from "./playback.js";
 import { installPlayerKeys } from "./player_keys.js";
 import { PlayerLists } from "./player_lists.js";
 import { TakeMotion } from "./take_motion.js";
-import { GapCounts, TimeAxis } from "./time_axis.js";
+import { GapCounts, TimeAxis, gapBegins } from "./time_axis.js";
 import { View } from "./view.js";
 
 /** Charts and texts change less often than the scene while playing. */
@@ -23,6 +23,8 @@ export class Player {
   playback = new Playback(0, 1);
   gaps = new GapCounts();
   buffer = null;
+  /** Whether frames could not be read. */
+  hasFailed = false;
   /** Statistics for the tests: the script time of drawings in milliseconds, rows drawn, rows skipped. */
   stats = { drawn: 0, skipped: 0, firstPictureMs: NaN, times: [] };
   #openedMs = 0;
@@ -31,6 +33,8 @@ export class Player {
   #textsMs = 0;
   #tickMs = 0;
   #opened = 0;
+  /** The running search for a gap. */
+  #search = null;
 
   constructor() {
     this.view = new View(this.motion);
@@ -59,6 +63,8 @@ export class Player {
     const opened = (this.#opened += 1);
     this.overview = null;
     this.source = source;
+    this.#search = null;
+    this.hasFailed = false;
     this.#message("Loading");
     this.#notice(null);
     let overview;
@@ -77,14 +83,13 @@ export class Player {
     this.overview = overview;
     this.playback = new Playback(overview.frames, overview.rate_hz);
     this.gaps = new GapCounts();
-    this.gaps.isKnown = overview.samples_missing === 0 && overview.frames_lost === 0;
     this.stats = { drawn: 0, skipped: 0, firstPictureMs: NaN, times: [] };
     this.motion.setTake(overview);
     this.view.settle();
     this.view.updateMarkers();
     this.buffer = new FrameBuffer(source, overview, {
-      onLoaded: () => this.#refresh(),
-      onFailed: (error) => this.#notice(`Frames cannot be read: ${error.message}`),
+      onLoaded: () => this.#loaded(),
+      onFailed: (error) => this.#failed(error),
     });
     const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
     this.axis.show(shown);
@@ -103,9 +108,7 @@ export class Player {
   }
 
   async #countGaps(source, opened) {
-    byId("next-gap").disabled = this.gaps.isKnown;
     this.#hint(null);
-    if (this.gaps.isKnown) return;
     try {
       await source.gaps((part) => {
         if (opened !== this.#opened) return false;
@@ -119,9 +122,25 @@ export class Player {
     }
   }
 
+  /** Frames could not be read; they are tried again. */
+  #failed(error) {
+    this.hasFailed = true;
+    this.#notice(`Frames cannot be read: ${error.message}`);
+  }
+
+  #loaded() {
+    if (this.hasFailed && this.buffer.has(this.playback.row)) {
+      this.hasFailed = false;
+      this.#notice(this.overview.problems_total > 0 ? problemText(this.overview) : null);
+    }
+    this.#refresh();
+  }
+
   /** Goes to a row; playing goes on from there. */
   seek(row) {
     if (!this.overview) return;
+    this.#search = null;
+    if (this.hasFailed) this.buffer.retry();
     this.playback.seek(row);
     // After a jump the camera looks for the markers again.
     if (Math.abs(this.playback.row - this.motion.row) > this.playback.rateHz / 2) {
@@ -133,12 +152,15 @@ export class Player {
 
   step(rows) {
     if (!this.overview) return;
+    this.#search = null;
     this.playback.step(rows);
     this.#refresh();
   }
 
   toggle() {
     if (!this.overview) return;
+    this.#search = null;
+    if (this.hasFailed) this.buffer.retry();
     this.playback.toggle();
     this.#refresh();
   }
@@ -162,18 +184,42 @@ export class Player {
     if (found !== undefined) this.seek(found);
   }
 
-  /** Goes to the next (1) or previous (-1) gap of any marker: its bin of the time axis, then its first frame there. */
+  /** Goes to the next (1) or previous (-1) frame at which a gap of any marker begins. Anything else ends the search. */
   async goToGap(direction) {
     if (!this.overview) return;
-    const { buffer, gaps } = this;
-    const row = gaps.next(this.playback.row, direction);
-    if (row === null) return this.#hint(direction > 0 ? "no gap after this frame" : "no gap before this frame");
-    this.seek(row);
-    for (let tries = 0; tries < 100 && buffer.isWaitingFor(row); tries += 1) await new Promise((resolve) => setTimeout(resolve, 50));
-    if (this.playback.row !== row || this.buffer !== buffer) return;
-    for (let at = row; at < row + gaps.binFrames && buffer.has(at); at += 1) {
-      if (buffer.positionsAt(at).some(Number.isNaN)) return this.seek(at);
+    this.playback.pause();
+    this.#refresh();
+    const search = (this.#search = {});
+    const found = await this.#findGap(direction, search);
+    if (search !== this.#search) return;
+    if (found !== null) this.seek(found);
+    else this.#hint(direction > 0 ? "no gap begins after this frame" : "no gap begins before this frame");
+  }
+
+  async #findGap(direction, search) {
+    const { buffer, gaps, overview } = this;
+    let at = this.playback.row + direction;
+    while (at >= 0 && at < overview.frames) {
+      const clear = gaps.clearRows(at, direction);
+      if (clear > 0) {
+        at += direction * clear;
+        continue;
+      }
+      const isLoaded = buffer.has(at) && (at === 0 || buffer.has(at - 1));
+      if (!isLoaded) {
+        this.#hint(`searching for a gap: ${takeTime(at / overview.rate_hz)}`);
+        const isRead = await buffer.fetch(at);
+        if (at > 0) await buffer.fetch(at - 1);
+        if (search !== this.#search) return null;
+        if (!isRead) {
+          at = buffer.beside(at, direction);
+          continue;
+        }
+      }
+      if (gapBegins(buffer.positionsAt(at), at > 0 ? buffer.positionsAt(at - 1) : null)) return at;
+      at += direction;
     }
+    return null;
   }
 
   #choose(slots) {
@@ -212,8 +258,8 @@ export class Player {
     if (motion.show(playback.row, buffer.positionsAt)) {
       this.#message(null);
       this.view.invalidate();
-    } else if (buffer.isWaitingFor(playback.row) && this.overview.markers > 0 && this.overview.frames > 0) {
-      this.#message("Loading");
+    } else if (this.overview.markers > 0 && this.overview.frames > 0) {
+      this.#message(buffer.isWaitingFor(playback.row) ? "Loading" : "These frames cannot be read");
     }
     this.axis.invalidate();
     if (nowMs - this.#chartsMs < CHARTS_MS) return;
@@ -271,9 +317,9 @@ export class Player {
   #gapText() {
     if (!this.overview) return "";
     const { gaps, overview } = this;
-    if (gaps.isKnown) return "No gaps: every sample of every frame is there";
     const share = overview.frames > 0 ? Math.floor((100 * gaps.endRow) / overview.frames) : 100;
     const [missing, lost] = [gaps.missing, gaps.lost].map((bins) => bins.reduce((sum, n) => sum + (n ?? 0), 0));
+    if (share >= 100 && missing + lost === 0) return "No gaps: every sample of every frame is there";
     const found = `${plural(missing, "sample")} missing (bars), ${plural(lost, "frame")} lost (hatched)`;
     return share < 100 ? `${found} in the first ${share} %; reading on` : found;
   }
@@ -283,8 +329,8 @@ export class Player {
 export function facts(overview) {
   const { seconds, frames, rate_hz: rateHz, markers, tolerance_mm: tolerance, source, page } = overview;
   const known = [takeTime(seconds), `${plural(frames, "frame")} at ${Number(rateHz.toFixed(3))} Hz`, plural(markers, "marker")];
-  if (page) known.push(`every position is within ${rounded(page.tolerance_mm)} mm of the original`);
-  else known.push(tolerance > 0 ? `within ${Number(tolerance.toPrecision(3))} mm of the original` : "lossless");
+  if (page) known.push(`every position is within ${roundedUp(page.tolerance_mm)} mm of the original`);
+  else known.push(tolerance > 0 ? `within ${roundedUp(tolerance)} mm of the original` : "lossless");
   if (source && source !== overview.name) known.push(source);
   return known.join(" · ");
 }

@@ -39,20 +39,20 @@ export class GapCounts {
     return (this.missing[bin] ?? 0) > 0 || (this.lost[bin] ?? 0) > 0;
   }
 
-  /** The first row of the next (1) or previous (-1) run of bins with gaps, beside that of `row`; null without one. */
-  next(row, direction) {
-    const n = this.missing.length;
-    let bin = Math.floor(row / this.binFrames);
-    if (direction > 0) {
-      while (bin < n && this.has(bin)) bin += 1;
-      while (bin < n && !this.has(bin)) bin += 1;
-      return bin < n ? bin * this.binFrames : null;
-    }
-    for (bin = Math.ceil(row / this.binFrames) - 1; bin >= 0; bin -= 1) {
-      if (this.has(bin) && !this.has(bin - 1)) return bin * this.binFrames;
-    }
-    return null;
+  /** How many rows from a row on, forward (1) or back (-1), are counted and in a bin without a gap. */
+  clearRows(row, direction) {
+    const bin = Math.floor(row / this.binFrames);
+    if (row >= this.endRow || (bin + 1) * this.binFrames > this.endRow || this.has(bin)) return 0;
+    return direction > 0 ? (bin + 1) * this.binFrames - row : row - bin * this.binFrames + 1;
   }
+}
+
+/** Whether a gap of any marker begins at a row: its positions, and those of the row before it, null at the beginning. Pure. */
+export function gapBegins(positions, before) {
+  for (let i = 0; i < positions.length; i += 3) {
+    if (Number.isNaN(positions[i]) && !(before && Number.isNaN(before[i]))) return true;
+  }
+  return false;
 }
 
 /** Seconds between two times of an axis: a round number, so that they are at least `minimum` apart. Pure. */
@@ -199,7 +199,7 @@ export class TimeAxis {
       }
     }
     const read = this.#x(Math.min(gaps.endRow, this.playback.lastRow));
-    if (gaps.endRow >= overview.frames || gaps.isKnown) return;
+    if (gaps.endRow >= overview.frames) return;
     // The part whose gaps are not known yet.
     ctx.strokeStyle = this.colours.edge;
     ctx.setLineDash([2, 5]);

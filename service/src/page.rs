@@ -20,6 +20,11 @@ const SHARED: &str = "shared.js";
 /// The style sheets of the player, in order.
 const STYLES: [&str; 3] = ["style.css", "panels.css", "player.css"];
 
+/// Whether this is the path of a file of the pages.
+pub(crate) fn is_file(path: &str) -> bool {
+    path == "/" || path.strip_prefix('/').is_some_and(|name| WEB.get_file(name).is_some())
+}
+
 /// The player as one file without the take, which [`write`](Self::write) puts into it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SharedPage {

@@ -31,11 +31,11 @@ pub struct ShownTake {
 
 /// The takes of a viewer, in the order of its list.
 #[derive(Debug, Default)]
-pub struct Viewer {
+pub struct TakeViewer {
     takes: Vec<ShownTake>,
 }
 
-impl Viewer {
+impl TakeViewer {
     /// Adds a take. Its name in the list is `name` without what paths and lists cannot have, and unique.
     pub fn add(&mut self, name: &str, path: PathBuf) {
         let plain: String = name
@@ -76,7 +76,7 @@ fn refuse<T>() -> Result<T, Refusal> {
     Err(Refusal::new(RefusalKind::Conflict, message))
 }
 
-impl Control for Viewer {
+impl Control for TakeViewer {
     fn status(&self) -> Status {
         Status { software: SOFTWARE.to_owned(), ..Status::default() }
     }
@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_lead_nowhere() {
-        let mut viewer = Viewer::default();
+        let mut viewer = TakeViewer::default();
         for name in ["jump", "jump", "../x", ".hidden", "", "a/b\n", &"é".repeat(300)] {
             viewer.add(name, PathBuf::from("x.take"));
         }
@@ -160,7 +160,7 @@ mod tests {
 
     #[test]
     fn tokens_differ() {
-        let [a, b] = [0, 0].map(|_| Viewer::token().unwrap());
+        let [a, b] = [0, 0].map(|_| TakeViewer::token().unwrap());
         assert!(a != b && a.len() == 64);
     }
 }

@@ -1,7 +1,6 @@
 //! `view`: plays takes and motion files in a browser.
 
 use std::{
-    fs,
     io::{BufReader, BufWriter, Write},
     net::{Ipv4Addr, SocketAddr},
     path::{Path, PathBuf},
@@ -18,7 +17,7 @@ use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_service::{
     http::{HttpOptions, HttpServer},
     playback::TakeOverview,
-    viewer::Viewer,
+    viewer::TakeViewer,
 };
 use mocapd_take::interchange::ReadOptions;
 use tempfile::TempDir;
@@ -64,7 +63,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         notify(message);
     }
     let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
-    let mut viewer = Viewer::default();
+    let mut viewer = TakeViewer::default();
     let mut failed = inputs.unreadable.len();
     for input in &inputs.files {
         if stop.load(Ordering::Relaxed) {
@@ -83,7 +82,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         bail!("none of the files can be shown");
     }
     let n_takes = viewer.takes().len();
-    let token = Viewer::token()?;
+    let token = TakeViewer::token()?;
     let options = HttpOptions {
         tcp: Some(SocketAddr::from((Ipv4Addr::LOCALHOST, args.port))),
         token: Some(token.clone()),
@@ -146,7 +145,9 @@ fn open_browser(url: &str, folder: &TempDir) -> anyhow::Result<()> {
     let lead = format!(
         "<!doctype html><meta charset=\"utf-8\"><meta http-equiv=\"refresh\" content=\"0; url={url}\">\n"
     );
-    fs::write(&page, lead).with_context(|| format!("cannot write {}", plain_path(&page)))?;
+    let mut file = files::create_new(&page)?;
+    file.write_all(lead.as_bytes())
+        .with_context(|| format!("cannot write {}", plain_path(&page)))?;
     let opened = Command::new("xdg-open")
         .arg(&page)
         .stdin(Stdio::null())

@@ -143,6 +143,11 @@ def loops(browser, _log):
         browser.wait("the beginning again", lambda: row(browser) < 1000)
 
 
+def begins_gap(take, frame):
+    now, before = take.positions(frame), take.positions(frame - 1)
+    return any(a is None and b is not None for a, b in zip(now, before))
+
+
 #: The colour of the axis at a row, in the middle of the band, as [r, g, b].
 AXIS_PIXEL = """const canvas = document.getElementById('axis'); const ratio = canvas.width / canvas.clientWidth;
     const x = 9 + (arguments[0] / mocapdPlayer.playback.lastRow) * (canvas.clientWidth - 18);
@@ -164,17 +169,18 @@ def axis(browser, _log):
         gap = next(frame for frame in range(1000, take.frames) if take.missing(frame) > 1)
         assert watch in browser.js(AXIS_PIXEL, gap, 34), "missing samples"
         assert mark in browser.js(AXIS_PIXEL, int(0.4 * take.frames), 2), "a mark"
-        # From a frame without a gap to the next one.
-        clear = next(frame for frame in range(take.frames) if not take.missing(frame) and not take.is_lost(frame))
-        bins = math.ceil(take.frames / 1024)
-        browser.js("mocapdPlayer.seek(arguments[0])", clear)
+        # The frames at which a gap of a marker begins, forward and back.
+        begins = [frame for frame in range(1, take.frames) if begins_gap(take, frame)]
+        browser.js("mocapdPlayer.seek(arguments[0])", begins[3] - 1)
+        for expected in begins[3:6]:
+            browser.keys("g")
+            browser.wait(f"the gap at {expected}, not {row(browser)}", lambda: row(browser) == expected)
+        for expected in (begins[4], begins[3], begins[2]):
+            ActionChains(browser.driver).key_down(Keys.SHIFT).send_keys("g").key_up(Keys.SHIFT).perform()
+            browser.wait(f"the gap at {expected}, not {row(browser)}", lambda: row(browser) == expected)
+        browser.keys(Keys.END)
         browser.keys("g")
-        browser.wait("a gap", lambda: row(browser) != clear)
-        time.sleep(0.3)
-        found = row(browser)
-        assert found > clear and (take.missing(found) or take.is_lost(found)), found
-        expected = next(frame for frame in range((clear // bins + 1) * bins, take.frames) if take.missing(frame) or take.is_lost(frame))
-        assert found == expected, (found, expected)
+        browser.wait("the end", lambda: browser.text("axis-hint") == "no gap begins after this frame")
         browser.keys(Keys.HOME)
         for expected in (int(0.4 * take.frames), int(0.5 * take.frames)):
             browser.keys("e")
@@ -252,7 +258,9 @@ def failures(browser, _log):
         mock.set(refuse_windows=["disk", "cannot read the take: input/output error"])
         browser.open(f"{mock.url}player.html?take={NAME}")
         browser.wait("the notice", lambda: "input/output error" in browser.text("notice"))
+        assert browser.text("view-message") == "These frames cannot be read"
         mock.set(refuse_windows=None)
+        browser.wait("the frames, tried again", "return document.getElementById('notice').hidden && mocapdPlayer.stats.drawn > 0")
         browser.open(f"{mock.url}player.html?take=none")
         browser.wait("the notice", lambda: "no take has this name" in browser.text("notice"))
         assert browser.text("view-message") == "Cannot be played"

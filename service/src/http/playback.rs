@@ -4,7 +4,6 @@ use std::{
     fs::File,
     io::BufReader,
     sync::{Arc, Weak},
-    time::Duration,
 };
 
 use axum::{
@@ -34,7 +33,7 @@ use crate::{
     },
 };
 
-/// Latest beginning of a window in seconds: years, and a number that a duration can hold.
+/// Latest beginning of a window in seconds: years.
 const FROM_S_MAX: f64 = 1e9;
 
 /// Length of a window in seconds if none is requested.
@@ -136,19 +135,19 @@ pub(super) async fn gaps(
 ) -> Result<Json<GapBins>, Problem> {
     let refused = || Problem::invalid(FROM_REFUSED);
     let Query(query) = query.map_err(|_| refused())?;
-    let from = seconds_from(query.from)?;
+    let from_s = seconds_from(query.from)?;
     read_take(app, name, move |name, input| {
-        Ok(Json(read_gaps(input, from).map_err(|error| problem(name, error))?))
+        Ok(Json(read_gaps(input, from_s).map_err(|error| problem(name, error))?))
     })
     .await
 }
 
 const FROM_REFUSED: &str = "`from` must be a time in seconds, from 0 to 1e9";
 
-fn seconds_from(from: Option<f64>) -> Result<Duration, Problem> {
+fn seconds_from(from: Option<f64>) -> Result<f64, Problem> {
     let from = from.unwrap_or_default();
     if (0.0..=FROM_S_MAX).contains(&from) {
-        return Ok(Duration::from_secs_f64(from));
+        return Ok(from);
     }
     Err(Problem::invalid(FROM_REFUSED))
 }
@@ -161,7 +160,7 @@ fn window_request(
             "`from` and `seconds` must be times in seconds, and `every` a whole number, each at most once",
         )
     })?;
-    let from = seconds_from(from)?;
+    let from_s = seconds_from(from)?;
     let seconds = seconds.unwrap_or(SECONDS);
     if !(seconds > 0.0 && seconds <= SECONDS_MAX) {
         let message = format!("`seconds` must be more than 0 and at most {SECONDS_MAX}");
@@ -171,7 +170,7 @@ fn window_request(
     if !(1..=EVERY_MAX).contains(&every) {
         return Err(Problem::invalid(format!("`every` must be from 1 to {EVERY_MAX}")));
     }
-    Ok(WindowRequest { from, length: Duration::from_secs_f64(seconds), every })
+    Ok(WindowRequest { from_s, length_s: seconds, every })
 }
 
 /// Opens a take that is not being written, and reads it on a thread that may wait, in its turn.

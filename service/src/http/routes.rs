@@ -201,11 +201,6 @@ pub(super) async fn serve(
     Ok(response)
 }
 
-/// Whether this is the path of a file of the pages.
-pub(super) fn is_page_file(path: &str) -> bool {
-    path == "/" || path.strip_prefix('/').is_some_and(|name| WEB.get_file(name).is_some())
-}
-
 /// The paths that are served.
 pub(super) fn paths() -> impl Iterator<Item = String> {
     WEB.files().map(|file| match file.path().to_string_lossy() {
@@ -231,7 +226,7 @@ mod tests {
             .collect();
         files.sort();
         let served: Vec<_> = WEB.files().map(|file| file.path().to_str().unwrap()).collect();
-        assert_eq!(served, files, "touch service/src/http/routes.rs after a file was added");
+        assert_eq!(served, files, "touch service/src/page.rs after a file was added");
         assert!(WEB.dirs().next().is_none() && WEB.files().all(|file| content_type(file) != BYTES));
         assert!(paths().any(|path| path == "/") && !paths().any(|path| path.contains("index")));
     }

@@ -54,15 +54,9 @@ impl HttpServer {
     /// The options are useless or would let everybody in, or a socket or address is unavailable.
     pub fn start(options: HttpOptions, control: Arc<dyn Control>) -> anyhow::Result<Self> {
         options.check()?;
-        let HttpOptions {
-            unix_socket,
-            tcp,
-            token,
-            allowed_hosts,
-            connections_max,
-            limits,
-            is_viewer,
-        } = options;
+        let is_viewer = options.is_viewer;
+        let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits, .. } =
+            options;
         let unix = unix_socket.map(|path| Listening::new(|| listen_unix(&path))).transpose()?;
         let tcp = tcp.map(|address| Listening::new(|| listen_tcp(address))).transpose()?;
         let tcp_address = tcp.as_ref().map(|tcp| tcp.listener.local_addr()).transpose()?;

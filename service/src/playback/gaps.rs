@@ -3,17 +3,13 @@
 use std::{
     io::{Read, Seek},
     ops::Range,
-    time::Duration,
 };
 
-use mocapd_take::{
-    TakeError, TakeTraversal, motion::frame_at, stretch::Span, timeline::Timeline,
-    traversal::Decode,
-};
+use mocapd_take::{TakeError, TakeTraversal, stretch::Span, timeline::Timeline, traversal::Decode};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::SAMPLES_MAX;
+use super::{SAMPLES_MAX, window::frame_at};
 
 /// Maximum number of bins of a take: about one per pixel of a time axis.
 pub const BINS: u64 = 1024;
@@ -39,14 +35,14 @@ pub struct GapBins {
     pub is_damaged: bool,
 }
 
-/// Counts what is missing from a time on, in as many frames as one call may decode.
+/// Counts what is missing from a time in seconds on, in as many frames as one call may decode.
 ///
 /// # Errors
 /// Those of the reader. Nothing is counted from the end of the take on.
-pub fn read_gaps(input: &mut (impl Read + Seek), from: Duration) -> Result<GapBins, TakeError> {
+pub fn read_gaps(input: &mut (impl Read + Seek), from_s: f64) -> Result<GapBins, TakeError> {
     let map = super::open(input)?;
     let n_markers = map.channels.len() as u64;
-    let first = frame_at(from, map.header.rate_hz).min(map.n_rows);
+    let first = frame_at(from_s, map.header.rate_hz).min(map.n_rows);
     let frames_max = (SAMPLES_MAX / n_markers.max(1)).max(1);
     let rows = first..map.n_rows.min(first + frames_max);
     let bin_frames = map.n_rows.div_ceil(BINS).max(1);

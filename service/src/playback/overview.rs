@@ -7,6 +7,7 @@ use mocapd_take::{
     TakeError, TakeMap,
     motion::MotionInfo,
     record::{Event, Ledger},
+    statistics::TakeStatistics,
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -92,7 +93,7 @@ impl TakeOverview {
         let labels: Vec<String> =
             map.channels.iter().map(|channel| channel.label.clone()).collect();
         let recorded = map.ledger.as_ref().map(|ledger| ledger.recorded);
-        let samples = map.statistics.as_ref().map(|statistics| statistics.samples());
+        let samples = map.statistics.as_ref().map(TakeStatistics::samples);
         let missing = recorded.zip(samples).map(|(rows, samples)| {
             rows.saturating_mul(map.channels.len() as u64).saturating_sub(samples)
         });

@@ -3,12 +3,11 @@
 use std::{
     io::{Read, Seek},
     ops::Range,
-    time::Duration,
 };
 
 use mocapd_take::{
     TakeError, TakeMap, TakeTraversal,
-    motion::{GAP, Position, frame_at},
+    motion::{GAP, Position},
     traversal::Decode,
 };
 
@@ -40,10 +39,10 @@ const DAMAGED: u32 = 2;
 /// The frames that a window is to have.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowRequest {
-    /// Where it begins: at the first frame at or after this time.
-    pub from: Duration,
-    /// How long it is.
-    pub length: Duration,
+    /// Where it begins, in seconds: at the first frame at or after this time.
+    pub from_s: f64,
+    /// How long it is, in seconds.
+    pub length_s: f64,
     /// It has every frame (1), every second one (2), and so on.
     pub every: u32,
 }
@@ -111,19 +110,46 @@ impl FrameWindow {
         }
         let rows = rows.start..end;
         let n_frames = (rows.end - rows.start).div_ceil(every.into());
-        let mut positions = vec![GAP; n_frames as usize * n_markers];
+        let positions = vec![GAP; n_frames as usize * n_markers];
+        let n_markers = n_markers as u32;
+        let mut window = Self { n_markers, first_row: rows.start, every, flags, positions };
         if n_markers > 0 {
             let mut take = TakeTraversal::from_map(input, &map, Decode::All)?;
             take.read_rows(&rows, |take, part, offset| {
-                copy(take, &rows, every, (part, offset), n_markers, &mut positions);
+                window.copy(take, &part, offset);
                 Ok(())
             })?;
             if !take.is_intact() || map.damaged {
-                flags |= DAMAGED;
+                window.flags |= DAMAGED;
             }
         }
-        let n_markers = n_markers as u32;
-        Ok(Self { n_markers, first_row: rows.start, every, flags, positions })
+        Ok(window)
+    }
+
+    /// Copies those rows of the last stretch that the window has. `part` are its rows within the window, and the first of
+    /// them has the index `offset` in the stretch.
+    fn copy<R: Read + Seek>(&mut self, take: &TakeTraversal<R>, part: &Range<u64>, offset: usize) {
+        let (every, n_markers) = (u64::from(self.every), self.n_markers as usize);
+        let skipped = (part.start - self.first_row).next_multiple_of(every);
+        let first = self.first_row + skipped;
+        if first >= part.end {
+            return;
+        }
+        let n = ((part.end - first).div_ceil(every)) as usize;
+        let within = offset + (first - part.start) as usize;
+        let frame = (skipped / every) as usize;
+        for (column, rows) in take.rows().take(n_markers).enumerate() {
+            let Some(rows) = rows else { continue };
+            let samples = rows.positions.iter().zip(&rows.present);
+            let samples = samples.skip(within).step_by(every as usize).take(n);
+            let places =
+                self.positions.iter_mut().skip(frame * n_markers + column).step_by(n_markers);
+            for (place, (&position, &present)) in places.zip(samples) {
+                if present {
+                    *place = position;
+                }
+            }
+        }
     }
 
     /// The window as bytes, little endian: the four bytes `MPW1`, u32 number of markers, u64 first row, u32 number of
@@ -147,45 +173,43 @@ impl FrameWindow {
     }
 }
 
+/// The first frame at or after a time. A time that a client computed from the number of a frame is that frame's, whatever
+/// the rate: a division and a multiplication of f64 are off by far less than this tolerance.
+pub(super) fn frame_at(time_s: f64, rate_hz: f64) -> u64 {
+    let frame = time_s * rate_hz;
+    let nearest = frame.round();
+    let is_close = (frame - nearest).abs() <= FRAME_TOLERANCE + 4.0 * f64::EPSILON * frame;
+    // A number that does not fit is behind every take.
+    if is_close { nearest as u64 } else { frame.ceil() as u64 }
+}
+
+/// Frames by which a time may miss that of a frame.
+const FRAME_TOLERANCE: f64 = 1e-6;
+
 /// The rows from the first to the last of a request, within the take.
 fn rows_of(map: &TakeMap, request: &WindowRequest) -> Result<Range<u64>, WindowError> {
     let rate_hz = map.header.rate_hz;
-    let first = frame_at(request.from, rate_hz);
+    let first = frame_at(request.from_s, rate_hz);
     if first >= map.n_rows {
         return Err(WindowError::BehindEnd { seconds: map.n_rows as f64 / rate_hz });
     }
-    let end = frame_at(request.from.saturating_add(request.length), rate_hz);
+    let end = frame_at(request.from_s + request.length_s, rate_hz);
     Ok(first..end.clamp(first + 1, map.n_rows))
 }
 
-/// Copies those rows of the last stretch that a window has. `part` are the rows of the window in the stretch, and the
-/// index of the first of them in it.
-fn copy<R: Read + Seek>(
-    take: &TakeTraversal<R>,
-    window: &Range<u64>,
-    every: u32,
-    (part, offset): (Range<u64>, usize),
-    n_markers: usize,
-    positions: &mut [Position],
-) {
-    let every = u64::from(every);
-    let skipped = (part.start - window.start).next_multiple_of(every);
-    let first = window.start + skipped;
-    if first >= part.end {
-        return;
-    }
-    let n = ((part.end - first).div_ceil(every)) as usize;
-    let within = offset + (first - part.start) as usize;
-    let frame = (skipped / every) as usize;
-    for (column, rows) in take.rows().take(n_markers).enumerate() {
-        let Some(rows) = rows else { continue };
-        let samples = rows.positions.iter().zip(&rows.present);
-        let samples = samples.skip(within).step_by(every as usize).take(n);
-        let places = positions.iter_mut().skip(frame * n_markers + column).step_by(n_markers);
-        for (place, (&position, &present)) in places.zip(samples) {
-            if present {
-                *place = position;
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frames_time_is_that_frame_at_every_rate() {
+        for rate_hz in [0.001, 23.976, 29.97, 60.0, 60.003, 120.0, 300.0, 333.3, 1000.0, 9999.0] {
+            for frame in (0..2000).chain([99_999, 123_456_789, 4_000_000_000]) {
+                assert_eq!(frame_at(frame as f64 / rate_hz, rate_hz), frame, "{rate_hz} Hz");
+                let later = (frame as f64 + 0.01) / rate_hz;
+                assert_eq!(frame_at(later, rate_hz), frame + 1, "{rate_hz} Hz");
             }
         }
+        assert_eq!(frame_at(1e9, 1e6), 1_000_000_000_000_000);
     }
 }

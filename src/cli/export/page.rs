@@ -38,9 +38,27 @@ impl fmt::Display for PageAccuracy {
         let Self { tolerance_mm, take_tolerance_mm, added_mm, max_added_mm } = self;
         write!(
             f,
-            "positions within {tolerance_mm:.4} mm of the original: {take_tolerance_mm:.4} mm by the take, {added_mm:.4} mm \
-             by the page (measured: {max_added_mm:.4} mm)"
+            "positions within {} mm of the original: {} mm by the take, {} mm by the page (measured: {} mm)",
+            rounded_up(*tolerance_mm),
+            rounded_up(*take_tolerance_mm),
+            rounded_up(*added_mm),
+            rounded_up(*max_added_mm)
         )
+    }
+}
+
+/// A bound with three significant digits: never rounded down, since it would be wrong then.
+fn rounded_up(mm: f64) -> String {
+    if mm <= 0.0 {
+        return "0".to_owned();
+    }
+    let digits = 2 - mm.log10().floor() as i32;
+    let scale = 10_f64.powi(digits);
+    // A bound that is computed from decimal numbers is not meant to be above them by the last bit.
+    let text = format!("{:.*}", digits.max(0) as usize, (mm * scale - 1e-9).ceil() / scale);
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
     }
 }
 
@@ -90,5 +108,27 @@ impl ExportPlan<'_> {
             Ok(overview.to_string())
         })?;
         Ok(accuracy)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stated_bound_is_never_smaller_than_the_bound() {
+        for (mm, text) in [
+            (0.0, "0"),
+            (0.004, "0.004"),
+            (0.1125, "0.113"),
+            (0.5 + 0.5, "1"),
+            (0.1 + 0.2, "0.3"),
+            (1.004, "1.01"),
+            (0.49991, "0.5"),
+            (39.96, "40"),
+            (1234.5, "1240"),
+        ] {
+            assert_eq!(rounded_up(mm), text);
+        }
     }
 }

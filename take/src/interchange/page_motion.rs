@@ -154,27 +154,27 @@ fn encode_block(
     lattice: Lattice,
     out: &mut Vec<u8>,
 ) -> f64 {
-    let mut samples = vec![Sample::Missing; positions.len()];
-    let columns: Vec<Column> = (0..n_markers)
+    let mut samples = vec![PageSample::Missing; positions.len()];
+    let columns: Vec<MarkerCoding> = (0..n_markers)
         .map(|column| {
             let given = || positions.iter().skip(column).step_by(n_markers);
-            let (of, coded) = Column::of(given, lattice);
+            let (of, coded) = MarkerCoding::of(given, lattice);
             let places = samples.iter_mut().skip(column).step_by(n_markers);
             places.zip(coded).for_each(|(place, sample)| *place = sample);
             of
         })
         .collect();
-    let has_exact = samples.iter().any(|sample| matches!(sample, Sample::Exact(_)));
+    let has_exact = samples.iter().any(|sample| matches!(sample, PageSample::Exact(_)));
     let errors_mm = samples.iter().zip(positions).map(|(sample, position)| match sample {
-        Sample::Point(point) => lattice.error_mm(*point, *position),
-        Sample::Missing | Sample::Exact(_) => 0.0,
+        PageSample::Point(point) => lattice.error_mm(*point, *position),
+        PageSample::Missing | PageSample::Exact(_) => 0.0,
     });
     let error_mm = errors_mm.fold(0.0, f64::max);
     let mut coder = RangeEncoder::new(out, usize::MAX);
     let mut source = samples.into_iter();
     let given = Given { has_exact, columns };
     code_block(&mut coder, n_markers, n_frames, Some(&given), |coded| match coded {
-        None => source.next().unwrap_or(Sample::Missing),
+        None => source.next().unwrap_or(PageSample::Missing),
         Some(sample) => sample,
     });
     // There is no limit that it could exceed.
@@ -195,19 +195,19 @@ pub fn decode_block(
     code_block(&mut coder, n_markers, n_frames, None, |sample| {
         if let Some(sample) = sample {
             positions.push(match sample {
-                Sample::Missing => GAP,
-                Sample::Exact(position) => position,
-                Sample::Point(point) => lattice.position(point),
+                PageSample::Missing => GAP,
+                PageSample::Exact(position) => position,
+                PageSample::Point(point) => lattice.position(point),
             });
         }
-        Sample::Missing
+        PageSample::Missing
     });
     positions
 }
 
 /// A sample as it is coded.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Sample {
+enum PageSample {
     Missing,
     Point([i32; 3]),
     /// Too far away for the lattice.
@@ -216,19 +216,19 @@ enum Sample {
 
 /// What an encoder decides for a marker in a block.
 #[derive(Debug, Clone, Copy)]
-struct Column {
+struct MarkerCoding {
     /// 0: all samples are present, 1: none, 2: some.
     presence: u8,
     /// Number of earlier samples in a prediction: 1, 2 or 3.
     order: u8,
 }
 
-impl Column {
+impl MarkerCoding {
     /// Decides by all positions of a marker, and returns its samples, too.
     fn of<'p, I: Iterator<Item = &'p Position>>(
         given: impl Fn() -> I,
         lattice: Lattice,
-    ) -> (Self, Vec<Sample>) {
+    ) -> (Self, Vec<PageSample>) {
         let missing = given().filter(|position| is_gap(**position)).count();
         let presence = match missing {
             0 => 0,
@@ -251,7 +251,7 @@ fn quantised<'p, I: Iterator<Item = &'p Position>>(
     positions: I,
     order: u8,
     lattice: Lattice,
-) -> (Vec<Sample>, f64) {
+) -> (Vec<PageSample>, f64) {
     let mut history = History::default();
     let mut bits = 0.0;
     let samples = positions.map(|&position| {
@@ -262,7 +262,11 @@ fn quantised<'p, I: Iterator<Item = &'p Position>>(
         };
         let (false, Some(point)) = (is_gap(position), point) else {
             history.n = 0;
-            return if is_gap(position) { Sample::Missing } else { Sample::Exact(position) };
+            return if is_gap(position) {
+                PageSample::Missing
+            } else {
+                PageSample::Exact(position)
+            };
         };
         if history.n > 0 {
             let sizes =
@@ -273,7 +277,7 @@ fn quantised<'p, I: Iterator<Item = &'p Position>>(
             };
         }
         history.push(point);
-        Sample::Point(point)
+        PageSample::Point(point)
     });
     let samples = samples.collect();
     (samples, bits)
@@ -285,7 +289,7 @@ const STILL_BITS: f64 = 0.4;
 /// What is coded besides the samples.
 struct Given {
     has_exact: bool,
-    columns: Vec<Column>,
+    columns: Vec<MarkerCoding>,
 }
 
 /// The last samples of a marker without a gap between them, newest first.
@@ -399,19 +403,19 @@ fn code_block<C: BinaryCoder>(
     n_markers: usize,
     n_frames: usize,
     given: Option<&Given>,
-    mut next: impl FnMut(Option<Sample>) -> Sample,
+    mut next: impl FnMut(Option<PageSample>) -> PageSample,
 ) {
     let mut models = Models::new();
     let has_exact = coder.bit(&mut models.has_exact, given.is_some_and(|given| given.has_exact));
-    let columns: Vec<Column> = (0..n_markers)
+    let columns: Vec<MarkerCoding> = (0..n_markers)
         .map(|i| {
-            let of = given.map_or(Column { presence: 0, order: 1 }, |given| given.columns[i]);
+            let of = given.map_or(MarkerCoding { presence: 0, order: 1 }, |given| given.columns[i]);
             let presence = Models::of_three(coder, &mut models.presence, of.presence);
             let order = match presence {
                 1 => 1,
                 _ => 1 + Models::of_three(coder, &mut models.order, of.order - 1),
             };
-            Column { presence, order }
+            MarkerCoding { presence, order }
         })
         .collect();
     let mut histories = vec![History::default(); n_markers];
@@ -422,26 +426,28 @@ fn code_block<C: BinaryCoder>(
             let is_present = match column.presence {
                 0 => true,
                 1 => false,
-                _ => coder
-                    .bit(&mut models.present[usize::from(history.n > 0)], given != Sample::Missing),
+                _ => coder.bit(
+                    &mut models.present[usize::from(history.n > 0)],
+                    given != PageSample::Missing,
+                ),
             };
             if !is_present {
                 history.n = 0;
-                next(Some(Sample::Missing));
+                next(Some(PageSample::Missing));
                 continue;
             }
             let is_exact =
-                has_exact && coder.bit(&mut models.exact, matches!(given, Sample::Exact(_)));
+                has_exact && coder.bit(&mut models.exact, matches!(given, PageSample::Exact(_)));
             if is_exact {
-                let position = if let Sample::Exact(position) = given { position } else { GAP };
+                let position = if let PageSample::Exact(position) = given { position } else { GAP };
                 let bits = position.map(|v| coder.plain(u64::from(v.to_bits()), 32) as u32);
                 history.n = 0;
-                next(Some(Sample::Exact(bits.map(f32::from_bits))));
+                next(Some(PageSample::Exact(bits.map(f32::from_bits))));
                 continue;
             }
-            let point = if let Sample::Point(point) = given { point } else { [0; 3] };
+            let point = if let PageSample::Point(point) = given { point } else { [0; 3] };
             let point = code_point(coder, &mut models, column.order, (history, &mut before), point);
-            next(Some(Sample::Point(point)));
+            next(Some(PageSample::Point(point)));
         }
     }
 }

@@ -1,10 +1,10 @@
 import { chartRows, limits, speedAt } from "/charts.js";
-import { takeTime } from "/format.js";
+import { roundedUp, takeTime } from "/format.js";
 import { FrameBuffer } from "/frame_buffer.js";
 import { Playback } from "/playback.js";
 import { parseWindow } from "/service_source.js";
 import { TakeMotion } from "/take_motion.js";
-import { GapCounts, tickSeconds } from "/time_axis.js";
+import { GapCounts, gapBegins, tickSeconds } from "/time_axis.js";
 import { equal, isTrue, near, test, throws } from "./harness.js";
 
 const always = () => true;
@@ -185,14 +185,28 @@ test("takes of very many markers load only what a display shows while they play"
   isTrue(asked.some((every) => every > 1 && 1000 / every >= 60), JSON.stringify(asked));
 });
 
-test("gaps of parts are added up, and the next and the previous run of them is found", () => {
+test("gaps of parts are added up, and rows without any are known", () => {
   const gaps = new GapCounts();
   const part = (first_bin, missing_samples, lost_frames, end_frame) => ({ bin_frames: 10, first_bin, missing_samples, lost_frames, end_frame });
   gaps.add(part(0, [0, 3, 1], [0, 0, 0], 25));
   gaps.add(part(2, [1, 0, 0, 0, 0], [0, 0, 0, 2, 0], 70));
   equal([gaps.missing, gaps.lost, gaps.endRow], [[0, 3, 2, 0, 0, 0, 0], [0, 0, 0, 0, 0, 2, 0], 70]);
-  equal([0, 12, 29, 30, 55].map((row) => gaps.next(row, 1)), [10, 50, 50, 50, null]);
-  equal([5, 10, 12, 35, 50, 69].map((row) => gaps.next(row, -1)), [null, null, 10, 10, 10, 50]);
+  equal([0, 9, 10, 30, 49, 55, 69, 70].map((row) => gaps.clearRows(row, 1)), [10, 1, 0, 10, 1, 0, 1, 0]);
+  equal([0, 9, 15, 35, 69].map((row) => gaps.clearRows(row, -1)), [1, 10, 0, 6, 10]);
+});
+
+test("a gap begins where a marker is missing that was there before", () => {
+  const at = (...markers) => Float32Array.from(markers.flatMap((there) => (there ? [1, 2, 3] : [NaN, NaN, NaN])));
+  equal(gapBegins(at(1, 0), at(1, 1)), true);
+  equal(gapBegins(at(1, 0), at(0, 1)), true, "of another marker");
+  equal(gapBegins(at(1, 0), at(1, 0)), false, "goes on");
+  equal(gapBegins(at(1, 1), at(1, 0)), false, "ends");
+  equal([gapBegins(at(1, 0), null), gapBegins(at(1, 1), null)], [true, false], "at the first frame");
+});
+
+test("a bound is never rounded down", () => {
+  equal([0, 0.004, 0.1125, 0.5 + 0.5, 0.1 + 0.2, 1.004, 0.49991, 39.96, 1234.5].map(roundedUp),
+    ["0", "0.004", "0.113", "1", "0.3", "1.01", "0.5", "40", "1240"]);
 });
 
 test("the charts show ten seconds, at the ends of a take, too", () => {

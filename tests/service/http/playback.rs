@@ -11,7 +11,7 @@ use mocapd_acquire::pipeline::offline;
 use mocapd_service::{
     http::HttpOptions,
     playback::{FrameWindow, GapBins, TakeOverview, WINDOW_BYTES_MAX, WindowRequest, read_gaps},
-    viewer::Viewer,
+    viewer::TakeViewer,
 };
 use mocapd_take::{
     import,
@@ -97,6 +97,8 @@ fn a_window_has_the_decoded_positions_bit_by_bit() {
         ("?seconds=1e-9", 0, 1, 1),
         ("?from=2.991&seconds=1e-9", 359, 1, 1),
         ("?every=10000", 0, 10_000, 1),
+        ("?from=0.016666666666666666&seconds=0.008333333333333333", 2, 1, 1),
+        ("?from=0.058333333333333334&seconds=0.016666666666666666", 7, 1, 2),
     ] {
         let window = parse(&get(served.at, &format!("/v1/takes/gaps/window{query}")));
         assert_eq!((window.first, window.every, window.flags), (first, every, 0), "{query}");
@@ -310,10 +312,9 @@ fn long(seconds: usize) -> Vec<u8> {
 fn a_window_anywhere_in_a_long_take_is_read_from_its_key_stretch() {
     let take = long(900);
     let n_bytes = take.len() as u64;
-    let length = Duration::from_secs(2);
-    for from_s in [0, 300, 600, 890] {
+    for from_s in [0.0, 300.0, 600.0, 890.0] {
         let mut input = Counted { input: Cursor::new(take.clone()), read: 0 };
-        let request = WindowRequest { from: Duration::from_secs(from_s), length, every: 1 };
+        let request = WindowRequest { from_s, length_s: 2.0, every: 1 };
         FrameWindow::read(&mut input, &request).unwrap();
         assert!(input.read * 8 < n_bytes, "{} of {n_bytes} bytes at {from_s} s", input.read);
     }
@@ -323,7 +324,7 @@ fn a_window_anywhere_in_a_long_take_is_read_from_its_key_stretch() {
     let mut parts = 0;
     let mut frame = 0;
     while frame < overview.frames {
-        let from = Duration::from_secs_f64(frame as f64 / overview.rate_hz);
+        let from = frame as f64 / overview.rate_hz;
         let bins = read_gaps(&mut Cursor::new(&take), from).unwrap();
         assert_eq!(bins.first_frame, frame);
         assert!(bins.missing_samples.len() <= 1025 && bins.end_frame > frame);
@@ -338,9 +339,9 @@ fn a_viewer_serves_the_player_to_everybody_and_takes_to_those_with_its_token() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.take");
     fs::write(&path, super::take()).unwrap();
-    let mut viewer = Viewer::default();
+    let mut viewer = TakeViewer::default();
     viewer.add("x", path);
-    let token = Viewer::token().unwrap();
+    let token = TakeViewer::token().unwrap();
     let options = HttpOptions { token: Some(token.clone()), is_viewer: true, ..local() };
     let server = mocapd_service::http::HttpServer::start(options, Arc::new(viewer)).unwrap();
     let at = server.tcp_address().unwrap();
