@@ -27,6 +27,12 @@ export function setToken(text) {
   token = text;
 }
 
+/** A token that was refused is dropped, since it would win over the cookie of a login. */
+async function authorize() {
+  if (token === null) return logIn();
+  setToken(null);
+}
+
 const RESPONSE_TIMEOUT_MS = 2500;
 /** The service itself gives up after 60 s and reports it. */
 const COMMAND_TIMEOUT_MS = 65_000;
@@ -66,7 +72,7 @@ async function read(path, timeoutMs, body) {
     try {
       return await body(await send(path, {}, timeoutMs));
     } catch (error) {
-      if (error.status === 401) await logIn();
+      if (error.status === 401) await authorize();
       else if (error instanceof ServiceError || error instanceof ConnectionError) throw error;
       else throw new ConnectionError("the reply is incomplete");
     }
@@ -99,7 +105,7 @@ export async function sendCommand(path, body = {}, { onRetry = () => {}, tries =
       return text ? JSON.parse(text) : {};
     } catch (error) {
       if (error.status === 401) {
-        await logIn();
+        await authorize();
       } else if ((error instanceof ServiceError && error.kind !== "unavailable") || attempt >= tries) {
         throw error;
       } else {

@@ -15,14 +15,38 @@ const LEFT_PX = 62;
 const SPEED_S = 1 / 60;
 
 /**
- * The speed of a marker at a row in metres per second, from its positions at both sides; NaN beside a gap. Pure.
+ * The speed of a marker at a row in metres per second, from its positions at both sides; NaN in a gap and beside one. Pure.
+ * Only every n-th row may be loaded: then it is that of the loaded row before.
  */
-export function speedAt(positionsAt, slot, row, rateHz) {
-  const reach = Math.max(1, Math.round(SPEED_S * rateHz));
-  const [before, after] = [row - reach, row + reach].map((at) => (at >= 0 ? positionsAt(at) : null));
-  if (!before || !after || !positionsAt(row)) return NaN;
-  const apart = Math.hypot(...[0, 1, 2].map((i) => after[3 * slot + i] - before[3 * slot + i]));
-  return (apart * rateHz) / (2 * reach) / 1000;
+export function speedAt(positionsAt, slot, row, rateHz, every = 1) {
+  const at = Math.floor(row / every) * every;
+  const reach = Math.ceil(Math.max(1, Math.round(SPEED_S * rateHz)) / every) * every;
+  const [before, now, after] = [at - reach, at, at + reach].map((near) => (near >= 0 ? positionsAt(near) : null));
+  if (!before || !after || !now || Number.isNaN(now[3 * slot])) return NaN;
+  const i = 3 * slot;
+  return (Math.hypot(after[i] - before[i], after[i + 1] - before[i + 1], after[i + 2] - before[i + 2]) * rateHz) / (2 * reach) / 1000;
+}
+
+/**
+ * The rows of a column of a chart as {first, low, high, last, isWhole}, so that neither a peak nor a gap of one row is left
+ * out; `valueAt(row)` is NaN in a gap. Null if no row has a value. Pure.
+ */
+export function column(valueAt, firstRow, rows) {
+  let found = null;
+  let isWhole = true;
+  for (let row = firstRow; row < firstRow + rows; row += 1) {
+    const value = valueAt(row);
+    if (Number.isNaN(value)) {
+      isWhole = false;
+      continue;
+    }
+    found ??= { first: value, low: value, high: value, last: value, isWhole };
+    found.last = value;
+    if (value < found.low) found.low = value;
+    if (value > found.high) found.high = value;
+  }
+  if (found) found.isWhole = isWhole;
+  return found;
 }
 
 /** The rows shown around a row: [first, last]. Pure. */
@@ -48,6 +72,8 @@ export class Charts {
   #canvas = byId("charts");
   #isDirty = false;
   chosen = [];
+  /** Duration of the last drawing. */
+  drawMs = 0;
 
   constructor() {
     this.ctx = this.#canvas.getContext("2d");
@@ -76,7 +102,9 @@ export class Charts {
     this.#isDirty = true;
     requestAnimationFrame(() => {
       this.#isDirty = false;
+      const beganMs = performance.now();
       if (this.overview) this.#draw();
+      this.drawMs = performance.now() - beganMs;
     });
   }
 
@@ -85,9 +113,10 @@ export class Charts {
     const ratio = Math.min(2, devicePixelRatio || 1);
     const { clientWidth: width, clientHeight: height } = this.#canvas;
     if (width < 100 || height < 60) return;
-    this.#canvas.width = Math.round(width * ratio);
-    this.#canvas.height = Math.round(height * ratio);
+    const size = [width, height].map((length) => Math.round(length * ratio));
+    if (this.#canvas.width !== size[0] || this.#canvas.height !== size[1]) [this.#canvas.width, this.#canvas.height] = size;
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    ctx.clearRect(0, 0, width, height);
     const [first, last] = chartRows(this.playback.row, this.overview.frames, this.overview.rate_hz);
     const rows = [];
     const step = Math.max(1, Math.ceil((last - first) / Math.max(100, width - LEFT_PX)));
@@ -98,22 +127,27 @@ export class Charts {
     const stripPx = (height - 4) / names.length;
     names.forEach((name, i) => {
       const strip = { name, top: i * stripPx + 4, height: stripPx - 8, x, width };
-      this.#drawStrip(strip, rows, i);
+      this.#drawStrip(strip, rows, step, i);
     });
     ctx.fillStyle = this.colours.text;
     ctx.fillRect(x(this.playback.row) - 0.5, 0, 1.5, height);
   }
 
-  #values(slot, rows, quantity) {
-    const { positionsAt } = this.buffer;
-    if (quantity === 3) return rows.map((row) => speedAt(positionsAt, slot, row, this.overview.rate_hz));
-    return rows.map((row) => positionsAt(row)?.[3 * slot + quantity] ?? NaN);
+  /** The columns of a marker, each of `step` rows. */
+  #columns(slot, rows, step, quantity) {
+    const { buffer, overview } = this;
+    const { positionsAt, every } = buffer;
+    const valueAt = quantity === 3
+      ? (row) => speedAt(positionsAt, slot, row, overview.rate_hz, every)
+      : (row) => positionsAt(row)?.[3 * slot + quantity] ?? NaN;
+    return rows.map((row) => column(valueAt, row, Math.min(step, overview.frames - row)));
   }
 
-  #drawStrip({ name, top, height, x, width }, rows, quantity) {
+  #drawStrip({ name, top, height, x, width }, rows, step, quantity) {
     const { ctx } = this;
-    const lines = this.chosen.map((slot) => this.#values(slot, rows, quantity));
-    const range = limits(lines.flat(), quantity === 3 ? 0.1 : 20);
+    const lines = this.chosen.map((slot) => this.#columns(slot, rows, step, quantity));
+    const ends = lines.flat().flatMap((found) => (found ? [found.low, found.high] : []));
+    const range = limits(ends, quantity === 3 ? 0.1 : 20);
     ctx.strokeStyle = this.colours.line;
     ctx.lineWidth = 1;
     ctx.strokeRect(LEFT_PX + 0.5, top + 0.5, width - LEFT_PX - 4, height);
@@ -132,18 +166,28 @@ export class Charts {
     lines.forEach((values, i) => this.#drawLine(values, i, (at) => x(rows[at]), y));
   }
 
-  #drawLine(values, series, x, y) {
+  #drawLine(columns, series, x, y) {
     const { ctx } = this;
     ctx.strokeStyle = this.colours[`series-${series + 1}`];
     ctx.lineWidth = 1.5;
     ctx.setLineDash(DASHES[series]);
     ctx.beginPath();
     let isPenDown = false;
-    values.forEach((value, i) => {
-      const isThere = Number.isFinite(value);
-      if (isThere && isPenDown) ctx.lineTo(x(i), y(value));
-      else if (isThere) ctx.moveTo(x(i), y(value));
-      isPenDown = isThere;
+    columns.forEach((found, i) => {
+      if (!found) {
+        isPenDown = false;
+        return;
+      }
+      const at = x(i);
+      if (isPenDown && found.isWhole) ctx.lineTo(at, y(found.first));
+      else ctx.moveTo(at, y(found.first));
+      if (found.low !== found.high) {
+        for (const value of [found.high, found.low, found.last]) ctx.lineTo(at, y(value));
+      } else if (!found.isWhole) {
+        // A row beside a gap, which no line reaches.
+        ctx.lineTo(at, y(found.first) + 1);
+      }
+      isPenDown = found.isWhole;
     });
     ctx.stroke();
     ctx.setLineDash([]);

@@ -20,6 +20,8 @@ const RETRY_MS = 3000;
 export class FrameBuffer {
   /** Only every n-th row is loaded. */
   every = 1;
+  /** Whether a window said that something in it is damaged. */
+  isDamaged = false;
   #windows = new Map();
   /** The promises of the windows that are being loaded, by index. */
   #pending = new Map();
@@ -54,6 +56,11 @@ export class FrameBuffer {
     return window.positions.subarray(3 * this.n * frame, 3 * this.n * (frame + 1));
   };
 
+  /** The row whose frame is shown for a row: that before it, while rows are left out. */
+  shownRow(row) {
+    return Math.floor(row / this.every) * this.every;
+  }
+
   has(row) {
     return this.positionsAt(row) !== null;
   }
@@ -65,6 +72,7 @@ export class FrameBuffer {
 
   /** Loads the window of a row, and those around it that playback needs next. `rowsPerSecond` is 0 in a pause. */
   want(row, rowsPerSecond = 0, loop = null) {
+    if (this.n === 0) return;
     this.#chooseEvery(rowsPerSecond);
     const at = this.#index(row);
     const span = this.windowFrames * this.every;
@@ -89,6 +97,7 @@ export class FrameBuffer {
 
   /** Loads the window of a row, if it can be, and returns whether it has the row. */
   async fetch(row) {
+    if (this.n === 0) return false;
     const index = this.#index(row);
     if (!this.#windows.has(index)) await (this.#pending.get(index) ?? this.#load(index));
     return this.has(row);
@@ -141,9 +150,10 @@ export class FrameBuffer {
     try {
       const firstRow = index * windowFrames * every;
       const rows = Math.min(windowFrames * every, this.frames - firstRow);
-      const window = await this.source.window(firstRow, rows, every);
+      const window = await this.#read(firstRow, rows, every);
       if (every !== this.every) return;
       this.#windows.set(index, window);
+      this.isDamaged ||= window.isDamaged;
       this.#failed.delete(index);
       while (this.#windows.size > this.keptMax) this.#windows.delete(this.#windows.keys().next().value);
     } catch (error) {
@@ -156,6 +166,27 @@ export class FrameBuffer {
     }
     this.#request();
     this.onLoaded();
+  }
+
+  /** Reads a window; if a response ends earlier, the rest of it, too. */
+  async #read(firstRow, rows, every) {
+    const parts = [];
+    let read = 0;
+    while (read < rows) {
+      const part = await this.source.window(firstRow + read, rows - read, every);
+      if (part.firstRow !== firstRow + read || part.frames === 0) throw new Error("the response has other frames than requested");
+      parts.push(part);
+      read += part.frames * every;
+    }
+    if (parts.length === 1) return parts[0];
+    const frames = parts.reduce((sum, part) => sum + part.frames, 0);
+    const positions = new Float32Array(3 * this.n * frames);
+    let at = 0;
+    for (const part of parts) {
+      positions.set(part.positions, at);
+      at += part.positions.length;
+    }
+    return { firstRow, every, frames, positions, isDamaged: parts.some(({ isDamaged }) => isDamaged) };
   }
 
   #retry(index, every) {

@@ -15,6 +15,8 @@ import { View } from "./view.js";
 /** Charts and texts change less often than the scene while playing. */
 const CHARTS_MS = 100;
 const TEXTS_MS = 60;
+/** How often the time axis states its value while playing. */
+const ANNOUNCE_MS = 1000;
 /** Drawings over which the script time is measured. */
 const TIMES_MAX = 600;
 
@@ -31,6 +33,7 @@ export class Player {
   #lastMs = 0;
   #chartsMs = 0;
   #textsMs = 0;
+  #announcedMs = 0;
   #tickMs = 0;
   #opened = 0;
   /** The running search for a gap. */
@@ -80,6 +83,7 @@ export class Player {
   }
 
   #show(overview, source) {
+    const opened = this.#opened;
     this.overview = overview;
     this.playback = new Playback(overview.frames, overview.rate_hz);
     this.gaps = new GapCounts();
@@ -88,8 +92,8 @@ export class Player {
     this.view.settle();
     this.view.updateMarkers();
     this.buffer = new FrameBuffer(source, overview, {
-      onLoaded: () => this.#loaded(),
-      onFailed: (error) => this.#failed(error),
+      onLoaded: () => opened === this.#opened && this.#loaded(),
+      onFailed: (error) => opened === this.#opened && this.#failed(error),
     });
     const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
     this.axis.show(shown);
@@ -98,7 +102,7 @@ export class Player {
     setText(byId("take-name"), overview.name);
     setText(byId("take-facts"), facts(overview));
     document.title = `${overview.name} – mocapd`;
-    if (overview.problems_total > 0) this.#notice(problemText(overview));
+    this.#noticeDamage();
     if (overview.frames === 0 || overview.markers === 0) {
       this.#message(overview.frames === 0 ? "This take has no frames" : "This take has no markers");
     }
@@ -113,6 +117,7 @@ export class Player {
       await source.gaps((part) => {
         if (opened !== this.#opened) return false;
         this.gaps.add(part);
+        this.#noticeDamage();
         this.axis.invalidate();
         this.#hint(null);
         return true;
@@ -131,9 +136,18 @@ export class Player {
   #loaded() {
     if (this.hasFailed && this.buffer.has(this.playback.row)) {
       this.hasFailed = false;
-      this.#notice(this.overview.problems_total > 0 ? problemText(this.overview) : null);
+      this.#notice(null);
     }
+    this.#noticeDamage();
     this.#refresh();
+  }
+
+  /** Damage within a take shows only when it is decoded. */
+  #noticeDamage() {
+    const { overview, buffer, gaps } = this;
+    if (this.hasFailed) return;
+    if (overview.problems_total > 0) this.#notice(problemText(overview));
+    else if (buffer.isDamaged || gaps.isDamaged) this.#notice(DAMAGED);
   }
 
   /** Goes to a row; playing goes on from there. */
@@ -161,7 +175,10 @@ export class Player {
     if (!this.overview) return;
     this.#search = null;
     if (this.hasFailed) this.buffer.retry();
+    // A pause stays at the frame that is shown.
+    const { row } = this.motion;
     this.playback.toggle();
+    if (!this.playback.isPlaying && row >= 0) this.playback.seek(row);
     this.#refresh();
   }
 
@@ -255,13 +272,14 @@ export class Player {
   #draw(nowMs) {
     const { playback, buffer, motion } = this;
     buffer.want(playback.row, playback.isPlaying ? playback.rowsPerSecond : 0, playback.loop);
-    if (motion.show(playback.row, buffer.positionsAt)) {
+    if (motion.show(buffer.shownRow(playback.row), buffer.positionsAt)) {
       this.#message(null);
       this.view.invalidate();
     } else if (this.overview.markers > 0 && this.overview.frames > 0) {
       this.#message(buffer.isWaitingFor(playback.row) ? "Loading" : "These frames cannot be read");
     }
-    this.axis.invalidate();
+    if (nowMs === Infinity) this.axis.invalidate();
+    else this.axis.move();
     if (nowMs - this.#chartsMs < CHARTS_MS) return;
     this.#chartsMs = Number.isFinite(nowMs) ? nowMs : 0;
     this.charts.invalidate();
@@ -271,8 +289,13 @@ export class Player {
     if (!isAll && nowMs - this.#textsMs < TEXTS_MS) return;
     this.#textsMs = Number.isFinite(nowMs) ? nowMs : 0;
     const { playback, motion } = this;
-    setText(byId("time"), takeTime(playback.seconds));
-    setText(byId("frame"), `frame ${count(playback.row)} of ${count(playback.lastRow)}`);
+    const row = this.buffer.shownRow(playback.row);
+    setText(byId("time"), takeTime(row / playback.rateHz));
+    setText(byId("frame"), `frame ${count(row)} of ${count(playback.lastRow)}`);
+    if (nowMs - this.#announcedMs > ANNOUNCE_MS) {
+      this.#announcedMs = nowMs;
+      this.axis.announce();
+    }
     setText(byId("view-stats"), `${motion.nSeen} of ${motion.n} seen`);
     if (!isAll) return;
     setText(byId("play"), playback.isPlaying ? "Pause" : "Play");
@@ -285,7 +308,8 @@ export class Player {
     const { stats } = this;
     stats.drawn += 1;
     if (Number.isNaN(stats.firstPictureMs)) stats.firstPictureMs = performance.now() - this.#openedMs;
-    stats.times.push(this.#tickMs + this.view.drawMs);
+    stats.times.push(this.#tickMs + this.view.drawMs + this.axis.drawMs + this.charts.drawMs);
+    [this.axis.drawMs, this.charts.drawMs] = [0, 0];
     if (stats.times.length > TIMES_MAX) stats.times.shift();
     stats.p95Ms = percentile(stats.times, 0.95);
   }
@@ -334,6 +358,8 @@ export function facts(overview) {
   if (source && source !== overview.name) known.push(source);
   return known.join(" · ");
 }
+
+const DAMAGED = "Part of this take is damaged: what cannot be read is shown as gaps. mocapd verify lists what is wrong";
 
 /** The message about a damaged take. Pure. */
 export function problemText({ problems, problems_total: total }) {

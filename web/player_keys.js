@@ -40,7 +40,7 @@ export function installPlayerKeys(player) {
     "?": () => byId("keys").showModal(),
   };
   addEventListener("keydown", (event) => {
-    if (event.key === "Escape" && event.target.matches("input")) return event.target.blur();
+    if (event.key === "Escape" && event.target.matches("input, select")) return event.target.blur();
     const act = shortcuts[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     // The scene handles its own arrow keys, and a list scrolls with them.
     if (!act || event.defaultPrevented || isTaken(event)) return;
@@ -50,13 +50,30 @@ export function installPlayerKeys(player) {
     act(event);
   });
   installButtons(player);
+  installSlider(player);
+}
+
+/** The keys that assistive technology expects of a slider. */
+function installSlider(player) {
+  const seconds = (n) => Math.round(n * player.playback.rateHz);
+  const steps = { ArrowUp: () => 1, ArrowDown: () => -1, PageUp: () => seconds(10), PageDown: () => -seconds(10) };
+  byId("axis").addEventListener("keydown", (event) => {
+    const step = steps[event.key];
+    if (!step || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    player.step(step());
+  });
 }
 
 function installButtons(player) {
   const { view } = player;
   byId("speed").append(...SPEEDS.map((speed) => h("option", { value: String(speed) }, `${speed}×`)));
   byId("speed").value = "1";
-  byId("speed").addEventListener("change", (event) => player.setSpeed(Number(event.target.value)));
+  byId("speed").addEventListener("change", (event) => {
+    player.setSpeed(Number(event.target.value));
+    // The keys of the player work again.
+    event.target.blur();
+  });
   const click = (id, act) => byId(id).addEventListener("click", act);
   click("play", () => player.toggle());
   click("back", () => player.step(-1));

@@ -7,7 +7,7 @@ import { installLogin } from "./login.js";
 import { Player } from "./player.js";
 import { ServiceSource } from "./service_source.js";
 
-const TAKES_MAX = 200;
+const TAKES_MAX = 1000;
 const STATUS_MS = 2000;
 const TOKEN_KEY = "mocapd-token";
 
@@ -16,7 +16,7 @@ const isViewer = location.pathname === "/";
 
 installTheme();
 installLogin();
-takeTokenFromAddress();
+if (isViewer) takeTokenFromAddress();
 const player = new Player();
 // For the browser's console and the tests.
 window.mocapdPlayer = player;
@@ -47,6 +47,7 @@ async function showTakes() {
   const takes = all.filter((take) => !take.is_open && take.health !== "unreadable");
   const asked = new URLSearchParams(location.search).get("take");
   if (asked && !takes.some(({ name }) => name === asked)) takes.unshift({ name: asked });
+  setText(byId("take-note"), all.length === TAKES_MAX ? `the last ${TAKES_MAX}` : "");
   byId("take-select").replaceChildren(...takes.map(({ name }) => h("option", { value: name }, name)));
   setHidden(byId("take-field"), takes.length < 2);
   return asked ?? takes[0]?.name ?? null;
@@ -74,7 +75,13 @@ async function watchStatus() {
   }
 }
 
-byId("take-select").addEventListener("change", (event) => open(event.target.value));
+byId("take-select").addEventListener("change", (event) => {
+  open(event.target.value);
+  // The keys of the player work again.
+  event.target.blur();
+});
+// Another address of a viewer, opened in this tab.
+if (isViewer) addEventListener("hashchange", () => location.reload());
 setHidden(byId("home"), isViewer);
 if (isViewer) setText(byId("login-text"), "Open the address that mocapd view printed: it contains the token. Or enter the token here.");
 setHidden(byId("brand"), !isViewer);

@@ -15,7 +15,8 @@ export class SharedSource {
   constructor(overview, motion) {
     this.take = overview;
     this.name = overview.name;
-    this.lines = motion.trim().split("\n");
+    // The text begins and ends with a line end. A line may be empty: a block whose bits are all 0.
+    this.lines = motion.split("\n").slice(1, -1);
     /** The player loads whole blocks. */
     this.windowFrames = overview.page.block_frames;
   }
@@ -27,6 +28,8 @@ export class SharedSource {
   /** The window that begins at a row: a block. */
   async window(firstRow) {
     const { markers: n, frames, page } = this.take;
+    // A picture can be drawn between two blocks.
+    await new Promise((resolve) => setTimeout(resolve));
     const held = Math.min(page.block_frames, frames - firstRow);
     const line = this.lines[firstRow / page.block_frames];
     if (line === undefined) throw new Error("the page is incomplete: save it or send it again");

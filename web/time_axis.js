@@ -24,6 +24,8 @@ export class GapCounts {
   lost = [];
   /** One past the last row that was counted. */
   endRow = 0;
+  /** Whether anything damaged was found. */
+  isDamaged = false;
 
   add(part) {
     this.binFrames = part.bin_frames;
@@ -33,6 +35,7 @@ export class GapCounts {
       this.lost[bin] = (this.lost[bin] ?? 0) + part.lost_frames[i];
     });
     this.endRow = part.end_frame;
+    this.isDamaged ||= part.is_damaged;
   }
 
   has(bin) {
@@ -64,7 +67,12 @@ export function tickSeconds(minimum) {
 export class TimeAxis {
   #canvas = byId("axis");
   #isDirty = false;
+  /** Everything but the current time, which is drawn again only where it changed. */
+  #still = document.createElement("canvas");
+  #isStillDirty = true;
   #width = 300;
+  /** Duration of the last drawing. */
+  drawMs = 0;
 
   /** `onSeek(row)` is called while the pointer is down, `onHint(text)` with the text of the event under it. */
   constructor({ onSeek, onHint }) {
@@ -88,12 +96,21 @@ export class TimeAxis {
     this.invalidate();
   }
 
+  /** Draws all of the axis again. */
   invalidate() {
+    this.#isStillDirty = true;
+    this.move();
+  }
+
+  /** Draws the current time again. */
+  move() {
     if (this.#isDirty) return;
     this.#isDirty = true;
     requestAnimationFrame(() => {
       this.#isDirty = false;
+      const beganMs = performance.now();
       if (this.overview) this.#draw();
+      this.drawMs = performance.now() - beganMs;
     });
   }
 
@@ -146,21 +163,36 @@ export class TimeAxis {
     const ratio = Math.min(2, devicePixelRatio || 1);
     this.#width = this.#canvas.clientWidth;
     if (this.#width < 50) return;
-    this.#canvas.width = Math.round(this.#width * ratio);
-    this.#canvas.height = Math.round(AXIS_HEIGHT_PX * ratio);
+    const size = [this.#width, AXIS_HEIGHT_PX].map((length) => Math.round(length * ratio));
+    if (this.#canvas.width !== size[0] || this.#canvas.height !== size[1]) {
+      for (const canvas of [this.#canvas, this.#still]) [canvas.width, canvas.height] = size;
+      this.#isStillDirty = true;
+    }
+    if (this.#isStillDirty) {
+      this.#isStillDirty = false;
+      this.#drawStill(this.#still.getContext("2d"), ratio);
+    }
+    ctx.setTransform(1, 0, 0, 1, 0, 0);
+    ctx.clearRect(0, 0, ...size);
+    ctx.drawImage(this.#still, 0, 0);
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-    ctx.fillStyle = this.colours.raised;
-    ctx.fillRect(MARGIN_PX, FLAGS_PX, this.#width - 2 * MARGIN_PX, BAND_PX);
-    this.#drawLoaded();
-    this.#drawGaps();
-    this.#drawLoop();
-    this.#drawTimes();
-    this.#drawEvents();
-    this.#drawCurrent();
+    this.#drawCurrent(ctx);
   }
 
-  #drawLoaded() {
-    const { ctx, buffer } = this;
+  #drawStill(ctx, ratio) {
+    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    ctx.clearRect(0, 0, this.#width, AXIS_HEIGHT_PX);
+    ctx.fillStyle = this.colours.raised;
+    ctx.fillRect(MARGIN_PX, FLAGS_PX, this.#width - 2 * MARGIN_PX, BAND_PX);
+    this.#drawLoaded(ctx);
+    this.#drawGaps(ctx);
+    this.#drawLoop(ctx);
+    this.#drawTimes(ctx);
+    this.#drawEvents(ctx);
+  }
+
+  #drawLoaded(ctx) {
+    const { buffer } = this;
     ctx.fillStyle = this.colours.accent;
     for (const [first, end] of buffer.ranges()) {
       const x = this.#x(first);
@@ -169,8 +201,8 @@ export class TimeAxis {
   }
 
   /** Missing samples as bars, whose height is their share; lost frames as hatching over the whole height. */
-  #drawGaps() {
-    const { ctx, gaps, overview } = this;
+  #drawGaps(ctx) {
+    const { gaps, overview } = this;
     const bottom = FLAGS_PX + BAND_PX;
     const columns = new Map();
     gaps.missing.forEach((missing, bin) => {
@@ -211,8 +243,8 @@ export class TimeAxis {
     ctx.setLineDash([]);
   }
 
-  #drawLoop() {
-    const { ctx, playback } = this;
+  #drawLoop(ctx) {
+    const { playback } = this;
     if (!playback.loop) return;
     const [from, to] = playback.loop.map((row) => this.#x(row));
     ctx.fillStyle = this.colours.accent;
@@ -231,8 +263,8 @@ export class TimeAxis {
     }
   }
 
-  #drawTimes() {
-    const { ctx, overview } = this;
+  #drawTimes(ctx) {
+    const { overview } = this;
     const width = this.#width - 2 * MARGIN_PX;
     const step = tickSeconds((overview.seconds * TICK_PX) / width);
     ctx.font = "12px system-ui, sans-serif";
@@ -249,8 +281,8 @@ export class TimeAxis {
   }
 
   /** A mark is a triangle, any other event a diamond. */
-  #drawEvents() {
-    const { ctx, overview } = this;
+  #drawEvents(ctx) {
+    const { overview } = this;
     for (const { frame, kind } of overview.events) {
       const x = this.#x(Math.min(frame, this.playback.lastRow));
       ctx.fillStyle = kind === "mark" ? this.colours.selected : this.colours.muted;
@@ -270,8 +302,7 @@ export class TimeAxis {
     }
   }
 
-  #drawCurrent() {
-    const { ctx } = this;
+  #drawCurrent(ctx) {
     const x = this.#x(this.playback.row);
     ctx.fillStyle = this.colours.text;
     ctx.fillRect(x - 1, FLAGS_PX - 5, 2, BAND_PX + LOADED_PX + 8);

@@ -264,10 +264,10 @@ mod tests {
         .unwrap();
         let file = String::from_utf8(file).unwrap();
         assert!(file.contains("default-src 'none'"));
+        // The link to the dashboard is hidden.
+        let rest = file.replace("href=\"/\" hidden", "");
         for loaded in ["src=", "href=\"/", "import ", "http://1", "https://", "/v1/"] {
-            let found = file.find(loaded).map(|at| &file[at..(at + 60).min(file.len())]);
-            // The button to the dashboard is hidden.
-            assert!(found.is_none_or(|found| found.starts_with("href=\"/\" hidden")), "{found:?}");
+            assert!(!rest.contains(loaded), "{loaded}");
         }
         assert_eq!(file.matches("</script>").count(), 3, "no label ends an element");
         assert!(file.contains(r#"{"name":"\u003c/script>\u003c!--"}"#));

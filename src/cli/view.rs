@@ -1,25 +1,31 @@
 //! `view`: plays takes and motion files in a browser.
 
 use std::{
-    io::{BufReader, BufWriter, Write},
+    io::{self, BufReader, BufWriter, Write},
     net::{Ipv4Addr, SocketAddr},
     path::{Path, PathBuf},
     process::{Command, Stdio},
-    sync::{Arc, atomic::Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     time::Duration,
 };
 
-use anyhow::{Context, bail};
-use mocapd::outcome::Outcome;
+use anyhow::{Context, bail, ensure};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{files, pipeline::offline, threads};
 use mocapd_cli::stop;
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_service::{
     http::{HttpOptions, HttpServer},
-    playback::TakeOverview,
     viewer::TakeViewer,
 };
-use mocapd_take::interchange::ReadOptions;
+use mocapd_take::{
+    TakeMap,
+    interchange::ReadOptions,
+    motion::{FrameSource, MotionInfo, Position},
+};
 use tempfile::TempDir;
 
 use super::{
@@ -32,6 +38,9 @@ use super::{
 
 /// How long requests may go on after Ctrl-C.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Maximum number of files: as many as the API lists.
+const FILES_MAX: usize = 1000;
 
 /// Interval at which Ctrl-C is noticed.
 const STOP_INTERVAL: Duration = Duration::from_millis(100);
@@ -62,6 +71,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     for message in &inputs.unreadable {
         notify(message);
     }
+    let n_files = inputs.files.len();
+    if n_files > FILES_MAX {
+        bail!(UsageError(format!("{n_files} files: give at most {FILES_MAX}")));
+    }
     let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
     let mut viewer = TakeViewer::default();
     let mut failed = inputs.unreadable.len();
@@ -69,8 +82,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         if stop.load(Ordering::Relaxed) {
             return Ok(Outcome::Done);
         }
-        match take_of(input, &folder, viewer.takes().len()) {
+        match take_of(input, &folder, viewer.takes().len(), &stop) {
             Ok(path) => viewer.add(&name_of(&input.name), path),
+            Err(_) if stop.load(Ordering::Relaxed) => return Ok(Outcome::Done),
             Err(error) if inputs.is_single => return Err(error),
             Err(error) => {
                 notify(&format!("{error:#}"));
@@ -112,13 +126,22 @@ fn name_of(file: &Path) -> String {
 }
 
 /// The take to show for a file: itself, or a lossless one that is made of it.
-fn take_of(input: &Input, folder: &TempDir, number: usize) -> anyhow::Result<PathBuf> {
+fn take_of(
+    input: &Input,
+    folder: &TempDir,
+    number: usize,
+    stop: &AtomicBool,
+) -> anyhow::Result<PathBuf> {
     let name = input.name.display();
     if let InputFormat::Take = input.format()? {
         let path = remote::local(&input.path)?;
         let path = path.canonicalize().with_context(|| format!("cannot read {name}"))?;
-        let mut file = BufReader::new(files::open(&path)?);
-        TakeOverview::read("", &mut file).with_context(|| format!("cannot show {name}"))?;
+        let file = files::open(&path)?;
+        ensure!(
+            !files::is_being_written(&file),
+            "{name} is being recorded: it can be shown when the recording has stopped"
+        );
+        TakeMap::open(&mut BufReader::new(file)).with_context(|| format!("cannot show {name}"))?;
         return Ok(path);
     }
     let source = MotionSource::of(input)?;
@@ -133,10 +156,30 @@ fn take_of(input: &Input, folder: &TempDir, number: usize) -> anyhow::Result<Pat
     let path = folder.path().join(format!("{number}.take"));
     let out = BufWriter::new(files::create_new(&path)?);
     let workers = threads::default_workers();
-    let (_, mut out) = offline::write_frames(&mut reader, &header, workers, &samples, out)
+    let mut frames = StoppableFrames { frames: &mut reader, stop };
+    let (_, mut out) = offline::write_frames(&mut frames, &header, workers, &samples, out)
         .with_context(|| format!("cannot read {name}"))?;
     out.flush().with_context(|| format!("cannot write {}", plain_path(&path)))?;
     Ok(path)
+}
+
+/// Frames that fail after Ctrl-C: a large file takes a while to read.
+struct StoppableFrames<'a> {
+    frames: &'a mut dyn FrameSource,
+    stop: &'a AtomicBool,
+}
+
+impl FrameSource for StoppableFrames<'_> {
+    fn info(&self) -> &MotionInfo {
+        self.frames.info()
+    }
+
+    fn next_frame(&mut self, row: &mut [Position]) -> io::Result<bool> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(io::ErrorKind::Interrupted.into());
+        }
+        self.frames.next_frame(row)
+    }
 }
 
 /// Opens the address by a file that leads to it: the arguments of a program are visible to every user of the machine.
@@ -154,8 +197,11 @@ fn open_browser(url: &str, folder: &TempDir) -> anyhow::Result<()> {
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn();
-    if let Err(error) = opened {
-        notify(&format!("cannot open a browser with xdg-open: {error}; open the address yourself"));
+    match opened {
+        Ok(mut opener) => drop(threads::spawn("mocapd-browser", move || drop(opener.wait()))?),
+        Err(error) => notify(&format!(
+            "cannot open a browser with xdg-open: {error}; open the address yourself"
+        )),
     }
     Ok(())
 }

@@ -27,7 +27,8 @@ impl Page {
         let motion = part("<script id=\"motion\" type=\"text/plain\">");
         Self {
             overview: serde_json::from_str(&overview).unwrap(),
-            blocks: motion.trim().lines().map(bytes_of).collect(),
+            // An empty line is a block, too: all its bits are 0.
+            blocks: motion.strip_prefix('\n').unwrap().lines().map(bytes_of).collect(),
         }
     }
 
@@ -172,6 +173,23 @@ fn a_page_of_a_part_has_its_frames_events_and_gaps() {
         let missing = frame.iter().filter(|at| is_gap(**at)).count();
         assert_eq!(gaps["missing_samples"][row], missing, "frame {row}");
     }
+}
+
+#[test]
+fn a_page_of_a_damaged_take_says_so() {
+    let motion = jump(6, 120.0, 60.0);
+    let folder = folder(&motion, &[]);
+    let mut take = folder.read("jump.take");
+    let middle = take.len() / 2;
+    take[middle..middle + 8].fill(0x55);
+    folder.write("hurt.take", take);
+    folder.run(&["export", "hurt.take", "-o", "hurt.html"]).with_code(3);
+    let page = Page::parse(&folder.text("hurt.html"));
+    assert_ne!(page.overview["problems_total"], 0, "{}", page.overview["problems"]);
+    let lost = page.overview["page"]["gaps"]["lost_frames"].as_array().unwrap();
+    let empty = page.frames().iter().filter(|row| row.iter().all(|at| is_gap(*at))).count();
+    let lost: u64 = lost.iter().map(|n| n.as_u64().unwrap()).sum();
+    assert!(lost > 0 && lost as usize == empty, "{lost} lost, {empty} without a marker");
 }
 
 /// The decoder of the page, in JavaScript, run by Node.

@@ -13,7 +13,8 @@ const { decodeBlock } = await import(`data:text/javascript;base64,${Buffer.from(
 const page = readFileSync(process.argv[2], "utf8");
 const part = (from) => page.split(from)[1].split("</script>")[0];
 const { markers, frames, page: coded } = JSON.parse(part('<script id="take" type="application/json">'));
-const blocks = part('<script id="motion" type="text/plain">').trim().split("\n");
+// An empty line is a block, too: all its bits are 0.
+const blocks = part('<script id="motion" type="text/plain">').split("\n").slice(1, -1);
 blocks.forEach((line, index) => {
   const held = Math.min(coded.block_frames, frames - index * coded.block_frames);
   const positions = decodeBlock(Buffer.from(line, "base64"), markers, held, coded.step_mm);

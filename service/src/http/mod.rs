@@ -44,6 +44,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use self::{
     auth::Auth,
     broadcast::{EventBroadcast, LiveBroadcast},
+    playback::KnownMaps,
     work_queues::WorkQueues,
 };
 pub use self::{
@@ -62,6 +63,7 @@ use crate::control::Control;
 struct App {
     control: Arc<dyn Control>,
     queues: WorkQueues,
+    maps: Arc<KnownMaps>,
     auth: Arc<Auth>,
     counts: Arc<Counts>,
     limits: TimeLimits,

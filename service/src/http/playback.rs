@@ -1,9 +1,10 @@
 //! Finished takes for a player: an overview, windows of frames, and where samples are missing.
 
 use std::{
+    collections::VecDeque,
     fs::File,
     io::BufReader,
-    sync::{Arc, Weak},
+    sync::{Arc, Mutex, PoisonError, Weak},
 };
 
 use axum::{
@@ -16,20 +17,20 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use mocapd_acquire::files::SparseFile;
-use mocapd_take::TakeError;
+use mocapd_take::{TakeError, TakeMap};
 use serde::Deserialize;
 use tokio::sync::watch;
 
 use super::{
     Shared,
     problem::{Problem, ProblemKind},
-    takes::{CancellableReader, open, take_name, unreadable},
+    takes::{CancellableReader, OpenedTake, open, take_name, unreadable},
 };
 use crate::{
     control::Control,
     playback::{
         EVERY_MAX, FrameWindow, GapBins, SECONDS_MAX, TakeOverview, WINDOW_BYTES_MAX, WindowError,
-        WindowRequest, read_gaps,
+        WindowRequest, map_of_end, read_gaps,
     },
 };
 
@@ -52,8 +53,8 @@ pub(super) async fn overview(
     State(app): State<Shared>,
     name: Result<Path<String>, PathRejection>,
 ) -> Result<Response, Problem> {
-    read_take(app, name, |name, input| {
-        let overview = TakeOverview::read(name, input).map_err(|error| problem(name, error))?;
+    read_take(app, name, Whole::Yes, |name, _, map| {
+        let overview = TakeOverview::of(name, map);
         // Not written piece by piece: a take of many markers with long labels may not fit.
         let body = serde_json::to_vec(&overview)
             .map_err(|error| Problem::internal(format!("cannot write the overview: {error}")))?;
@@ -100,8 +101,8 @@ pub(super) async fn window(
     query: Result<Query<WindowQuery>, QueryRejection>,
 ) -> Result<Response, Problem> {
     let request = window_request(query)?;
-    read_take(app, name, move |name, input| {
-        let window = FrameWindow::read(input, &request).map_err(|error| match error {
+    read_take(app, name, Whole::No, move |name, input, map| {
+        let window = FrameWindow::read(input, map, &request).map_err(|error| match error {
             WindowError::BehindEnd { .. } => Problem::of(ProblemKind::Range, error.to_string()),
             WindowError::TooManyMarkers { .. } => {
                 Problem::of(ProblemKind::TooLarge, error.to_string())
@@ -136,8 +137,8 @@ pub(super) async fn gaps(
     let refused = || Problem::invalid(FROM_REFUSED);
     let Query(query) = query.map_err(|_| refused())?;
     let from_s = seconds_from(query.from)?;
-    read_take(app, name, move |name, input| {
-        Ok(Json(read_gaps(input, from_s).map_err(|error| problem(name, error))?))
+    read_take(app, name, Whole::No, move |name, input, map| {
+        Ok(Json(read_gaps(input, map, from_s).map_err(|error| problem(name, error))?))
     })
     .await
 }
@@ -177,30 +178,80 @@ fn window_request(
 async fn read_take<T: Send + 'static>(
     app: Shared,
     name: Result<Path<String>, PathRejection>,
-    read: impl FnOnce(&str, &mut Input) -> Result<T, Problem> + Send + 'static,
+    whole: Whole,
+    read: impl FnOnce(&str, &mut Input, &TakeMap) -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
     let name = take_name(name)?;
     // Dropped with the request, which ends when the client disconnects.
     let client = Arc::new(());
-    let control = Arc::clone(&app.control);
+    let (control, maps) = (Arc::clone(&app.control), Arc::clone(&app.maps));
     let (client_alive, stopping) = (Arc::downgrade(&client), app.stopping.clone());
     let work = move || {
-        let file = finished(control.as_ref(), &name)?;
-        read(&name, &mut input(file, client_alive, stopping))
+        let take = finished(control.as_ref(), &name)?;
+        let mut input = input(take.file, client_alive, stopping);
+        let map = maps.map(&mut input, take.tag, whole).map_err(|error| problem(&name, error))?;
+        read(&name, &mut input, &map)
     };
     let done = app.queues.decodes.run(work).await?;
     drop(client);
     done
 }
 
+/// Whether a request needs all of a map, or only what the end of a take states.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Whole {
+    Yes,
+    No,
+}
+
+/// The maps of the takes that were played last. Without them every window of a take that was cut off would read the whole
+/// file.
+#[derive(Debug, Default)]
+pub(super) struct KnownMaps(Mutex<VecDeque<(String, Arc<TakeMap>)>>);
+
+/// Maximum number of maps that are kept: a few players.
+const MAPS_MAX: usize = 4;
+
+/// Maximum number of key stretches and channels of a map that is kept: together some megabytes. A take of days at one key
+/// stretch per second has as many.
+const MAP_ENTRIES_MAX: usize = 1 << 18;
+
+impl KnownMaps {
+    /// The map of a take with this entity tag, which changes with the file.
+    fn map(
+        &self,
+        input: &mut Input,
+        tag: Option<String>,
+        whole: Whole,
+    ) -> Result<Arc<TakeMap>, TakeError> {
+        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, known)) = lock().iter().find(|(known, _)| Some(known) == tag.as_ref()) {
+            return Ok(Arc::clone(known));
+        }
+        if whole == Whole::No
+            && let Some(map) = map_of_end(input)?
+        {
+            return Ok(Arc::new(map));
+        }
+        let map = Arc::new(TakeMap::open(input)?);
+        if let Some(tag) = tag.filter(|_| map.keys.len() + map.channels.len() <= MAP_ENTRIES_MAX) {
+            let mut known = lock();
+            known.retain(|(other, _)| *other != tag);
+            known.truncate(MAPS_MAX - 1);
+            known.push_front((tag, Arc::clone(&map)));
+        }
+        Ok(map)
+    }
+}
+
 /// Opens a take that is not being written.
-fn finished(control: &dyn Control, name: &str) -> Result<File, Problem> {
+fn finished(control: &dyn Control, name: &str) -> Result<OpenedTake, Problem> {
     let take = open(control, name)?;
     if take.is_growing {
         let message = format!("{name} is being recorded: stop it first");
         return Err(Problem::of(ProblemKind::Conflict, message));
     }
-    Ok(take.file)
+    Ok(take)
 }
 
 fn input(file: File, client_alive: Weak<()>, stopping: watch::Receiver<bool>) -> Input {

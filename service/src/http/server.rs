@@ -91,6 +91,7 @@ impl HttpServer {
             let app = Arc::new(App {
                 control: Arc::clone(&control),
                 queues: WorkQueues::new(limits.work),
+                maps: Arc::default(),
                 auth: Arc::clone(&auth),
                 counts: Arc::clone(&counts),
                 events: Arc::clone(&events),

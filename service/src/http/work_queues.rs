@@ -58,7 +58,7 @@ impl WorkQueues {
             commands: WorkQueue::new("too many requests are being executed", COMMANDS, work_max),
             files: WorkQueue::new("too many files are being read", FILES, work_max),
             checks: WorkQueue::new("another take is being verified", CHECKS, None),
-            decodes: WorkQueue::new("too many players are reading takes", DECODES, work_max),
+            decodes: WorkQueue::new("too many players are reading takes", DECODES, None),
         }
     }
 }

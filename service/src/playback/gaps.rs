@@ -1,11 +1,13 @@
 //! Where samples are missing, for a time axis: counts in bins of equal length.
 
 use std::{
-    io::{Read, Seek},
+    io::{self, Read, Seek},
     ops::Range,
 };
 
-use mocapd_take::{TakeError, TakeTraversal, stretch::Span, timeline::Timeline, traversal::Decode};
+use mocapd_take::{
+    TakeError, TakeMap, TakeTraversal, stretch::Span, timeline::Timeline, traversal::Decode,
+};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -35,16 +37,18 @@ pub struct GapBins {
     pub is_damaged: bool,
 }
 
-/// Counts what is missing from a time in seconds on, in as many frames as one call may decode.
+/// Counts what is missing from a time in seconds on, in as many frames as one call may decode. Lost frames, which are not
+/// decoded, do not count among these.
 ///
 /// # Errors
 /// Those of the reader. Nothing is counted from the end of the take on.
-pub fn read_gaps(input: &mut (impl Read + Seek), from_s: f64) -> Result<GapBins, TakeError> {
-    let map = super::open(input)?;
+pub fn read_gaps(
+    input: &mut (impl Read + Seek),
+    map: &TakeMap,
+    from_s: f64,
+) -> Result<GapBins, TakeError> {
     let n_markers = map.channels.len() as u64;
-    let first = frame_at(from_s, map.header.rate_hz).min(map.n_rows);
-    let frames_max = (SAMPLES_MAX / n_markers.max(1)).max(1);
-    let rows = first..map.n_rows.min(first + frames_max);
+    let rows = frame_at(from_s, map.header.rate_hz).min(map.n_rows)..map.n_rows;
     let bin_frames = map.n_rows.div_ceil(BINS).max(1);
     let first_bin = rows.start / bin_frames;
     let n_bins = (rows.end.div_ceil(bin_frames) - first_bin) as usize;
@@ -61,18 +65,29 @@ pub fn read_gaps(input: &mut (impl Read + Seek), from_s: f64) -> Result<GapBins,
     if rows.is_empty() {
         return Ok(bins);
     }
-    let mut take = TakeTraversal::from_map(input, &map, Decode::All)?;
-    let mut next_row = rows.start;
-    take.read_rows(&rows, |take, part, offset| {
+    let mut take = TakeTraversal::from_map(input, map, Decode::All)?;
+    let (mut next_row, mut decoded) = (rows.start, 0);
+    let read = take.read_rows(&rows, |take, part, offset| {
         // Rows in no stretch.
         bins.lose(next_row..part.start);
         bins.add_stretch(take, part.clone(), offset, n_markers);
         next_row = part.end;
-        Ok(())
-    })?;
-    bins.lose(next_row..rows.end);
+        decoded += (part.end - part.start).saturating_mul(n_markers.max(1));
+        if decoded < SAMPLES_MAX { Ok(()) } else { Err(enough()) }
+    });
+    if decoded >= SAMPLES_MAX {
+        bins.end_at(next_row);
+    } else {
+        read?;
+        bins.lose(next_row..rows.end);
+    }
     bins.is_damaged |= !take.is_intact();
     Ok(bins)
+}
+
+/// Ends a traversal that has decoded as much as one call may.
+fn enough() -> TakeError {
+    io::Error::from(io::ErrorKind::Interrupted).into()
 }
 
 /// The frames of a take that are lost, as ranges in order. Nothing is decoded.
@@ -80,7 +95,7 @@ pub fn read_gaps(input: &mut (impl Read + Seek), from_s: f64) -> Result<GapBins,
 /// # Errors
 /// Those of the reader.
 pub fn lost_runs(input: &mut (impl Read + Seek)) -> Result<Vec<Range<u64>>, TakeError> {
-    let map = super::open(input)?;
+    let map = TakeMap::open(input)?;
     let mut take = TakeTraversal::from_map(input, &map, Decode::Groups(Vec::new()))?;
     let mut runs: Vec<Range<u64>> = Vec::new();
     let mut add = |run: Range<u64>| match runs.last_mut() {
@@ -124,6 +139,14 @@ impl GapBins {
         if let Some(count) = bins.get_mut(bin) {
             *count += n;
         }
+    }
+
+    /// Ends the part at a frame.
+    fn end_at(&mut self, frame: u64) {
+        self.end_frame = frame;
+        let n_bins = (frame.div_ceil(self.bin_frames) - self.first_bin) as usize;
+        self.missing_samples.truncate(n_bins);
+        self.lost_frames.truncate(n_bins);
     }
 
     /// Counts frames as lost.

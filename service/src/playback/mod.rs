@@ -1,7 +1,8 @@
 //! Finished takes for a player: an overview, windows of positions, and where samples are missing.
 //!
-//! Everything is read through the one reader of takes, from a key stretch on, so that a window in the middle of an hour
-//! costs as much as one at its beginning. The amount of work of a call and the size of its result are bounded.
+//! Everything is read through the one reader of takes. Frames are decoded from a key stretch on, so that a window in the
+//! middle of an hour costs as much as one at its beginning. The number of samples that a call decodes and the size of its
+//! result are bounded; a caller keeps the map of a take that was cut off, whose chunks have to be read for it.
 
 mod gaps;
 mod overview;
@@ -24,11 +25,11 @@ pub use self::{
 /// about a second of work.
 const SAMPLES_MAX: u64 = 1 << 22;
 
-/// The key stretches, the channel table and the number of rows of a take. For a closed take its end is enough; any other
-/// is read chunk by chunk, without decoding it.
-fn open(input: &mut (impl Read + Seek)) -> Result<TakeMap, TakeError> {
-    match TakeTail::read(input)? {
-        Some(tail) => Ok(tail.map),
-        None => TakeMap::open(input),
-    }
+/// What the end of a closed take states: the key stretches, the channel table and the number of rows. `None` for any other
+/// take, which [`TakeMap::open`] reads chunk by chunk.
+///
+/// # Errors
+/// Those of the reader.
+pub fn map_of_end(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
+    Ok(TakeTail::read(input)?.map(|tail| tail.map))
 }

@@ -1,10 +1,9 @@
 //! The overview of a take: everything that a player needs before the first window.
 
-use std::io::{Read, Seek};
-
 use mocapd_report::labels::marker_lines;
 use mocapd_take::{
-    TakeError, TakeMap,
+    TakeMap,
+    damage::Problem,
     motion::MotionInfo,
     record::{Event, Ledger},
     statistics::TakeStatistics,
@@ -78,15 +77,8 @@ pub struct PlaybackEvent {
 }
 
 impl TakeOverview {
-    /// Reads the overview of a take. Nothing is decoded.
-    ///
-    /// # Errors
-    /// Those of the reader.
-    pub fn read(name: &str, input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
-        Ok(Self::of(name, &TakeMap::open(input)?))
-    }
-
-    /// The overview of a take with this map.
+    /// The overview of a take with this map, which [`TakeMap::open`] reads without decoding anything. Damage within a stretch
+    /// therefore shows only in windows and gaps.
     #[must_use]
     pub fn of(name: &str, map: &TakeMap) -> Self {
         let header = &map.header;
@@ -121,10 +113,21 @@ impl TakeOverview {
             samples_missing: missing,
             events_total: events.len(),
             events: events.into_iter().take(EVENTS_MAX).map(PlaybackEvent::from).collect(),
-            problems: map.problems.iter().take(PROBLEMS_MAX).map(ToString::to_string).collect(),
-            problems_total: map.problems.len(),
             window_frames_max: frames_max(map.channels.len()),
+            ..Self::default()
         }
+        .with_problems(&map.problems)
+    }
+
+    fn with_problems(mut self, problems: &[Problem]) -> Self {
+        self.set_problems(problems);
+        self
+    }
+
+    /// Replaces the problems of the take.
+    pub fn set_problems(&mut self, problems: &[Problem]) {
+        self.problems = problems.iter().take(PROBLEMS_MAX).map(ToString::to_string).collect();
+        self.problems_total = problems.len();
     }
 }
 

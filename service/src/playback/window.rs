@@ -84,17 +84,17 @@ pub(super) fn frames_max(n_markers: usize) -> u64 {
 }
 
 impl FrameWindow {
-    /// Decodes the frames of a window, from the last key stretch before it on.
+    /// Decodes the frames of a window of a take with this map, from the last key stretch before it on.
     ///
     /// # Errors
     /// Those of [`WindowError`].
     pub fn read(
         input: &mut (impl Read + Seek),
+        map: &TakeMap,
         request: &WindowRequest,
     ) -> Result<Self, WindowError> {
-        let map = super::open(input)?;
         let n_markers = map.channels.len();
-        let rows = rows_of(&map, request)?;
+        let rows = rows_of(map, request)?;
         let every = request.every.clamp(1, EVERY_MAX);
         let held_max = frames_max(n_markers);
         if held_max == 0 {
@@ -114,7 +114,7 @@ impl FrameWindow {
         let n_markers = n_markers as u32;
         let mut window = Self { n_markers, first_row: rows.start, every, flags, positions };
         if n_markers > 0 {
-            let mut take = TakeTraversal::from_map(input, &map, Decode::All)?;
+            let mut take = TakeTraversal::from_map(input, map, Decode::All)?;
             take.read_rows(&rows, |take, part, offset| {
                 window.copy(take, &part, offset);
                 Ok(())

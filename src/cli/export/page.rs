@@ -73,7 +73,7 @@ impl ExportPlan<'_> {
         let map = frames.take().context("a page can be made of a take only")?;
         let info = frames.info();
         let name = job.input.name.file_stem().unwrap_or_default().to_string_lossy();
-        let overview = TakeOverview::of_export(&name, map, info);
+        let mut overview = TakeOverview::of_export(&name, map, info);
         let take_tolerance_mm = overview.tolerance_mm;
         let lattice = self.args.format.lattice(take_tolerance_mm)?;
         let first_row = self.args.from.map_or(0, |time| frame_at(time, info.rate_hz));
@@ -88,14 +88,19 @@ impl ExportPlan<'_> {
             max_added_mm: 0.0,
         };
         SharedPage::new()?.write(out, |out| -> anyhow::Result<String> {
-            let coded = page_motion::write(frames, lattice, out, |frame, positions| {
-                let row = first_row + frame;
-                while lost.next_if(|run| run.end <= row).is_some() {}
-                let is_lost = lost.peek().is_some_and(|run| run.contains(&row));
-                let missing = positions.iter().filter(|position| is_gap(**position)).count();
-                gaps.add_frame(frame, missing as u64, is_lost);
-            })?;
+            let coded =
+                page_motion::write(frames, lattice, out, |frame, positions, is_damaged| {
+                    let row = first_row + frame;
+                    while lost.next_if(|run| run.end <= row).is_some() {}
+                    let is_lost = is_damaged || lost.peek().is_some_and(|run| run.contains(&row));
+                    let missing = positions.iter().filter(|position| is_gap(**position)).count();
+                    gaps.add_frame(frame, missing as u64, is_lost);
+                })?;
             accuracy.max_added_mm = coded.max_added_mm;
+            if let Some(map) = frames.take() {
+                // What was found while the frames were decoded, too.
+                overview.set_problems(&map.problems);
+            }
             let mut overview = serde_json::to_value(&overview)?;
             overview["page"] = json!({
                 "tolerance_mm": accuracy.tolerance_mm,

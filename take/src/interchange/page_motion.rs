@@ -108,7 +108,8 @@ pub fn block_frames(n_markers: usize) -> usize {
     (BLOCK_SAMPLES / n_markers.max(1)).clamp(low, high)
 }
 
-/// Codes all frames of a source and writes each block as a line of base64. `each` receives every frame and its number.
+/// Codes all frames of a source and writes each block as a line of base64. `each` receives the number of
+/// every frame, its positions, and whether it was damaged in the file.
 ///
 /// # Errors
 /// `Io` if reading or writing fails.
@@ -116,7 +117,7 @@ pub fn write(
     frames: &mut dyn FrameSource,
     lattice: Lattice,
     out: &mut dyn Write,
-    mut each: impl FnMut(u64, &[Position]),
+    mut each: impl FnMut(u64, &[Position], bool),
 ) -> io::Result<CodedMotion> {
     let n_markers = frames.info().markers.len();
     let block_frames = block_frames(n_markers);
@@ -128,7 +129,7 @@ pub fn write(
         block.clear();
         let mut n_frames = 0;
         while n_frames < block_frames && frames.next_frame(&mut row)? {
-            each(coded.frames, &row);
+            each(coded.frames, &row, frames.is_lost());
             block.extend_from_slice(&row);
             coded.frames += 1;
             n_frames += 1;

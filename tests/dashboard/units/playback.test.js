@@ -1,4 +1,4 @@
-import { chartRows, limits, speedAt } from "/charts.js";
+import { chartRows, column, limits, speedAt } from "/charts.js";
 import { roundedUp, takeTime } from "/format.js";
 import { FrameBuffer } from "/frame_buffer.js";
 import { Playback } from "/playback.js";
@@ -223,6 +223,32 @@ test("the speed is that of the motion, and unknown beside a gap", () => {
   isTrue(Number.isNaN(speedAt(positionsAt, 1, 21, 100)), "in a gap");
   isTrue(Number.isNaN(speedAt(positionsAt, 1, 19, 100)), "beside a gap");
   isTrue(Number.isNaN(speedAt((row) => (row < 10 ? positionsAt(row) : null), 0, 9, 100)), "at the end of what is loaded");
+});
+
+test("no peak and no gap is left out of a chart, however many rows a column has", () => {
+  const values = [1, 2, 90, 3, NaN, 4, 5, 6];
+  equal(column((row) => values[row], 0, 4), { first: 1, low: 1, high: 90, last: 3, isWhole: true });
+  equal(column((row) => values[row], 4, 4), { first: 4, low: 4, high: 6, last: 6, isWhole: false });
+  equal(column(() => NaN, 0, 3), null);
+});
+
+test("while rows are left out, speeds are those of the rows that are there", () => {
+  const every4 = (row) => positionsAt(Math.floor(row / 4) * 4);
+  for (const row of [100, 101, 102, 103]) near(speedAt(every4, 0, row, 200, 4), 0.2, 1e-6, `row ${row}:`);
+  isTrue(Number.isNaN(speedAt((row) => (row === 50 ? Float32Array.of(NaN, NaN, NaN) : positionsAt(row)), 0, 50, 100)), "in a gap");
+});
+
+test("a response that ends earlier is completed, and one of other frames is refused", async () => {
+  const errors = [];
+  const source = { window: async (firstRow, rows) => {
+    const frames = Math.min(rows, 16);
+    return { firstRow, every: 1, frames, positions: Float32Array.from({ length: 6 * frames }, (_, i) => firstRow + Math.floor(i / 6)) };
+  } };
+  const buffer = new FrameBuffer(source, overview, { onFailed: (error) => errors.push(error.message) });
+  isTrue(await buffer.fetch(39), "complete");
+  equal([0, 16, 39].map((row) => buffer.positionsAt(row)[0]), [0, 16, 39]);
+  source.window = async (firstRow, rows) => ({ firstRow: firstRow + 1, every: 1, frames: rows, positions: new Float32Array(6 * rows) });
+  equal([await buffer.fetch(45), errors], [false, ["the response has other frames than requested"]]);
 });
 
 test("times in a take", () => {

@@ -10,11 +10,13 @@ use std::{
 use mocapd_acquire::pipeline::offline;
 use mocapd_service::{
     http::HttpOptions,
-    playback::{FrameWindow, GapBins, TakeOverview, WINDOW_BYTES_MAX, WindowRequest, read_gaps},
+    playback::{
+        FrameWindow, GapBins, TakeOverview, WINDOW_BYTES_MAX, WindowRequest, map_of_end, read_gaps,
+    },
     viewer::TakeViewer,
 };
 use mocapd_take::{
-    import,
+    TakeMap, import,
     motion::{Motion, Position, is_gap},
 };
 
@@ -315,17 +317,18 @@ fn a_window_anywhere_in_a_long_take_is_read_from_its_key_stretch() {
     for from_s in [0.0, 300.0, 600.0, 890.0] {
         let mut input = Counted { input: Cursor::new(take.clone()), read: 0 };
         let request = WindowRequest { from_s, length_s: 2.0, every: 1 };
-        FrameWindow::read(&mut input, &request).unwrap();
+        let map = map_of_end(&mut input).unwrap().unwrap();
+        FrameWindow::read(&mut input, &map, &request).unwrap();
         assert!(input.read * 8 < n_bytes, "{} of {n_bytes} bytes at {from_s} s", input.read);
     }
-    let mut input = Counted { input: Cursor::new(take.clone()), read: 0 };
-    let overview = TakeOverview::read("long", &mut input).unwrap();
+    let map = TakeMap::open(&mut Cursor::new(&take)).unwrap();
+    let overview = TakeOverview::of("long", &map);
     assert_eq!(overview.frames, 108_000);
     let mut parts = 0;
     let mut frame = 0;
     while frame < overview.frames {
         let from = frame as f64 / overview.rate_hz;
-        let bins = read_gaps(&mut Cursor::new(&take), from).unwrap();
+        let bins = read_gaps(&mut Cursor::new(&take), &map, from).unwrap();
         assert_eq!(bins.first_frame, frame);
         assert!(bins.missing_samples.len() <= 1025 && bins.end_frame > frame);
         frame = bins.end_frame;
