@@ -103,6 +103,11 @@ export class FrameBuffer {
     return this.has(row);
   }
 
+  /** Resolves when no window is being loaded. */
+  async idle() {
+    while (this.#pending.size > 0) await Promise.allSettled(this.#pending.values());
+  }
+
   /** The first row of the window after that of a row (1), or the last row of the one before it (-1). */
   beside(row, direction) {
     const span = this.windowFrames * this.every;

@@ -121,7 +121,7 @@ export class Player {
         this.axis.invalidate();
         this.#hint(null);
         return true;
-      });
+      }, () => this.buffer.idle());
     } catch (error) {
       if (opened === this.#opened) this.#notice(`The gaps of this take cannot be read: ${error.message}`);
     }

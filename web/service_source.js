@@ -46,10 +46,14 @@ export class ServiceSource {
     return parseWindow(await inTurn(() => getBytes(`${this.path}/window?${query}`, TIMEOUT_MS)), markers);
   }
 
-  /** Calls `onPart` with one part of the gaps after another, until the end of the take or until it returns false. */
-  async gaps(onPart) {
+  /**
+   * Calls `onPart` with one part of the gaps after another, until the end of the take or until it returns false. Frames
+   * are more urgent: `isIdle` resolves when none are being loaded.
+   */
+  async gaps(onPart, isIdle = async () => {}) {
     let row = 0;
     while (row < this.take.frames) {
+      await isIdle();
       const part = await inTurn(() => get(`${this.path}/gaps?from=${row / this.take.rate_hz}`, TIMEOUT_MS));
       if (!onPart(part) || part.end_frame <= row) return;
       row = part.end_frame;

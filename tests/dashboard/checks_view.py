@@ -5,6 +5,7 @@ import json
 import math
 import os
 import signal
+import struct
 import subprocess
 import tempfile
 import time
@@ -43,7 +44,8 @@ class Files:
         """The positions of the take as mocapd exports them: by frame a list of numbers, None where missing."""
         with self.csv.open(newline="") as table:
             rows = list(csv.reader(table))[1:]
-        return [[float(cell) if cell else None for cell in row[2:]] for row in rows]
+        # The shortest text of an f32, and so that f32 again.
+        return [[struct.unpack("f", struct.pack("f", float(cell)))[0] if cell else None for cell in row[2:]] for row in rows]
 
 
 def run(program, *args):
@@ -117,7 +119,7 @@ def shared_page(browser, log, mocapd):
             worst = max(worst, furthest(shown(browser, row), frames[row]))
         assert 0 < worst <= added, (worst, added)
         stated = files.report["page"]["tolerance_mm"]
-        assert f"at most {stated:.2f} mm" in browser.text("foot"), browser.text("foot")
+        assert f"at most {stated:g} mm" in browser.text("foot"), browser.text("foot")
         browser.keys(Keys.HOME)
         browser.keys(" ")
         time.sleep(2)

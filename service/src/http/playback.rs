@@ -122,7 +122,7 @@ pub(super) struct GapsQuery {
 
 /// Where samples of a finished take are missing
 ///
-/// Counts in at most 1024 bins of the whole take. A response covers as much of it as a second of work decodes; request the
+/// Counts in at most 1024 bins of the whole take. A response covers as much of it as a tenth of a second of work decodes; request the
 /// rest from the end of that part on.
 #[utoipa::path(get, path = "/v1/takes/{name}/gaps", tag = "takes",
     params(("name" = String, Path, description = "The take's name, without `.take`"),

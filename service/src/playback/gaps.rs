@@ -11,7 +11,7 @@ use mocapd_take::{
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{SAMPLES_MAX, window::frame_at};
+use super::{GAPS_SAMPLES_MAX, window::frame_at};
 
 /// Maximum number of bins of a take: about one per pixel of a time axis.
 pub const BINS: u64 = 1024;
@@ -73,9 +73,9 @@ pub fn read_gaps(
         bins.add_stretch(take, part.clone(), offset, n_markers);
         next_row = part.end;
         decoded += (part.end - part.start).saturating_mul(n_markers.max(1));
-        if decoded < SAMPLES_MAX { Ok(()) } else { Err(enough()) }
+        if decoded < GAPS_SAMPLES_MAX { Ok(()) } else { Err(enough()) }
     });
-    if decoded >= SAMPLES_MAX {
+    if decoded >= GAPS_SAMPLES_MAX {
         bins.end_at(next_row);
     } else {
         read?;

@@ -21,9 +21,12 @@ pub use self::{
     },
 };
 
-/// Maximum number of samples that a call decodes, besides those between its first row and the key stretch before it:
+/// Maximum number of samples that a window is made of, besides those between its first row and the key stretch before it:
 /// about a second of work.
-const SAMPLES_MAX: u64 = 1 << 22;
+const WINDOW_SAMPLES_MAX: u64 = 1 << 22;
+
+/// Samples after which a part of the gaps ends: about a tenth of a second of work, since windows wait for it.
+const GAPS_SAMPLES_MAX: u64 = 1 << 19;
 
 /// What the end of a closed take states: the key stretches, the channel table and the number of rows. `None` for any other
 /// take, which [`TakeMap::open`] reads chunk by chunk.

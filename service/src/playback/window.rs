@@ -11,7 +11,7 @@ use mocapd_take::{
     traversal::Decode,
 };
 
-use super::SAMPLES_MAX;
+use super::WINDOW_SAMPLES_MAX;
 
 /// Maximum size of a window in bytes, header included: less than a megabyte.
 pub const WINDOW_BYTES_MAX: u64 = 1_000_000;
@@ -100,7 +100,7 @@ impl FrameWindow {
         if held_max == 0 {
             return Err(WindowError::TooManyMarkers { n_markers });
         }
-        let worked_max = SAMPLES_MAX / n_markers.max(1) as u64;
+        let worked_max = WINDOW_SAMPLES_MAX / n_markers.max(1) as u64;
         let rows_max = held_max.saturating_mul(every.into()).min(worked_max.max(1));
         let mut flags = 0;
         let mut end = rows.end;

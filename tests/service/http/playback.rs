@@ -334,7 +334,7 @@ fn a_window_anywhere_in_a_long_take_is_read_from_its_key_stretch() {
         frame = bins.end_frame;
         parts += 1;
     }
-    assert!(parts < 10, "{parts}");
+    assert!((2..10).contains(&parts), "{parts}");
 }
 
 #[test]
