@@ -98,7 +98,7 @@ export class Player {
     const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
     this.axis.show(shown);
     this.charts.show(shown);
-    this.lists.show(overview);
+    this.lists.show(overview, this.motion.labels);
     setText(byId("take-name"), overview.name);
     setText(byId("take-facts"), facts(overview));
     document.title = `${overview.name} – mocapd`;

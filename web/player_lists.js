@@ -18,8 +18,9 @@ export class PlayerLists {
     byId("marker-list").addEventListener("pointerleave", () => this.onHover(-1));
   }
 
-  show(overview) {
-    this.#labels = overview.labels.map((label, slot) => label || `u${String(slot + 1).padStart(3, "0")}`);
+  /** `labels` are those of the scene, where no marker is without one. */
+  show(overview, labels) {
+    this.#labels = labels;
     this.#rows = this.#labels.map((label, slot) => this.#createRow(label, slot));
     byId("marker-list").replaceChildren(...this.#rows.map(({ element }) => element));
     byId("marker-filter").value = "";

@@ -5,7 +5,6 @@ use std::{fs, path::PathBuf, sync::Arc, time::SystemTime};
 use anyhow::Context;
 use crossbeam_channel::never;
 use mocapd_acquire::{files::FileId, header::SOFTWARE};
-use rustix::rand::{GetRandomFlags, getrandom};
 
 use crate::{
     control::{
@@ -13,6 +12,7 @@ use crate::{
         Stopped,
     },
     engine::summarise,
+    http::new_secret,
     live::LiveFeed,
     status::{MarkerQuality, Status, TakeStatus, TakeSummary},
 };
@@ -64,10 +64,7 @@ impl TakeViewer {
     /// # Errors
     /// The system has no random bytes.
     pub fn token() -> anyhow::Result<String> {
-        let mut random = [0; 32];
-        // Up to 256 bytes are never returned in part.
-        getrandom(&mut random, GetRandomFlags::empty()).context("no random bytes for a token")?;
-        Ok(random.iter().map(|byte| format!("{byte:02x}")).collect())
+        new_secret().context("no random bytes for a token")
     }
 }
 

@@ -41,6 +41,7 @@ use axum::body::Bytes;
 use futures_util::future::{Either, select};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
+pub(crate) use self::auth::new_secret;
 use self::{
     auth::Auth,
     broadcast::{EventBroadcast, LiveBroadcast},
