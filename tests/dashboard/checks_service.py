@@ -217,7 +217,7 @@ def downloaded(browser, rig):
     """The downloaded take equals the one on disk, and passes `mocapd verify` and the verification of the page."""
     row = "document.querySelector('[data-take=\"jump-001\"]')"
     browser.wait("the take in the list", f"return {row}")
-    browser.js(f"{row}.querySelector('a').click()")
+    browser.js(f"{row}.querySelector('a[download]').click()")
     file = browser.downloads / "jump-001.take"
     browser.wait("the download", file.exists, 15)
     original = rig.takes / "jump-001.take"
