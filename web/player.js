@@ -33,6 +33,8 @@ export class Player {
   #lastMs = 0;
   #chartsMs = 0;
   #textsMs = 0;
+  /** Whether the frame to be shown is far from the one before. */
+  #isJump = false;
   #announcedMs = 0;
   #tickMs = 0;
   #opened = 0;
@@ -156,11 +158,7 @@ export class Player {
     this.#search = null;
     if (this.hasFailed) this.buffer.retry();
     this.playback.seek(row);
-    // After a jump the camera looks for the markers again.
-    if (Math.abs(this.playback.row - this.motion.row) > this.playback.rateHz / 2) {
-      this.motion.box = null;
-      this.view.settle();
-    }
+    this.#isJump ||= Math.abs(this.playback.row - this.motion.row) > this.playback.rateHz / 2;
     this.#refresh();
   }
 
@@ -274,6 +272,12 @@ export class Player {
     buffer.want(playback.row, playback.isPlaying ? playback.rowsPerSecond : 0, playback.loop);
     if (motion.show(buffer.shownRow(playback.row), buffer.positionsAt)) {
       this.#message(null);
+      if (this.#isJump) {
+        // The camera looks for the markers again, at once.
+        this.#isJump = false;
+        motion.box = null;
+        this.view.settle();
+      }
       this.view.invalidate();
     } else if (this.overview.markers > 0 && this.overview.frames > 0) {
       this.#message(buffer.isWaitingFor(playback.row) ? "Loading" : "These frames cannot be read");

@@ -297,6 +297,9 @@ def long_takes(browser, log):
         for share in (0.5, 0.9, 0.1, 0.3, 0.7, 0.99):
             browser.js("mocapdPlayer.seek(arguments[0] * mocapdPlayer.playback.lastRow)", share)
             browser.wait("the picture", "return document.getElementById('view-message').hidden && mocapdPlayer.motion.row === mocapdPlayer.playback.row", 20)
+            off = """const { motion: { box }, view: { camera } } = mocapdPlayer;
+                return box && Math.hypot(...box.low.map((low, i) => (low + box.high[i]) / 2 - camera.target[i])) / camera.distanceMm"""
+            browser.wait("a camera that looks at the markers", f"return (() => {{ {off} }})() < 0.05", 1)
         kept = browser.js("return mocapdPlayer.buffer.ranges().length * mocapdPlayer.buffer.windowFrames * mocapdPlayer.motion.n * 12")
         assert kept < 64e6, kept
         assert browser.errors() == []
