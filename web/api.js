@@ -20,6 +20,19 @@ export function onUnauthorized(handler) {
   logIn = handler;
 }
 
+/** A token that every request carries; without one the cookie of a login must do. */
+let token = null;
+
+export function setToken(text) {
+  token = text;
+}
+
+/** A token that was refused is dropped, since it would win over the cookie of a login. */
+async function authorize() {
+  if (token === null) return logIn();
+  setToken(null);
+}
+
 const RESPONSE_TIMEOUT_MS = 2500;
 /** The service itself gives up after 60 s and reports it. */
 const COMMAND_TIMEOUT_MS = 65_000;
@@ -27,9 +40,10 @@ const COMMAND_TRIES = 6;
 
 async function send(path, options, timeoutMs) {
   const timeout = AbortSignal.timeout(timeoutMs);
+  const headers = { ...options.headers, ...(token ? { Authorization: `Bearer ${token}` } : {}) };
   let response;
   try {
-    response = await fetch(path, { ...options, signal: timeout, cache: "no-store" });
+    response = await fetch(path, { ...options, headers, signal: timeout, cache: "no-store" });
   } catch {
     throw new ConnectionError(timeout.aborted ? `no reply within ${timeoutMs / 1000} s` : "the service cannot be reached");
   }
@@ -48,13 +62,17 @@ async function checkStatus(response) {
 }
 
 /** The JSON document at a path. */
-export async function get(path) {
+export const get = (path, timeoutMs = RESPONSE_TIMEOUT_MS) => read(path, timeoutMs, (response) => response.json());
+
+/** The bytes at a path. */
+export const getBytes = (path, timeoutMs) => read(path, timeoutMs, (response) => response.arrayBuffer());
+
+async function read(path, timeoutMs, body) {
   for (;;) {
     try {
-      const response = await send(path, {}, RESPONSE_TIMEOUT_MS);
-      return await response.json();
+      return await body(await send(path, {}, timeoutMs));
     } catch (error) {
-      if (error.status === 401) await logIn();
+      if (error.status === 401) await authorize();
       else if (error instanceof ServiceError || error instanceof ConnectionError) throw error;
       else throw new ConnectionError("the reply is incomplete");
     }
@@ -87,7 +105,7 @@ export async function sendCommand(path, body = {}, { onRetry = () => {}, tries =
       return text ? JSON.parse(text) : {};
     } catch (error) {
       if (error.status === 401) {
-        await logIn();
+        await authorize();
       } else if ((error instanceof ServiceError && error.kind !== "unavailable") || attempt >= tries) {
         throw error;
       } else {

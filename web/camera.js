@@ -25,6 +25,8 @@ export class Camera {
   pitch = 0.3;
   distanceMm = 5000;
   target = [0, 0, 900];
+  /** The radius that fills the view, as a multiple of that of the box. */
+  margin = 0.92;
 
   /** Rotates around the target, by angles in radians. */
   orbit(yaw, pitch) {
@@ -77,7 +79,7 @@ export class Camera {
   approach(box, width, height, fraction) {
     const radius = Math.max(RADIUS_MIN_MM, 0.5 * Math.hypot(...box.high.map((high, i) => high - box.low[i])));
     const fieldOfView = Math.min(FIELD_OF_VIEW, 2 * Math.atan(Math.tan(FIELD_OF_VIEW / 2) * (width / height)));
-    const wanted = Math.min(MAX_DISTANCE_MM, (0.92 * radius) / Math.sin(fieldOfView / 2));
+    const wanted = Math.min(MAX_DISTANCE_MM, (this.margin * radius) / Math.sin(fieldOfView / 2));
     this.distanceMm += (wanted - this.distanceMm) * fraction;
     for (let i = 0; i < 3; i += 1) {
       this.target[i] += ((box.low[i] + box.high[i]) / 2 - this.target[i]) * fraction;

@@ -11,6 +11,15 @@ export function rounded(value) {
   return value.toFixed(size >= 99.95 || size === 0 ? 0 : size >= 9.995 ? 1 : 2);
 }
 
+/** A bound with three significant digits: never rounded down, since it would be wrong then. */
+export function roundedUp(value) {
+  if (!(value > 0)) return "0";
+  const digits = 2 - Math.floor(Math.log10(value));
+  const scale = 10 ** digits;
+  // A bound that is computed from decimal numbers is not meant to be above them by the last bit.
+  return String(Number((Math.ceil(value * scale - 1e-9) / scale).toFixed(Math.max(0, digits))));
+}
+
 /** Bytes as [number, unit], with decimal prefixes. */
 export function bytes(n) {
   const units = ["B", "kB", "MB", "GB", "TB", "PB"];
@@ -45,6 +54,12 @@ export function elapsed(seconds) {
   const two = (n) => String(n).padStart(2, "0");
   const [h, min] = [Math.floor(s / 3600), Math.floor(s / 60) % 60];
   return `${h ? `${h}:${two(min)}` : min}:${two(s % 60)}.${tenths % 10}`;
+}
+
+/** A time in a take, with milliseconds: `0:42.700`, `1:02:03.450`. Rounded down, as clocks do. */
+export function takeTime(seconds) {
+  const ms = Math.floor(Math.max(0, seconds) * 1000 + 1e-3);
+  return `${elapsed(Math.floor(ms / 1000)).slice(0, -2)}.${String(ms % 1000).padStart(3, "0")}`;
 }
 
 /** A fraction from 0 to 1 in percent. Only 1 is shown as 100, and only 0 as 0. */

@@ -3,10 +3,12 @@
 import { byId } from "./dom.js";
 
 /** Whether the focused element or an open dialog handles the key itself. */
-function isTaken(event) {
+export function isTaken(event) {
   if (event.ctrlKey || event.metaKey || event.altKey || event.isComposing) return true;
   if (document.querySelector("dialog[open]")) return true;
   const { target } = event;
+  // A checkbox needs the space bar alone.
+  if (target.matches("input[type=checkbox]")) return event.key === " ";
   if (target.closest("input, textarea, select")) return true;
   return event.key === " " && target.closest("button, a, summary") !== null;
 }

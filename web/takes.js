@@ -1,4 +1,4 @@
-// The list of the last takes: a summary of each, its download, and its verification.
+// The list of the last takes: a summary of each, its playback, its download, and its verification.
 
 import { ServiceError, sendCommand } from "./api.js";
 import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
@@ -93,6 +93,7 @@ export class Takes {
       word: h("span"),
       upload: h("p", { class: "note" }),
       download: h("a", { class: "button", href: path, download: `${name}.take`, "aria-label": `Download ${name}` }, "Download"),
+      play: h("a", { class: "button", href: `/player.html?take=${encodeURIComponent(name)}`, "aria-label": `Play ${name}` }, "Play"),
       verify: h("button", { type: "button", "aria-label": `Verify ${name}` }, "Verify"),
       answer: h("p", { class: "note", role: "status" }),
     };
@@ -100,12 +101,12 @@ export class Takes {
     parts.element = h("li", { "data-take": name },
       h("div", { class: "take-text" }, h("strong", {}, name), parts.summary,
         h("p", { class: "level" }, parts.glyph, " ", parts.word), parts.upload, parts.answer),
-      h("div", { class: "take-buttons" }, parts.download, parts.verify));
+      h("div", { class: "take-buttons" }, parts.play, parts.download, parts.verify));
     this.#rows.set(name, parts);
     return parts;
   }
 
-  #update({ element, summary, glyph, word, upload, download, verify }, take) {
+  #update({ element, summary, glyph, word, upload, play, download, verify }, take) {
     const [level, text] = health(take);
     setText(summary, takeSummary(take, Date.now()));
     setAttribute(element, "data-level", level);
@@ -113,6 +114,7 @@ export class Takes {
     setText(word, text);
     setText(upload, uploadText(take));
     setHidden(upload, !take.upload);
+    setHidden(play, take.is_open || take.health === "unreadable");
     setHidden(download, take.is_open);
     setHidden(verify, take.is_open);
   }

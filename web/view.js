@@ -21,6 +21,12 @@ export class View {
   hovered = -1;
   onSelected = () => {};
   onDrawn = () => {};
+  /** The time of the motion, from that of the page: a player's differs. */
+  timeOf = (nowMs) => nowMs;
+  /** Whether the motion goes on by itself, so that occluded markers fade without a new frame. */
+  isLive = true;
+  /** Duration of the last drawing. */
+  drawMs = 0;
   #pinnedLabel = null;
   #points = null;
   #isDirty = true;
@@ -46,6 +52,12 @@ export class View {
   /** Requests a redraw. */
   invalidate() {
     this.#isDirty = true;
+  }
+
+  /** The next drawing moves the camera to the markers at once. */
+  settle() {
+    this.#settled = false;
+    this.invalidate();
   }
 
   /** The table of markers has changed: the selected marker is found again by its label. */
@@ -100,9 +112,10 @@ export class View {
     requestAnimationFrame((now) => this.#tick(now));
     const elapsedMs = nowMs - this.#lastMs;
     const { motion, camera } = this;
-    const isFading = motion.raw && motion.nSeen < motion.n && elapsedMs > 30 &&
+    const isFading = this.isLive && motion.raw && motion.nSeen < motion.n && elapsedMs > 30 &&
       motion.lastSeenMs.some((seen) => nowMs - seen < FADE_MS);
     if (!this.#isDirty && !isFading) return;
+    const beganMs = performance.now();
     this.#isDirty = false;
     this.#lastMs = nowMs;
     if (this.isFollowing && motion.raw) {
@@ -112,9 +125,10 @@ export class View {
       this.#settled ||= box !== null;
     }
     const { width, height, options, selected, colours } = this;
-    const drawn = draw(this.ctx, camera, motion, { width, height, options, selected, colours, nowMs });
+    const drawn = draw(this.ctx, camera, motion, { width, height, options, selected, colours, nowMs: this.timeOf(nowMs) });
     this.#points = drawn.points;
     this.#showScaleAndMarker(drawn.stepMm);
+    this.drawMs = performance.now() - beganMs;
     this.onDrawn(nowMs);
   }
 
@@ -126,7 +140,7 @@ export class View {
     setHidden(byId("view-marker"), selected < 0 || selected >= motion.n);
     if (selected < 0 || selected >= motion.n) return;
     const [x, y, z] = motion.raw?.subarray(3 * selected, 3 * selected + 3) ?? [];
-    const age = (performance.now() - motion.lastSeenMs[selected]) / 1000;
+    const age = (this.timeOf(performance.now()) - motion.lastSeenMs[selected]) / 1000;
     const place = Number.isFinite(x) ? `x ${x.toFixed(1)}  y ${y.toFixed(1)}  z ${z.toFixed(1)} mm`
       : Number.isFinite(age) ? `not seen for ${duration(age).join(" ")}` : "not seen yet";
     setText(byId("view-marker"), `${motion.labels[selected]}   ${place}`);

@@ -35,6 +35,7 @@ mod study;
 mod subject;
 mod values;
 mod verify;
+mod view;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use mocapd::outcome::{Outcome, UsageError};
@@ -73,7 +74,7 @@ enum Command {
     Run(run::Args),
     /// Convert a C3D, TRC, QTM TSV or CSV file to a take
     Import(import::Args),
-    /// Convert a take to the format of another tool: C3D, TRC, CSV, XDF, BIDS and more
+    /// Convert a take to the format of another tool: C3D, TRC, CSV, XDF, BIDS, a page that plays it, and more
     Export(export::Args),
     /// Show what is in a take: header, sizes and ledger; samples, gaps, kept samples and error of each marker
     Info(info::Args),
@@ -91,6 +92,8 @@ enum Command {
     Repack(repack::Args),
     /// Show how two takes differ: markers, frames, gaps, samples, times, events, ledger, header and settings
     Diff(diff::Args),
+    /// Play takes, C3D, TRC, TSV or CSV files in a browser, on this machine
+    View(view::Args),
     /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, analog channels, force plates, marker quality
     #[command(subcommand)]
     Plot(plot::Plot),
@@ -124,7 +127,12 @@ impl Command {
     fn stops_in_order(&self) -> bool {
         matches!(
             self,
-            Self::Demo(_) | Self::Record(_) | Self::Run(_) | Self::Ctl(_) | Self::Bench(_)
+            Self::Demo(_)
+                | Self::Record(_)
+                | Self::Run(_)
+                | Self::View(_)
+                | Self::Ctl(_)
+                | Self::Bench(_)
         )
     }
 }
@@ -157,6 +165,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Concat(args) => concat::run(&args),
         Command::Repack(args) => repack::run(&args),
         Command::Diff(args) => diff::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Plot(plot) => plot::run(&plot),
         Command::Study(args) => study::run(&args),
         Command::Subject(command) => subject::run(&command),

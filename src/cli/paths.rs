@@ -78,7 +78,7 @@ impl From<InputFormatName> for InputFormat {
 /// # Errors
 /// A usage error that lists the extensions.
 pub(super) fn output_format(path: &Path) -> anyhow::Result<Format> {
-    let endings = ".c3d, .trc, .tsv, .csv, .npz, .xdf, .mot, .parquet or .mcap, or give --format (bids is a folder)";
+    let endings = ".c3d, .trc, .tsv, .csv, .npz, .xdf, .mot, .html, .parquet or .mcap, or give --format (bids is a folder)";
     Format::from_extension(path).ok_or_else(|| unknown_ending(path, endings))
 }
 

@@ -527,6 +527,7 @@ fn motion_files_exports_plots_and_several_files() {
         json(&["export", "marked.take", "-o", "turned.c3d", "--up", "y"]),
         json(&["export", "damaged.take", "-o", "damaged.csv"]),
         json(&["export", "plate.take", "-o", "plate.csv"]),
+        json(&["export", take, "-o", "jump.html"]),
     ];
     check("`mocapd export`", &exports);
     let plots = [

@@ -30,11 +30,13 @@ mod recording;
 mod recoveries;
 mod reloads;
 pub(crate) mod service;
+mod shared_pages;
 mod splits;
 mod studies;
 pub(crate) mod subjects;
 mod troubled;
 mod unprivileged;
 mod verify;
+mod views;
 
 pub(crate) use folder::{Folder, Ran};

@@ -18,8 +18,10 @@ import traceback
 from pathlib import Path
 
 import checks_page
+import checks_player
 import checks_service
 import checks_subject
+import checks_view
 from browser import Browser
 
 
@@ -39,9 +41,10 @@ def main():
         parser.error("chromium or chromedriver is missing: apt-get install chromium chromium-driver")
     if (args.mocapd is None) != (args.mocapd_sim is None):
         parser.error("--mocapd and --mocapd-sim go together")
-    checks = list(checks_page.CHECKS)
+    checks = [*checks_page.CHECKS, *checks_player.CHECKS]
     if args.mocapd:
         checks += checks_service.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(), args.picture)
+        checks += checks_view.checks(args.mocapd.resolve())
         if args.drawn_subject:
             checks += checks_subject.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(),
                                             args.drawn_subject.resolve(), args.takes)

@@ -159,12 +159,31 @@ def a_take(browser, log, mocapd, mocapd_sim, picture):
         browser.wait_state("armed")
         downloaded(browser, rig)
         assert browser.errors() == []
+        played(browser, rig)
+        browser.open(rig.url)
+        browser.wait_state("armed")
         without_viewer(browser, log, rig)
     except AssertionError as error:
         raise AssertionError(f"{error}\n{rig.logs()}") from error
     finally:
         browser.open("about:blank")
         rig.close()
+
+
+def played(browser, rig):
+    """The take that was just recorded, in the player, while the device goes on."""
+    browser.js("document.querySelector('[data-take=jump-001] a[href^=\"/player\"]').click()")
+    browser.wait("the first picture", "return window.mocapdPlayer?.stats.drawn > 0 && document.getElementById('view-message').hidden", 20)
+    frames = browser.json(f"{rig.url}v1/takes/jump-001/overview")["frames"]
+    assert browser.js("return mocapdPlayer.playback.frames") == frames
+    texts = "return [...document.querySelectorAll('#event-list button span:last-child')].map((e) => e.textContent)"
+    assert "mark: heel strike" in browser.js(texts), browser.js(texts)
+    browser.keys(" ")
+    browser.wait("it plays", f"return mocapdPlayer.playback.row > {RATE_HZ}")
+    browser.keys("e")
+    browser.wait("the state of the rig", lambda: browser.text("service") == "Armed")
+    browser.picture("daemon-player")
+    assert browser.errors() == []
 
 
 def with_viewer(browser, log, rig):
@@ -198,7 +217,7 @@ def downloaded(browser, rig):
     """The downloaded take equals the one on disk, and passes `mocapd verify` and the verification of the page."""
     row = "document.querySelector('[data-take=\"jump-001\"]')"
     browser.wait("the take in the list", f"return {row}")
-    browser.js(f"{row}.querySelector('a').click()")
+    browser.js(f"{row}.querySelector('a[download]').click()")
     file = browser.downloads / "jump-001.take"
     browser.wait("the download", file.exists, 15)
     original = rig.takes / "jump-001.take"

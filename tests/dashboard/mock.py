@@ -21,6 +21,7 @@ from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from mock_rig import FAULTS, Refused, Rig
+from mock_take import MockTake
 
 HERE = Path(__file__).resolve().parent
 #: The folders served, by path: the page, and the tests of its modules.
@@ -88,6 +89,32 @@ class Handler(BaseHTTPRequestHandler):
             name = unquote(url.path.split("/")[3])
             return self.reply(200, b"mock take\n", "application/octet-stream",
                                [("Content-Disposition", f'attachment; filename="{name}.take"')])
+        if url.path.startswith("/v1/takes/"):
+            return self.playback(url)
+        return self.reply(404, {"kind": "not_found", "message": f"there is no {url.path}"})
+
+    def playback(self, url):
+        """The overview, a window or the gaps of a take in the list."""
+        name, what = unquote(url.path.split("/")[3]), url.path.split("/")[-1]
+        query = {key: float(values[0]) for key, values in parse_qs(url.query).items()}
+        rig = self.rig
+        with rig.lock:
+            rig.requests.append(self.path)
+            found = next((take for take in rig.takes if take["name"] == name), None)
+            refused = rig.faults["refuse_windows"] if what == "window" else None
+        if found is None or found["is_open"]:
+            return self.reply(404, {"kind": "not_found", "message": "no take has this name: see /v1/takes"})
+        if refused:
+            return self.reply(CODES[refused[0]], {"kind": refused[0], "message": refused[1]})
+        take = MockTake(name, found["seconds"] or 12.5, len(rig.body.labels), rig.rate_hz,
+                        damaged=found["health"] == "damaged")
+        if what == "overview":
+            return self.reply(200, take.overview())
+        if what == "gaps":
+            return self.reply(200, take.gaps(query.get("from", 0.0)))
+        if what == "window":
+            data = take.window(query.get("from", 0.0), query.get("seconds", 4.0), int(query.get("every", 1)))
+            return self.reply(200, data, "application/octet-stream")
         return self.reply(404, {"kind": "not_found", "message": f"there is no {url.path}"})
 
     def do_POST(self):
@@ -102,6 +129,9 @@ class Handler(BaseHTTPRequestHandler):
                     rig.fail(body.pop("fail"))
                 if body.pop("log_out", False):
                     rig.cookie = secrets.token_hex(8)
+                if "add_take" in body:
+                    name, seconds, health = body.pop("add_take")
+                    rig.takes.insert(0, rig.new_take(name, int(time.time() * 1000), seconds, health))
                 rig.set_faults({key: value for key, value in body.items() if key in FAULTS})
             return self.reply(200, {})
         if not self.is_authorized():

@@ -11,7 +11,7 @@ from mock_body import Body
 #: Faults: `lose_responses` executes that many commands without a response; `cut_streams` ends the streams opened before
 #: that time.
 FAULTS = {"presence": "streaming", "obstacle": None, "lossy": False, "frozen": False, "delay_s": 0.0, "refuse": None,
-          "free_bytes": 412_000_000_000, "lose_responses": 0, "cut_streams": 0.0}
+          "free_bytes": 412_000_000_000, "lose_responses": 0, "cut_streams": 0.0, "refuse_windows": None}
 
 
 class Refused(Exception):
@@ -33,9 +33,9 @@ class Rig:
         self.faults = dict(FAULTS)
         self.gone_at, self.missed_s = None, 0.0
         self.session, self.cookie = secrets.token_hex(4), secrets.token_hex(8)
-        self.events, self.replies = [], {}
+        self.events, self.replies, self.requests = [], {}, []
         now = int(time.time() * 1000)
-        self.takes = [self._take(f"jump-{n:03}", now - (6 - n) * 420_000, 8.4 + 3 * n, health) for n, health in
+        self.takes = [self.new_take(f"jump-{n:03}", now - (6 - n) * 420_000, 8.4 + 3 * n, health) for n, health in
                       [(5, "unknown"), (4, "complete"), (3, "lossy"), (2, "cut off"), (1, "complete")]]
         with self.lock:
             self._begin(scenario)
@@ -86,7 +86,7 @@ class Rig:
         self.state, self.failure, self.take = "failed", why, None
         self.event("failure", why)
 
-    def _take(self, name, modified, seconds, health):
+    def new_take(self, name, modified, seconds, health):
         known = health not in ("unknown", "unreadable")
         return {"name": name, "bytes": int(seconds * 61_000 * len(self.body.labels) / 200), "is_open": False,
                 "modified_unix_ms": modified, "health": health, "seconds": seconds if known else 0.0,
@@ -138,7 +138,7 @@ class Rig:
         if self.state != "recording":
             raise Refused("conflict", "no take is being recorded")
         status = self.take_status()
-        self.takes.insert(0, self._take(status["name"], int(time.time() * 1000), status["seconds"],
+        self.takes.insert(0, self.new_take(status["name"], int(time.time() * 1000), status["seconds"],
                                         "lossy" if sum(self.causes) else "complete"))
         self.state, self.take = "armed", None
         self.event("take-stopped", f"{status['name']}: {status['seconds']:.1f} s, stopped")
@@ -156,7 +156,7 @@ class Rig:
             raise Refused("conflict", "not armed: the pre-roll is empty")
         seconds = min(body["seconds"], 10.0, time.time() - self.armed_at)
         name = body.get("name") or f"last-{len(self.takes) + 1:03}"
-        take = self._take(name, int(time.time() * 1000), seconds, "complete")
+        take = self.new_take(name, int(time.time() * 1000), seconds, "complete")
         self.takes.insert(0, take)
         self.event("take-saved", f"{name}: the last {seconds:.1f} s")
         return {"take_id": take["take_id"], "name": name, "path": f"/var/lib/mocapd/{name}.take",

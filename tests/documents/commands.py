@@ -63,12 +63,15 @@ NOT_RUN = [
 PREPARATION = {
     "docs/accuracy.md": "mocapd-sim generate --subjects 1 --jumps 1 --rate 120 --out jumps && cp jumps/*.c3d jump.c3d",
     "docs/columns.md": "mocapd-sim generate --subjects 1 --jumps 1 --rate 120 --out jumps && mocapd import jumps/*.c3d -o run.take",
+    "docs/player.md": "mocapd demo && mkdir takes trials && cp mocapd-demo/*.take . && cp *.take takes && cp mocapd-demo/*.c3d trials",
+    "docs/sharing.md": "mocapd demo && cp mocapd-demo/*.take .",
 }
 
 # Commands that do not end by themselves: they run behind those that follow, once they answer.
 ENDLESS = {
     r"mocapd run ": "curl -sS --retry 20 --retry-delay 1 --retry-connrefused -o /dev/null http://127.0.0.1:7060/healthz",
     r"mocapd-sim serve [^&]*$": "sleep 1",
+    r"mocapd view ": "sleep 1",
 }
 
 

@@ -142,7 +142,12 @@ pub(super) fn summary_of(path: &Path) -> Option<TakeSummary> {
 }
 
 /// The summary of a file from its header and end, and whether it stays valid until the file changes.
-fn summarise(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
+pub(crate) fn summarise(
+    path: &Path,
+    bytes: u64,
+    modified: SystemTime,
+    is_open: bool,
+) -> (TakeSummary, bool) {
     let since_1970 = modified.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let mut summary = TakeSummary {
         name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),

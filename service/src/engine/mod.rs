@@ -41,6 +41,7 @@ use mocapd_acquire::{files::FileId, heartbeat::Heartbeat, pipeline::lock, thread
 use mocapd_drivers::{registry, uri::DeviceUri};
 use mocapd_take::record::{EndingKind, Subject};
 
+pub(crate) use self::folder::summarise;
 use self::{
     events::EventPublisher,
     folder::SummaryCache,

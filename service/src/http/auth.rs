@@ -33,6 +33,17 @@ pub(super) const COOKIE: &str = "mocapd_session";
 /// Hashes are compared in constant time, so that neither content nor length of a secret shows in the timing.
 type Hash = [u8; 32];
 
+/// A new secret: 256 random bits in hexadecimal digits.
+///
+/// # Errors
+/// The system has no random bytes.
+pub(crate) fn new_secret() -> rustix::io::Result<String> {
+    let mut random = [0; 32];
+    // Up to 256 bytes are never returned in part.
+    getrandom(&mut random, GetRandomFlags::empty())?;
+    Ok(random.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
 fn hash(secret: &[u8]) -> Hash {
     Sha256::digest(secret).into()
 }
@@ -94,10 +105,7 @@ impl Auth {
     /// # Errors
     /// The system has no random bytes.
     pub(super) fn open_session(&self) -> rustix::io::Result<String> {
-        let mut random = [0; 32];
-        // Up to 256 bytes are never returned in part.
-        getrandom(&mut random, GetRandomFlags::empty())?;
-        let id: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
+        let id = new_secret()?;
         let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
         if sessions.len() == SESSIONS_MAX {
             sessions.pop_front();

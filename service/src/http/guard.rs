@@ -21,6 +21,7 @@ use super::{
     problem::{PROBLEM_JSON, Problem, ProblemKind},
     slots::ConnectionSlot,
 };
+use crate::page;
 
 /// Longest path and query in bytes: the longest useful one has a percent-encoded take name.
 const URI_BYTES_MAX: usize = 4096;
@@ -76,7 +77,7 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     if is_authorized && let Some(slot) = request.extensions().get::<Arc<ConnectionSlot>>() {
         slot.authorize();
     }
-    if is_authorized || is_open(uri.path()) {
+    if is_authorized || is_open(uri.path()) || (app.is_viewer && page::is_file(uri.path())) {
         return Ok(());
     }
     if request.method() == Method::GET && login::wants_html(headers) {

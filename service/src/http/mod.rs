@@ -19,6 +19,7 @@ mod guard;
 mod login;
 mod metrics;
 mod options;
+mod playback;
 mod problem;
 mod routes;
 mod server;
@@ -40,9 +41,11 @@ use axum::body::Bytes;
 use futures_util::future::{Either, select};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
+pub(crate) use self::auth::new_secret;
 use self::{
     auth::Auth,
     broadcast::{EventBroadcast, LiveBroadcast},
+    playback::KnownMaps,
     work_queues::WorkQueues,
 };
 pub use self::{
@@ -61,9 +64,12 @@ use crate::control::Control;
 struct App {
     control: Arc<dyn Control>,
     queues: WorkQueues,
+    maps: Arc<KnownMaps>,
     auth: Arc<Auth>,
     counts: Arc<Counts>,
     limits: TimeLimits,
+    /// Whether only the player is served, whose files need no token.
+    is_viewer: bool,
     allowed_hosts: watch::Receiver<Vec<String>>,
     events: Arc<EventBroadcast>,
     live: Arc<LiveBroadcast>,

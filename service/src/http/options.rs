@@ -24,7 +24,7 @@ pub(super) const UNIX_EXTRA: usize = work_queues::REQUESTS_MAX;
 const DESCRIPTORS: usize = 1024;
 
 /// Descriptors for everything but connections: the device, the take and its folder, the journal, timers and listeners
-/// need some 40, and each of the 14 threads of the listeners opens a few files.
+/// need some 40, and each of the 16 threads of the listeners opens a few files.
 const DESCRIPTORS_ELSEWHERE: usize = 128;
 
 /// For each of two listeners: its connections, a file for each download (half of them), rejected connections, and one
@@ -32,7 +32,7 @@ const DESCRIPTORS_ELSEWHERE: usize = 128;
 const DESCRIPTORS_OF_CONNECTIONS: usize =
     2 * (CONNECTIONS_MAX + CONNECTIONS_MAX.div_ceil(2) + LINGER_MAX + 1) + UNIX_EXTRA;
 
-// 2 * (256 + 128 + 32 + 1) + 55 + 128 = 1017.
+// 2 * (256 + 128 + 32 + 1) + 61 + 128 = 1023.
 const _: () = assert!(DESCRIPTORS_OF_CONNECTIONS + DESCRIPTORS_ELSEWHERE <= DESCRIPTORS);
 
 /// Where the server listens, and for whom.
@@ -50,6 +50,9 @@ pub struct HttpOptions {
     pub connections_max: usize,
     /// Time limits.
     pub limits: TimeLimits,
+    /// Serves the player as the first page instead of the dashboard. Its files need no token: its script reads the token
+    /// from the part of the address that browsers send to nobody.
+    pub is_viewer: bool,
 }
 
 impl Default for HttpOptions {
@@ -61,6 +64,7 @@ impl Default for HttpOptions {
             allowed_hosts: Vec::new(),
             connections_max: CONNECTIONS_MAX,
             limits: TimeLimits::default(),
+            is_viewer: false,
         }
     }
 }
@@ -75,6 +79,7 @@ impl std::fmt::Debug for HttpOptions {
             .field("allowed_hosts", &self.allowed_hosts)
             .field("connections_max", &self.connections_max)
             .field("limits", &self.limits)
+            .field("is_viewer", &self.is_viewer)
             .finish()
     }
 }

@@ -11,7 +11,7 @@ use axum::{
     response::{IntoResponse, Response},
     routing::get,
 };
-use include_dir::{Dir, File, include_dir};
+use include_dir::File;
 use sha2::{Digest, Sha256};
 use utoipa::{
     Modify, OpenApi,
@@ -26,10 +26,11 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     Shared,
     auth::COOKIE,
-    commands, guard, login, metrics,
+    commands, guard, login, metrics, playback,
     problem::{PROBLEM_JSON, Problem},
     streams, takes,
 };
+use crate::page::{PLAYER, WEB};
 
 /// The described routes. Route and description are one item: neither exists without the other.
 fn described() -> OpenApiRouter<Shared> {
@@ -46,6 +47,9 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(takes::takes))
         .routes(routes!(takes::download))
         .routes(routes!(takes::verify))
+        .routes(routes!(playback::overview))
+        .routes(routes!(playback::window))
+        .routes(routes!(playback::gaps))
         .routes(routes!(streams::events))
         .routes(routes!(streams::live))
         .routes(routes!(commands::healthz))
@@ -146,9 +150,6 @@ fn add_problem(operation: &mut Operation) {
     operation.responses.responses.entry("default".to_owned()).or_insert_with(|| problem.into());
 }
 
-/// The folder as it was when the program was built.
-static WEB: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../web");
-
 /// The media type of a file by its extension; `application/octet-stream` for any other extension, so that no browser
 /// guesses.
 fn content_type(file: &File<'_>) -> &'static str {
@@ -165,13 +166,18 @@ fn content_type(file: &File<'_>) -> &'static str {
 
 const BYTES: &str = "application/octet-stream";
 
-/// The page that a browser opens.
+/// The page of the dashboard.
 const PAGE: &str = "index.html";
 
-/// Serves a file of the dashboard; any other path without a route is "not found".
-pub(super) async fn serve(uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+/// Serves a file of the dashboard or the player; any other path without a route is "not found".
+pub(super) async fn serve(
+    State(app): State<Shared>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     let path = uri.path().strip_prefix('/').unwrap_or(uri.path());
-    let found = WEB.get_file(if path.is_empty() { PAGE } else { path });
+    let first = if app.is_viewer { PLAYER } else { PAGE };
+    let found = WEB.get_file(if path.is_empty() { first } else { path });
     let asset = found.ok_or_else(|| Problem::of_status(StatusCode::NOT_FOUND))?;
     let digest = Sha256::digest(asset.contents());
     let tag: String = digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
@@ -220,7 +226,7 @@ mod tests {
             .collect();
         files.sort();
         let served: Vec<_> = WEB.files().map(|file| file.path().to_str().unwrap()).collect();
-        assert_eq!(served, files, "touch service/src/http/routes.rs after a file was added");
+        assert_eq!(served, files, "touch service/src/page.rs after a file was added");
         assert!(WEB.dirs().next().is_none() && WEB.files().all(|file| content_type(file) != BYTES));
         assert!(paths().any(|path| path == "/") && !paths().any(|path| path.contains("index")));
     }

@@ -54,7 +54,8 @@ impl HttpServer {
     /// The options are useless or would let everybody in, or a socket or address is unavailable.
     pub fn start(options: HttpOptions, control: Arc<dyn Control>) -> anyhow::Result<Self> {
         options.check()?;
-        let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits } =
+        let is_viewer = options.is_viewer;
+        let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits, .. } =
             options;
         let unix = unix_socket.map(|path| Listening::new(|| listen_unix(&path))).transpose()?;
         let tcp = tcp.map(|address| Listening::new(|| listen_tcp(address))).transpose()?;
@@ -90,12 +91,14 @@ impl HttpServer {
             let app = Arc::new(App {
                 control: Arc::clone(&control),
                 queues: WorkQueues::new(limits.work),
+                maps: Arc::default(),
                 auth: Arc::clone(&auth),
                 counts: Arc::clone(&counts),
                 events: Arc::clone(&events),
                 live: Arc::clone(&live),
                 document: document.clone(),
                 limits,
+                is_viewer,
                 allowed_hosts: allowed_hosts.clone(),
                 streams: Arc::new(Semaphore::new(connections_max.div_ceil(2))),
                 stopping: stopping.clone(),

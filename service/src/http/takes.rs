@@ -359,16 +359,16 @@ pub(super) async fn verify(
 }
 
 /// A reader that fails once the client has disconnected or the server stops.
-struct CancellableReader<R> {
-    input: R,
-    client_alive: Weak<()>,
-    stopping: watch::Receiver<bool>,
+pub(super) struct CancellableReader<R> {
+    pub(super) input: R,
+    pub(super) client_alive: Weak<()>,
+    pub(super) stopping: watch::Receiver<bool>,
 }
 
 impl<R: Read> Read for CancellableReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.client_alive.strong_count() == 0 || *self.stopping.borrow() {
-            return Err(io::Error::other("verification cancelled: the client has disconnected"));
+            return Err(io::Error::other("reading cancelled: the client has disconnected"));
         }
         self.input.read(buffer)
     }

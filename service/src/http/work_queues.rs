@@ -15,11 +15,16 @@ const FILES: Size = Size { running: 2, waiting: 32 };
 /// Verifications at once: each keeps a core busy until it is done.
 const CHECKS: Size = Size { running: 1, waiting: 0 };
 
+/// Windows of takes decoded at once: one core of a machine that records. A few players with one or two requests each may
+/// wait.
+const DECODES: Size = Size { running: 1, waiting: 5 };
+
 /// Threads that a listener's runtime may have for all queues.
-pub(super) const THREADS: usize = COMMANDS.running + FILES.running + CHECKS.running;
+pub(super) const THREADS: usize =
+    COMMANDS.running + FILES.running + CHECKS.running + DECODES.running;
 
 /// Requests that can be running or waiting at once; all others are replied to immediately.
-pub(super) const REQUESTS_MAX: usize = COMMANDS.all() + FILES.all() + CHECKS.all();
+pub(super) const REQUESTS_MAX: usize = COMMANDS.all() + FILES.all() + CHECKS.all() + DECODES.all();
 
 #[derive(Debug, Clone, Copy)]
 struct Size {
@@ -42,6 +47,8 @@ pub(super) struct WorkQueues {
     pub(super) files: WorkQueue,
     /// Verifies takes.
     pub(super) checks: WorkQueue,
+    /// Decodes parts of takes.
+    pub(super) decodes: WorkQueue,
 }
 
 impl WorkQueues {
@@ -51,6 +58,7 @@ impl WorkQueues {
             commands: WorkQueue::new("too many requests are being executed", COMMANDS, work_max),
             files: WorkQueue::new("too many files are being read", FILES, work_max),
             checks: WorkQueue::new("another take is being verified", CHECKS, None),
+            decodes: WorkQueue::new("too many players are reading takes", DECODES, None),
         }
     }
 }

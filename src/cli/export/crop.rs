@@ -90,6 +90,10 @@ impl FrameSource for CroppedFrames<'_> {
         self.frames.take()
     }
 
+    fn is_lost(&self) -> bool {
+        self.frames.is_lost()
+    }
+
     fn count_sampled(&self, n_frames: u64) {
         self.counter.fetch_add(n_frames, Ordering::Relaxed);
     }

@@ -3,14 +3,21 @@
 use std::{io, path::Path};
 
 use mocapd::outcome::UsageError;
+use mocapd_codec::Tolerance;
 use mocapd_take::{
     TakeMap,
     foreign::force_plates::Baseline,
-    interchange::{Format, bids},
+    interchange::{
+        Format, bids,
+        page_motion::{ADDED_MM_MIN, Lattice},
+    },
     motion::{FrameSource, MotionInfo, Position},
 };
 
-use crate::cli::paths;
+use crate::cli::{paths, values::tolerance};
+
+/// What a page adds to the error of a take whose own tolerance is smaller, in millimetres.
+const ADDED_MM: f64 = 0.1;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct FormatArgs {
@@ -31,6 +38,10 @@ pub(super) struct FormatArgs {
     /// (`FORCE_PLATFORM:ZERO`)
     #[arg(long)]
     subtract_baseline: bool,
+    /// For html: largest distance of a position from the original, that of the take included: 1mm, 500um [default: twice the
+    /// tolerance of the take, at least 0.1mm]
+    #[arg(long, value_name = "LENGTH", value_parser = tolerance, allow_hyphen_values = true)]
+    tolerance: Option<Tolerance>,
     /// For bids: label of the subject, letters and digits [default: 01]
     #[arg(long, value_name = "LABEL")]
     subject: Option<String>,
@@ -56,6 +67,7 @@ pub(super) enum FormatName {
     Xdf,
     Bids,
     Mot,
+    Html,
     Parquet,
     Mcap,
 }
@@ -79,6 +91,7 @@ impl FormatName {
             Self::Xdf => "xdf",
             Self::Bids => "",
             Self::Mot => "mot",
+            Self::Html => "html",
             Self::Parquet => "parquet",
             Self::Mcap => "mcap",
         }
@@ -115,6 +128,7 @@ impl FormatArgs {
             Some(FormatName::Xdf) => Format::Xdf,
             Some(FormatName::Bids) => Format::Bids,
             Some(FormatName::Mot) => Format::Mot,
+            Some(FormatName::Html) => Format::Html,
             Some(FormatName::Parquet) => Format::Parquet,
             Some(FormatName::Mcap) => Format::Mcap,
         };
@@ -127,6 +141,11 @@ impl FormatArgs {
         }
         if self.subtract_baseline && format != Format::Mot {
             return usage("--subtract-baseline is for .mot: omit it");
+        }
+        if self.tolerance.is_some() && format != Format::Html {
+            return usage(
+                "--tolerance is for .html: omit it, other formats have the samples of the take",
+            );
         }
         if self.for_spreadsheet && format != Format::Csv {
             return usage("--for-spreadsheet is for csv: omit it");
@@ -145,6 +164,26 @@ impl FormatArgs {
     /// What is subtracted from the channels of force plates.
     pub(super) fn baseline(&self) -> Baseline {
         if self.subtract_baseline { Baseline::Subtracted } else { Baseline::AsStored }
+    }
+
+    /// What coding for a page may add to the error of a take with this tolerance.
+    ///
+    /// # Errors
+    /// A usage error if the requested tolerance leaves nothing for it.
+    pub(super) fn lattice(&self, take_tolerance_mm: f64) -> anyhow::Result<Lattice> {
+        let Some(tolerance) = self.tolerance else {
+            return Ok(Lattice::within(take_tolerance_mm.max(ADDED_MM)));
+        };
+        let added_mm = tolerance.mm() - take_tolerance_mm;
+        if added_mm >= ADDED_MM_MIN {
+            return Ok(Lattice::within(added_mm));
+        }
+        Err(UsageError(format!(
+            "--tolerance {} mm: the samples of the take are within {take_tolerance_mm} mm, and the page needs at least \
+             {ADDED_MM_MIN} mm more",
+            tolerance.mm()
+        ))
+        .into())
     }
 
     /// The labels in the file names of a BIDS dataset.

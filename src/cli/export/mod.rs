@@ -2,6 +2,7 @@
 
 mod crop;
 mod format;
+mod page;
 
 use std::{
     io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write},
@@ -30,6 +31,7 @@ use serde::Serialize;
 use self::{
     crop::CroppedFrames,
     format::{EscapedLabels, FormatArgs, FormatName},
+    page::PageAccuracy,
 };
 use super::{
     batch::{
@@ -49,7 +51,8 @@ pub(crate) struct Args {
     /// Takes, or folders with takes; `-` reads a take from standard input
     #[arg(required = true, value_name = "TAKE")]
     takes: Vec<PathBuf>,
-    /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf, .mot (force plates) or, if built in, .parquet or
+    /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf, .mot (force plates), .html (a page that plays
+    /// the motion) or, if built in, .parquet or
     /// .mcap. It must not exist. For several takes the folder to write into, with `--to FORMAT`; a file there that has
     /// the same content is left as it is. With `--to bids` the dataset to create or to add to. `-` writes to standard
     /// output [default: beside each take]
@@ -181,6 +184,8 @@ struct ExportReport {
     not_supported: Vec<String>,
     /// With `--up`: content that was not rotated.
     not_rotated: Vec<String>,
+    /// For `html`: how far positions on the page can be from the original.
+    page: Option<PageAccuracy>,
     problems: Vec<String>,
 }
 
@@ -201,6 +206,8 @@ struct Written {
     sampled_files: Vec<PathBuf>,
     /// Remarks on its content.
     remarks: Vec<String>,
+    /// For a page, its accuracy.
+    page: Option<PageAccuracy>,
 }
 
 impl ExportPlan<'_> {
@@ -250,6 +257,9 @@ impl ExportPlan<'_> {
         attempt.written.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
+        if let Some(page) = &report.page {
+            job.notify_of(output, &page.to_string());
+        }
         Ok(FileReport {
             data_lost: !report.problems.is_empty(),
             text: String::new(),
@@ -320,17 +330,21 @@ impl ExportPlan<'_> {
             let _one_at_a_time = self.dataset.lock();
             write_folder(frames, &self.args.format.names(&job.input.relative)?, output)?;
             let (sampled_files, remarks) = (Vec::new(), self.remarks(frames)?);
-            return Ok(Written { kept: Kept::New, bytes: 0, sampled_files, remarks });
+            return Ok(Written { kept: Kept::New, bytes: 0, sampled_files, remarks, page: None });
         }
         let writing = || format!("cannot write {}", output.display());
         // The additional files get their names before the output: if the output exists, so do they.
         let mut sampled = SampledFiles::default();
+        let mut page = None;
         let ((bytes, mut remarks), mut kept) =
             outputs::write_whole(output, self.is_folder, |out| {
                 let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut *out);
                 let remarks = if self.format == Format::Mot {
                     mot::write(frames, &mut buffered, self.args.format.baseline())
                         .with_context(writing)?
+                } else if self.format == Format::Html {
+                    page = Some(self.write_page(frames, job, &mut buffered).with_context(writing)?);
+                    Vec::new()
                 } else {
                     write_frames(frames, self.format, &mut buffered).with_context(writing)?;
                     Vec::new()
@@ -349,7 +363,7 @@ impl ExportPlan<'_> {
         }
         let bytes = bytes + sampled.bytes;
         let sampled_files = std::mem::take(&mut sampled.kept).into_iter().map(|(path, _)| path);
-        Ok(Written { kept, bytes, sampled_files: sampled_files.collect(), remarks })
+        Ok(Written { kept, bytes, sampled_files: sampled_files.collect(), remarks, page })
     }
 
     /// Remarks on the analog channels and force plates of an output.
@@ -474,6 +488,7 @@ impl ExportReport {
             frames_lost: take.ledger.as_ref().map_or(0, Ledger::frames_lost),
             not_supported: attempt.not_supported,
             not_rotated: attempt.not_rotated,
+            page: attempt.written.page,
             problems: frames.problems().iter().map(ToString::to_string).collect(),
         }
     }
@@ -511,10 +526,11 @@ impl ExportReport {
             .chain(self.sampled_files.iter().map(|name| plain_path(Path::new(name))))
             .collect();
         format!(
-            "{}: {} of {}{size}{}\n",
+            "{}: {} of {}{size}{}{}\n",
             names.join(", "),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),
+            self.page.as_ref().map(|page| format!("; {page}")).unwrap_or_default(),
             if self.unchanged { "; unchanged" } else { "" },
         )
     }

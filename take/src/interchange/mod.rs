@@ -33,6 +33,7 @@ mod motion_reader;
 pub mod npz;
 mod origin;
 mod origin_gaps;
+pub mod page_motion;
 #[cfg(feature = "full")]
 mod parquet;
 mod rotated;
@@ -88,6 +89,8 @@ pub enum Format {
     Bids,
     /// `OpenSim`'s motion file, with the loads of force plates; export only, with remarks by [`mot::write`].
     Mot,
+    /// A page that plays the motion in a browser; export only. Its motion is that of [`page_motion::write`].
+    Html,
 }
 
 /// What files of a format can hold besides trajectories.
@@ -165,6 +168,7 @@ impl Format {
             "npz" => Self::Npz,
             "xdf" => Self::Xdf,
             "mot" => Self::Mot,
+            "html" | "htm" => Self::Html,
             _ => return None,
         })
     }
@@ -215,7 +219,7 @@ impl Format {
     /// What files of this format can hold. The match has no default arm, so that a new format must be added to it.
     fn capabilities(self) -> Capabilities {
         let sampled = match self {
-            Self::C3d | Self::Trc | Self::Tsv | Self::Mot => SampledPlace::Restored,
+            Self::C3d | Self::Trc | Self::Tsv | Self::Mot | Self::Html => SampledPlace::Restored,
             Self::Mcap | Self::Npz | Self::Xdf | Self::Bids => SampledPlace::Inside,
             Self::Csv | Self::CsvLong | Self::Parquet | Self::ParquetWide => {
                 SampledPlace::SeparateFiles
@@ -227,9 +231,12 @@ impl Format {
             Self::Tsv => (Some("tsv/"), false, usize::MAX),
             Self::Csv | Self::CsvLong | Self::Mot => (None, false, 0),
             Self::Xdf => (None, false, usize::MAX),
-            Self::Parquet | Self::ParquetWide | Self::Mcap | Self::Npz | Self::Bids => {
-                (None, true, usize::MAX)
-            }
+            Self::Parquet
+            | Self::ParquetWide
+            | Self::Mcap
+            | Self::Npz
+            | Self::Bids
+            | Self::Html => (None, true, usize::MAX),
         };
         Capabilities { foreign, up_axis, events_max, sampled }
     }
@@ -344,6 +351,7 @@ impl Format {
             Self::Xdf => xdf::write(frames, out),
             Self::Mot => mot::write(frames, out, Baseline::default()).map(drop),
             Self::Npz => unsupported("npz needs an output that can seek: use npz::write"),
+            Self::Html => unsupported("a page needs more than frames: use page_motion::write"),
             Self::Bids => unsupported("bids is a folder, not a file: use bids::write"),
         }
     }

@@ -91,6 +91,7 @@ impl<'a> MotionReader<'a> {
             | Format::Xdf
             | Format::Bids
             | Format::Mot
+            | Format::Html
             | Format::Parquet
             | Format::ParquetWide
             | Format::Mcap => {

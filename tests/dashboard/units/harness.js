@@ -29,11 +29,12 @@ export function throws(body, text) {
   throw new Error(`nothing was thrown; expected '${text}'`);
 }
 
-export function run() {
+/** Runs the tests one after another; a test may be asynchronous. */
+export async function run() {
   const failed = [];
   for (const [name, body] of tests) {
     try {
-      body();
+      await body();
     } catch (error) {
       failed.push(`${name}: ${error.message}`);
     }

@@ -6,6 +6,7 @@ use mocapd_acquire::{files::FileState, ledger::LedgerDocument, listing::ListedDe
 use mocapd_service::{
     control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
     http::{Problem, ProblemKind, openapi},
+    playback::{GapBins, PlaybackEvent, TakeOverview},
     status::{
         ArchiveStatus, DeviceStatus, MarkerQuality, OutageStatus, ServiceEvent, ServiceEventKind,
         State, Status, TakeStatus, TakeSummary, TakeUpload,
@@ -31,6 +32,9 @@ const ROUTES: &[(&str, &str)] = &[
     ("get", "/v1/status"),
     ("get", "/v1/takes"),
     ("get", "/v1/takes/{name}/download"),
+    ("get", "/v1/takes/{name}/gaps"),
+    ("get", "/v1/takes/{name}/overview"),
+    ("get", "/v1/takes/{name}/window"),
     ("post", "/login"),
     ("post", "/logout"),
     ("post", "/v1/arm"),
@@ -134,6 +138,16 @@ fn examples() -> Vec<(&'static str, Value)> {
         certain: true,
         problem: None,
     };
+    let overview = TakeOverview {
+        labels: vec!["a".to_owned()],
+        labelled: vec![true],
+        bones: vec![[0, 1]],
+        frames_lost: Some(1),
+        samples_missing: Some(1),
+        events: vec![PlaybackEvent::default()],
+        problems: vec!["x".to_owned()],
+        ..TakeOverview::default()
+    };
     let id = Some("a".to_owned());
     let request = Request { request_id: id.clone() };
     let start = Start {
@@ -158,6 +172,15 @@ fn examples() -> Vec<(&'static str, Value)> {
         ("Start", value(serde_json::to_value(start))),
         ("Mark", value(serde_json::to_value(mark))),
         ("SaveLast", value(serde_json::to_value(save))),
+        ("TakeOverview", value(serde_json::to_value(overview))),
+        (
+            "GapBins",
+            value(serde_json::to_value(GapBins {
+                missing_samples: vec![1],
+                lost_frames: vec![1],
+                ..GapBins::new(1)
+            })),
+        ),
         ("Problem", value(serde_json::to_value(problem))),
         ("Health", json!({"state": "idle"})),
     ]

@@ -7,6 +7,7 @@ mod document;
 mod hostile;
 mod lifecycle;
 mod page;
+mod playback;
 mod security;
 mod soak;
 mod streams;

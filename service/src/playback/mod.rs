@@ -1,0 +1,38 @@
+//! Finished takes for a player: an overview, windows of positions, and where samples are missing.
+//!
+//! Everything is read through the one reader of takes. Frames are decoded from a key stretch on, so that a window in the
+//! middle of an hour costs as much as one at its beginning. The number of samples that a call decodes and the size of its
+//! result are bounded; a caller keeps the map of a take that was cut off, whose chunks have to be read for it.
+
+mod gaps;
+mod overview;
+mod window;
+
+use std::io::{Read, Seek};
+
+use mocapd_take::{TakeError, TakeMap, TakeTail};
+
+pub use self::{
+    gaps::{BINS, GapBins, lost_runs, read_gaps},
+    overview::{PlaybackEvent, TakeOverview},
+    window::{
+        EVERY_MAX, FrameWindow, HEADER_BYTES, SECONDS_MAX, WINDOW_BYTES_MAX, WindowError,
+        WindowRequest,
+    },
+};
+
+/// Maximum number of samples that a window is made of, besides those between its first row and the key stretch before it:
+/// about a second of work.
+const WINDOW_SAMPLES_MAX: u64 = 1 << 22;
+
+/// Samples after which a part of the gaps ends: about a tenth of a second of work, since windows wait for it.
+const GAPS_SAMPLES_MAX: u64 = 1 << 19;
+
+/// What the end of a closed take states: the key stretches, the channel table and the number of rows. `None` for any other
+/// take, which [`TakeMap::open`] reads chunk by chunk.
+///
+/// # Errors
+/// Those of the reader.
+pub fn map_of_end(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
+    Ok(TakeTail::read(input)?.map(|tail| tail.map))
+}

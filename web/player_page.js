@@ -1,0 +1,95 @@
+// The player's page of the service: which take is played, the list of takes, and what the service does meanwhile.
+
+import { get, setToken } from "./api.js";
+import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
+import { installTheme } from "./keys.js";
+import { installLogin } from "./login.js";
+import { Player } from "./player.js";
+import { ServiceSource } from "./service_source.js";
+
+const TAKES_MAX = 1000;
+const STATUS_MS = 2000;
+const TOKEN_KEY = "mocapd-token";
+
+/** `mocapd view` serves this page alone, as its first; there is no dashboard. */
+const isViewer = location.pathname === "/";
+
+installTheme();
+installLogin();
+if (isViewer) takeTokenFromAddress();
+const player = new Player();
+// For the browser's console and the tests.
+window.mocapdPlayer = player;
+
+/** The token of `mocapd view`, from the part of the address that browsers send to nobody. It stays in this tab. */
+function takeTokenFromAddress() {
+  const { hash, pathname, search } = location;
+  const found = new URLSearchParams(hash.slice(1)).get("token");
+  try {
+    if (found) sessionStorage.setItem(TOKEN_KEY, found);
+    setToken(sessionStorage.getItem(TOKEN_KEY));
+  } catch {
+    // The browser stores nothing: the token lasts until the page is loaded again.
+    setToken(found);
+  }
+  if (found) history.replaceState(null, "", pathname + search);
+}
+
+function open(name) {
+  const query = new URLSearchParams({ take: name });
+  history.replaceState(null, "", `${location.pathname}?${query}`);
+  byId("take-select").value = name;
+  player.open(new ServiceSource(name));
+}
+
+async function showTakes() {
+  const all = await get(`/v1/takes?limit=${TAKES_MAX}`);
+  const takes = all.filter((take) => !take.is_open && take.health !== "unreadable");
+  const asked = new URLSearchParams(location.search).get("take");
+  if (asked && !takes.some(({ name }) => name === asked)) takes.unshift({ name: asked });
+  setText(byId("take-note"), all.length === TAKES_MAX ? `the last ${TAKES_MAX}` : "");
+  byId("take-select").replaceChildren(...takes.map(({ name }) => h("option", { value: name }, name)));
+  setHidden(byId("take-field"), takes.length < 2);
+  return asked ?? takes[0]?.name ?? null;
+}
+
+/** The state of the recording, which this page must not hide. */
+async function showStatus() {
+  const text = byId("service");
+  try {
+    const { state, take, device, failure } = await get("/v1/status");
+    const isGone = ["armed", "recording"].includes(state) && device.presence !== "streaming";
+    const words = { idle: "Idle", armed: "Armed", recording: `● Recording ${take?.name ?? ""}`, failed: `✕ Failed: ${failure ?? ""}` };
+    setText(text, isGone ? `✕ ${take ? `Recording ${take.name}: ` : ""}no frames from the device` : words[state] ?? state);
+    setAttribute(text, "data-level", isGone || state === "failed" ? "bad" : state);
+  } catch (error) {
+    setText(text, `✕ ${error.message}`);
+    setAttribute(text, "data-level", "bad");
+  }
+}
+
+async function watchStatus() {
+  for (;;) {
+    await showStatus();
+    await new Promise((resolve) => setTimeout(resolve, STATUS_MS));
+  }
+}
+
+byId("take-select").addEventListener("change", (event) => {
+  open(event.target.value);
+  // The keys of the player work again.
+  event.target.blur();
+});
+// Another address of a viewer, opened in this tab.
+if (isViewer) addEventListener("hashchange", () => location.reload());
+setHidden(byId("home"), isViewer);
+if (isViewer) setText(byId("login-text"), "Open the address that mocapd view printed: it contains the token. Or enter the token here.");
+setHidden(byId("brand"), !isViewer);
+if (!isViewer) watchStatus();
+try {
+  const name = await showTakes();
+  if (name !== null) open(name);
+  else setText(byId("view-message"), "No finished take yet");
+} catch (error) {
+  setText(byId("view-message"), error.message);
+}
