@@ -299,6 +299,7 @@ mod tests {
                 keep_free_bytes: 0,
                 reconnect: Duration::ZERO,
                 max_length: None,
+                trash_keep: Duration::from_secs(3600),
             },
             subject: None,
             arm: ArmConfig { memory_max_bytes: 1 << 20, ..ArmConfig::default() },

@@ -95,6 +95,13 @@ impl Uploads {
         *lock(&self.error) = None;
     }
 
+    /// Where a take was uploaded to.
+    pub(super) fn upload_of(&self, name: &str) -> Option<String> {
+        let states = lock(&self.states);
+        let upload = states.get(name).filter(|upload| upload.state == UploadState::Uploaded)?;
+        Some(upload.url.clone())
+    }
+
     fn set(&self, name: &str, state: UploadState, url: &ObjectUrl, message: String) {
         let upload = TakeUpload { state, url: url.to_string(), message };
         lock(&self.states).insert(name.to_owned(), upload);
@@ -157,6 +164,7 @@ pub(super) fn run(inner: &Arc<Inner>) {
             None => {
                 uploader = Uploader::default();
                 inner.uploads.forget();
+                inner.forget_renames();
                 false
             }
         };
@@ -182,7 +190,14 @@ impl Uploader {
             inner.uploads.forget();
             restore_set_aside(inner, directory);
         }
-        let Ok(takes) = inner.list_takes(TAKES_MAX) else { return false };
+        let (listed, renamed) = inner.claims.while_names_stay(|| inner.list_takes(TAKES_MAX));
+        for (from, to) in &renamed {
+            self.journal.rename(from, to);
+        }
+        if !renamed.is_empty() {
+            self.save_journal(inner);
+        }
+        let Ok(takes) = listed else { return false };
         self.forget_missing(inner, &takes);
         let next = self.next(inner, &takes, url);
         if self.store_retry.is_some_and(|retry| retry.at > Instant::now()) {
@@ -214,8 +229,8 @@ impl Uploader {
                 // It is uploaded once it is recovered.
                 TakeHealth::CutOff => continue,
             }
-            if self.journal.entry(take, &object).is_some() {
-                inner.uploads.set(&take.name, UploadState::Uploaded, &object, String::new());
+            if let Some(uploaded) = self.journal.object(take, &object) {
+                inner.uploads.set(&take.name, UploadState::Uploaded, &uploaded, String::new());
             } else if let Some(retry) = self.take_retries.get(&take.name) {
                 next = next.or((retry.at <= Instant::now()).then_some((take, object)));
             } else {
@@ -246,6 +261,8 @@ impl Uploader {
         config: &ArchiveConfig,
     ) -> bool {
         let name = &take.name;
+        // It is being renamed or trashed: it is looked at again.
+        let Some(_claim) = inner.claims.claim(name, "uploaded") else { return false };
         inner.uploads.set(name, UploadState::Uploading, object, String::new());
         let sent = || -> Result<bool, StoreError> {
             let unreadable = |error: String| StoreError::Source(error);

@@ -22,6 +22,9 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Time between measurements of a rate.
 const RATES_INTERVAL: Duration = Duration::from_secs(1);
 
+/// How late the last frames of a take of a requested length may arrive, as for `record --seconds`.
+const FRAMES_LATE_MAX: Duration = Duration::from_secs(1);
+
 /// Runs until the service ends.
 pub(super) fn run(inner: &Arc<Inner>) {
     // With sixty other threads registered, a heartbeat may be refused. Then the watchdog does not watch this thread.
@@ -108,6 +111,12 @@ impl Core {
             return Some(EndingKind::Length);
         }
         let session = self.session.as_ref()?;
+        // While frames arrive, the reader ends it at its last frame.
+        if take.length.is_some_and(|length| take.begun.elapsed() >= length + FRAMES_LATE_MAX)
+            && session.is_without_frames(FRAMES_LATE_MAX)
+        {
+            return Some(EndingKind::Length);
+        }
         match session.progress.file_state() {
             FileState::Truncated => return Some(EndingKind::Truncated),
             FileState::Unmounted => return Some(EndingKind::Unmounted),

@@ -26,7 +26,7 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     Shared,
     auth::COOKIE,
-    commands, guard, login, metrics,
+    commands, finished, guard, login, metrics,
     problem::{PROBLEM_JSON, Problem},
     streams, takes,
 };
@@ -40,12 +40,18 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(commands::arm))
         .routes(routes!(commands::disarm))
         .routes(routes!(commands::start))
+        .routes(routes!(commands::cancel))
         .routes(routes!(commands::stop))
         .routes(routes!(commands::mark))
         .routes(routes!(commands::save_last))
         .routes(routes!(takes::takes))
         .routes(routes!(takes::download))
         .routes(routes!(takes::verify))
+        .routes(routes!(finished::notes_file, finished::edit_notes))
+        .routes(routes!(finished::rename))
+        .routes(routes!(finished::trash))
+        .routes(routes!(finished::trashed))
+        .routes(routes!(finished::restore))
         .routes(routes!(streams::events))
         .routes(routes!(streams::live))
         .routes(routes!(commands::healthz))

@@ -46,8 +46,8 @@ use crate::{
 };
 
 /// Takes listed by default, and the most that can be requested.
-const LIMIT: usize = 100;
-const LIMIT_MAX: usize = 1000;
+pub(super) const LIMIT: usize = 100;
+pub(super) const LIMIT_MAX: usize = 1000;
 
 /// Longest name in bytes: no file system allows more.
 const NAME_BYTES_MAX: usize = 255;
@@ -126,7 +126,7 @@ pub(super) fn unreadable(error: &io::Error) -> Problem {
 }
 
 /// Whether the name is a plain file name. The service checks it as well, but a path must not get that far.
-fn is_name(name: &str) -> bool {
+pub(super) fn is_name(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= NAME_BYTES_MAX
         && !name.starts_with('.')

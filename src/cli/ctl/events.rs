@@ -17,7 +17,7 @@ use serde_json::Value;
 
 use super::{
     client::{Client, ConnectionLost},
-    text,
+    finished, text,
 };
 use crate::cli::{
     output::{notify, plain, print, print_json_text},
@@ -127,13 +127,15 @@ impl EventParser {
 }
 
 /// Longer than the half a minute for which a service with a stalled disk may send nothing.
-const DOWNLOAD_TIMEOUT: Duration = Duration::from_secs(60);
+pub(super) const DOWNLOAD_TIMEOUT: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]
 pub(super) struct DownloadReport {
     take: String,
     output: PathBuf,
     bytes: u64,
+    /// The file of the notes; null if the take has none.
+    notes: Option<PathBuf>,
 }
 
 pub(super) fn download(
@@ -156,13 +158,18 @@ pub(super) fn download(
     if let Some(announced) = announced.filter(|&announced| announced != bytes) {
         bail!("received {bytes} of {announced} bytes: try again");
     }
+    let notes = finished::notes_file(client, name, &output)?;
     file.keep()?;
     notify(&format!("{}: {}", output.display(), values::bytes(bytes)));
-    Ok(DownloadReport { take: name.to_owned(), output, bytes })
+    let notes = match notes {
+        Some(notes) => Some(notes.keep()?),
+        None => None,
+    };
+    Ok(DownloadReport { take: name.to_owned(), output, bytes, notes })
 }
 
 /// Percent-encodes a name for a URL path.
-fn encoded(name: &str) -> String {
+pub(super) fn encoded(name: &str) -> String {
     let mut out = String::with_capacity(name.len());
     for byte in name.bytes() {
         if byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte) {

@@ -38,6 +38,8 @@ impl Uploader {
         let now = unix_ms();
         let due = takes.iter().rev().find_map(|take| {
             let object = url.join(&format!("{}.take", take.name));
+            // A take that was renamed keeps its object.
+            let object = self.journal.object(take, &object)?;
             let entry = self.journal.entry(take, &object)?;
             let waits = self.take_retries.get(&take.name).is_some_and(|r| r.at > Instant::now());
             let is_due = entry.uploaded_unix_ms.saturating_add(after_ms) <= now;
@@ -46,6 +48,9 @@ impl Uploader {
         let Some((take, object)) = due else { return false };
         let name = &take.name;
         let Some(directory) = self.of.as_ref().map(|(directory, _)| directory.clone()) else {
+            return false;
+        };
+        let Some(_claim) = inner.claims.claim(name, "removed, as the archive has it") else {
             return false;
         };
         match remove_verified(inner, name, (&directory, &object), config) {
