@@ -25,6 +25,10 @@ pub const TEXT_BYTES_MAX: usize = 1024;
 /// Longest pre-roll of a request, in seconds: more than `arm.pre_roll` can hold; larger numbers are typing errors.
 pub const SECONDS_MAX: f64 = 3600.0;
 
+/// Longest subject, session or trial in the name of a take, in bytes: three of them and a count stay below the longest
+/// name.
+pub const NAME_PART_BYTES_MAX: usize = 60;
+
 /// Longest take of a start with a length, in seconds: a day, as for one with a time.
 pub const LENGTH_SECONDS_MAX: f64 = 86_400.0;
 

@@ -390,6 +390,7 @@ mod tests {
                 requested_unix_ms: 0,
                 begun: Instant::now(),
                 rate_hz: 100.0,
+                length: None,
                 first: None,
                 ended: crossbeam_channel::never(),
                 changes_reported: 0,

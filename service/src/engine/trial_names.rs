@@ -13,13 +13,10 @@ use serde::{Deserialize, Serialize};
 use super::EngineOptions;
 use crate::{
     config::is_refused_in_name,
-    control::{Refusal, RefusalKind, Start},
+    control::{NAME_PART_BYTES_MAX, Refusal, RefusalKind, Start},
     status::TrialNames,
     take_files::TRASH,
 };
-
-/// Longest part of a name in bytes: three of them and a count stay below the longest name.
-const PART_BYTES_MAX: usize = 60;
 
 /// Digits of a count at most; a longer number is part of another name.
 const DIGITS_MAX: usize = 9;
@@ -168,9 +165,9 @@ impl Counts {
 
 fn check_part(what: &str, part: &str) -> Result<(), Refusal> {
     let invalid = |message: String| Err(Refusal::new(RefusalKind::Invalid, message));
-    if part.len() > PART_BYTES_MAX {
+    if part.len() > NAME_PART_BYTES_MAX {
         return invalid(format!(
-            "the {what} has {} bytes; at most {PART_BYTES_MAX} fit into the names of takes",
+            "the {what} has {} bytes; at most {NAME_PART_BYTES_MAX} fit into the names of takes",
             part.len()
         ));
     }

@@ -214,7 +214,8 @@ mod tests {
     use super::*;
     use crate::{
         config::NAME_BYTES_MAX,
-        control::{SECONDS_MAX, TEXT_BYTES_MAX},
+        control::{LENGTH_SECONDS_MAX, NAME_PART_BYTES_MAX, SECONDS_MAX, TEXT_BYTES_MAX},
+        finished::NOTES_BYTES_MAX,
     };
 
     #[test]
@@ -239,9 +240,19 @@ mod tests {
             ("notes", "data-bytes-max", TEXT_BYTES_MAX),
             ("mark-text", "data-bytes-max", TEXT_BYTES_MAX),
             ("save-seconds", "max", SECONDS_MAX as usize),
+            ("subject", "data-bytes-max", NAME_PART_BYTES_MAX),
+            ("session", "data-bytes-max", NAME_PART_BYTES_MAX),
+            ("trial", "data-bytes-max", NAME_PART_BYTES_MAX),
+            ("length", "max", LENGTH_SECONDS_MAX as usize),
         ] {
             let field = page.lines().find(|line| line.contains(&format!("<input id=\"{id}\"")));
             let expected = format!(" {attribute}=\"{limit}\"");
+            assert!(field.is_some_and(|field| field.contains(&expected)), "{id}: {field:?}");
+        }
+        let script = WEB.get_file("finished.js").unwrap().contents_utf8().unwrap();
+        for (id, limit) in [("take-notes", NOTES_BYTES_MAX), ("take-name", NAME_BYTES_MAX)] {
+            let field = script.lines().find(|line| line.contains(&format!("{{ id: \"{id}\"")));
+            let expected = format!("\"data-bytes-max\": \"{limit}\"");
             assert!(field.is_some_and(|field| field.contains(&expected)), "{id}: {field:?}");
         }
     }
