@@ -5,7 +5,8 @@ import { byId, h, limitBytes, setAttribute, setHidden, setText } from "./dom.js"
 import { bytes, dateTime } from "./format.js";
 
 const RATINGS = { good: "Good", bad: "Bad", none: "Not rated" };
-const GLYPHS = { good: "✓", bad: "✕" };
+/** Not those of a take's health. */
+const GLYPHS = { good: "★", bad: "⊘" };
 
 /** The rating of a take as [glyph, text], its notes on one line behind it; empty without any. Pure. */
 export function ratingText({ notes }) {

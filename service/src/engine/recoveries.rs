@@ -14,7 +14,10 @@ use mocapd_acquire::{
     header::SOFTWARE,
     health::TakeHealth,
 };
-use mocapd_take::recovery::{RecoveryScan, repair_start};
+use mocapd_take::{
+    record::EndingKind,
+    recovery::{RecoveryScan, repair_start},
+};
 
 use super::{Inner, folder::summary_of, uploads};
 use crate::{
@@ -52,7 +55,7 @@ pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
     open.filter_map(|take| inner.path_of(&take.name).ok()).collect()
 }
 
-/// The ids of takes that are not cut off, under whatever name, also in the trash.
+/// The ids of recovered takes, under whatever name, also in the trash.
 fn recovered_ids(inner: &Inner) -> HashSet<String> {
     let folder = inner.core().options.take.directory.clone();
     let trashed = take_files::trashed(&folder, Duration::ZERO, LISTED_MAX);
@@ -60,8 +63,11 @@ fn recovered_ids(inner: &Inner) -> HashSet<String> {
     let trashed =
         trashed.iter().filter_map(|it| summary_of(&trash.join(format!("{}.take", it.id))));
     let listed = inner.list_takes(LISTED_MAX).unwrap_or_default();
-    let whole = listed.into_iter().chain(trashed).filter(|take| take.health != TakeHealth::CutOff);
-    whole.map(|take| take.take_id).filter(|id| !id.is_empty()).collect()
+    let is_recovered = |take: &TakeSummary| {
+        take.health != TakeHealth::CutOff && take.ending == Some(EndingKind::CutOff)
+    };
+    let recovered = listed.into_iter().chain(trashed).filter(is_recovered);
+    recovered.map(|take| take.take_id).filter(|id| !id.is_empty()).collect()
 }
 
 /// Possible paths of a recovered take: another take of the same name may have been recovered before.

@@ -7,7 +7,7 @@ use std::{
 
 use jiff::{SignedDuration, ToSpan, Zoned, civil::Time, tz::AmbiguousOffset};
 
-use super::{Inner, status::unix_ms};
+use super::{Inner, session::ScheduledStart, status::unix_ms};
 use crate::{
     control::{Refusal, RefusalKind, Request, Start},
     status::{PendingStart, ServiceEventKind},
@@ -23,13 +23,6 @@ const LATE_MAX_MS: i64 = 5000;
 
 /// Longest wait before the clock is looked at again: it may be set.
 const STEP_MAX: Duration = Duration::from_millis(500);
-
-/// A start that waits.
-#[derive(Debug)]
-pub(super) struct ScheduledStart {
-    start: Start,
-    pub(super) pending: PendingStart,
-}
 
 /// Executes scheduled starts until the service stops.
 pub(super) fn run(inner: &Arc<Inner>) {

@@ -20,8 +20,11 @@ use mocapd_acquire::{
 use mocapd_drivers::{device::Hello, registry::Candidate};
 use mocapd_take::record::{EndingKind, Header};
 
-use super::{EngineOptions, scheduled::ScheduledStart};
-use crate::status::{TakeSummary, TrialNames};
+use super::EngineOptions;
+use crate::{
+    control::Start,
+    status::{PendingStart, TakeSummary, TrialNames},
+};
 
 /// Maximum number of removed files that are kept open: several takes may be removed in a row, but each occupies the
 /// disk.
@@ -53,6 +56,13 @@ pub(super) struct Core {
     /// Files of removed takes that could not be saved: they can be copied from /proc until the next take has begun. At
     /// most [`KEPT_OPEN_MAX`].
     pub(super) kept_open: Vec<Box<dyn TakeOutput>>,
+}
+
+/// A start that waits for its time of day.
+#[derive(Debug)]
+pub(super) struct ScheduledStart {
+    pub(super) start: Start,
+    pub(super) pending: PendingStart,
 }
 
 /// What is known about the device, whether it is connected or not.

@@ -38,7 +38,7 @@ const FILES_MAX: usize = 100_000;
 /// The last counts, by the name without its count.
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[serde(transparent)]
-struct Counts(BTreeMap<String, LastCount>);
+struct TrialCounts(BTreeMap<String, LastCount>);
 
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct LastCount {
@@ -91,7 +91,7 @@ impl TrialNames {
     /// The folder cannot be read, or all counts are used.
     pub(super) fn next_name(&self, folder: &Path) -> Result<String, Refusal> {
         let base = self.base();
-        let known = Counts::read(folder).0.get(&base).map_or(0, |last| last.count);
+        let known = TrialCounts::read(folder).0.get(&base).map_or(0, |last| last.count);
         let in_folder = last_count(folder, &base, false).map_err(|error| {
             let message = format!("cannot read the folder {}: {error}", folder.display());
             Refusal::new(RefusalKind::Disk, message)
@@ -113,7 +113,7 @@ impl TrialNames {
     pub(super) fn note(&self, name: &str, folder: &Path, now_unix_ms: i64) -> anyhow::Result<()> {
         let base = self.base();
         let Some(count) = count_in(name, &base) else { return Ok(()) };
-        let mut counts = Counts::read(folder);
+        let mut counts = TrialCounts::read(folder);
         counts.0.insert(base, LastCount { count, used_unix_ms: now_unix_ms });
         while counts.0.len() > COUNTS_MAX {
             let oldest = counts.0.iter().min_by_key(|(_, last)| last.used_unix_ms);
@@ -144,7 +144,7 @@ impl TrialNames {
     }
 }
 
-impl Counts {
+impl TrialCounts {
     /// Reads the counts. Without a readable file they continue from the folder.
     fn read(folder: &Path) -> Self {
         let read = files::read_bounded(&folder.join(COUNTS), COUNTS_BYTES_MAX);
@@ -248,15 +248,15 @@ mod tests {
     #[test]
     fn the_file_of_counts_is_bounded() {
         let folder = tempfile::tempdir().unwrap();
-        let mut counts = Counts::default();
+        let mut counts = TrialCounts::default();
         for n in 0..COUNTS_MAX as i64 {
             let long = format!("{n:04}{}", "\u{e9}".repeat(89));
             counts.0.insert(long, LastCount { count: COUNT_MAX, used_unix_ms: i64::MAX - n });
         }
         counts.write(folder.path()).unwrap();
-        assert_eq!(Counts::read(folder.path()).0.len(), COUNTS_MAX);
+        assert_eq!(TrialCounts::read(folder.path()).0.len(), COUNTS_MAX);
         names("", "", "jump").note("jump_007", folder.path(), i64::MAX).unwrap();
-        let read = Counts::read(folder.path());
+        let read = TrialCounts::read(folder.path());
         assert_eq!((read.0.len(), read.0["jump"].count), (COUNTS_MAX, 7));
     }
 

@@ -70,7 +70,7 @@ pub(super) async fn devices(State(app): State<Shared>) -> Result<Json<Vec<Listed
     Ok(Json(listed.map_err(|error| Problem::internal(error.to_string()))?))
 }
 
-type Answer<T> = Result<Json<T>, Problem>;
+pub(super) type Answer<T> = Result<Json<T>, Problem>;
 
 /// Executes a command on a thread that may wait.
 async fn execute<T: Send + 'static>(

@@ -13,21 +13,19 @@ use axum::{
     http::{HeaderValue, header},
     response::{IntoResponse, Response},
 };
-use serde::Deserialize;
 
 use super::{
     Shared,
     body::JsonBody,
+    commands::Answer,
     problem::{Problem, ProblemKind},
-    takes::{self, LIMIT, LIMIT_MAX},
+    takes::{self, Listing},
 };
 use crate::{
     control::{Control, Refusal, Request},
     finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TrashedTake},
     take_files::notes,
 };
-
-type Answer<T> = Result<Json<T>, Problem>;
 
 /// Executes a change of files on a thread that may wait.
 async fn change<T: Send + 'static>(
@@ -115,11 +113,6 @@ pub(super) async fn trash(
     change(&app, name, move |control, name| control.trash(name, &request.0)).await
 }
 
-#[derive(Debug, Deserialize)]
-pub(super) struct Listing {
-    limit: Option<usize>,
-}
-
 /// The takes in the trash, newest first
 #[utoipa::path(get, path = "/v1/trash", tag = "takes",
     params(("limit" = Option<usize>, Query, minimum = 1, maximum = 1000,
@@ -129,11 +122,7 @@ pub(super) async fn trashed(
     State(app): State<Shared>,
     listing: Result<Query<Listing>, QueryRejection>,
 ) -> Answer<Vec<TrashedTake>> {
-    let refused = || Problem::invalid(format!("`limit` must be a number from 1 to {LIMIT_MAX}"));
-    let limit = listing.map_err(|_| refused())?.limit.unwrap_or(LIMIT);
-    if !(1..=LIMIT_MAX).contains(&limit) {
-        return Err(refused());
-    }
+    let limit = takes::limit(listing)?;
     let control = Arc::clone(&app.control);
     Ok(Json(app.queues.files.run(move || control.trashed(limit)).await?))
 }

@@ -46,8 +46,8 @@ use crate::{
 };
 
 /// Takes listed by default, and the most that can be requested.
-pub(super) const LIMIT: usize = 100;
-pub(super) const LIMIT_MAX: usize = 1000;
+const LIMIT: usize = 100;
+const LIMIT_MAX: usize = 1000;
 
 /// Longest name in bytes: no file system allows more.
 const NAME_BYTES_MAX: usize = 255;
@@ -66,14 +66,16 @@ pub(super) async fn takes(
     State(app): State<Shared>,
     listing: Result<Query<Listing>, QueryRejection>,
 ) -> Result<Json<Vec<TakeSummary>>, Problem> {
-    let refused = || Problem::invalid(format!("`limit` must be a number from 1 to {LIMIT_MAX}"));
-    let Query(listing) = listing.map_err(|_| refused())?;
-    let limit = listing.limit.unwrap_or(LIMIT);
-    if !(1..=LIMIT_MAX).contains(&limit) {
-        return Err(refused());
-    }
+    let limit = limit(listing)?;
     let control = Arc::clone(&app.control);
     Ok(Json(app.queues.files.run(move || control.takes(limit)).await??))
+}
+
+/// The number of entries that a request for a list asks for.
+pub(super) fn limit(listing: Result<Query<Listing>, QueryRejection>) -> Result<usize, Problem> {
+    let refused = || Problem::invalid(format!("`limit` must be a number from 1 to {LIMIT_MAX}"));
+    let limit = listing.map_err(|_| refused())?.limit.unwrap_or(LIMIT);
+    if (1..=LIMIT_MAX).contains(&limit) { Ok(limit) } else { Err(refused()) }
 }
 
 /// An opened take file.

@@ -11,13 +11,13 @@ use anyhow::{Context, bail};
 use hyper::{Method, body::Bytes};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::files::NewFile;
-use mocapd_service::status::ServiceEvent;
+use mocapd_service::{status::ServiceEvent, take_files::notes::notes_path};
 use serde::Serialize;
 use serde_json::Value;
 
 use super::{
     client::{Client, ConnectionLost},
-    finished, text,
+    text,
 };
 use crate::cli::{
     output::{notify, plain, print, print_json_text},
@@ -127,7 +127,7 @@ impl EventParser {
 }
 
 /// Longer than the half a minute for which a service with a stalled disk may send nothing.
-pub(super) const DOWNLOAD_TIMEOUT: Duration = Duration::from_secs(60);
+const DOWNLOAD_TIMEOUT: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]
 pub(super) struct DownloadReport {
@@ -158,7 +158,7 @@ pub(super) fn download(
     if let Some(announced) = announced.filter(|&announced| announced != bytes) {
         bail!("received {bytes} of {announced} bytes: try again");
     }
-    let notes = finished::notes_file(client, name, &output)?;
+    let notes = notes_file(client, name, &output)?;
     file.keep()?;
     notify(&format!("{}: {}", output.display(), values::bytes(bytes)));
     let notes = match notes {
@@ -166,6 +166,34 @@ pub(super) fn download(
         None => None,
     };
     Ok(DownloadReport { take: name.to_owned(), output, bytes, notes })
+}
+
+/// The notes of a take, in a file beside `output` that is complete but has no name yet.
+struct NotesFile {
+    file: NewFile,
+    path: PathBuf,
+}
+
+impl NotesFile {
+    fn keep(self) -> anyhow::Result<PathBuf> {
+        self.file.keep()?;
+        notify(&format!("{}: its notes", self.path.display()));
+        Ok(self.path)
+    }
+}
+
+/// Requests the notes of a take; `None` if it has none.
+fn notes_file(client: &Client, name: &str, output: &Path) -> anyhow::Result<Option<NotesFile>> {
+    let path = format!("/v1/takes/{}/notes", encoded(name));
+    let Some(mut answer) = client.open_if_there(&Method::GET, &path, Bytes::new())? else {
+        return Ok(None);
+    };
+    let to = notes_path(output);
+    let mut file = NewFile::create(&to)?;
+    while let Some(piece) = answer.next(DOWNLOAD_TIMEOUT)? {
+        file.write_all(&piece).with_context(|| format!("cannot write {}", to.display()))?;
+    }
+    Ok(Some(NotesFile { file, path: to }))
 }
 
 /// Percent-encodes a name for a URL path.

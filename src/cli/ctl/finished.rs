@@ -1,18 +1,7 @@
-//! `ctl rate`, `rename`, `trash`, `trashed` and `restore`; and the notes of `ctl download`.
+//! `ctl rate`, `rename`, `trash`, `trashed` and `restore`.
 
-use std::{
-    io::Write,
-    path::{Path, PathBuf},
-};
-
-use anyhow::Context;
-use hyper::{Method, body::Bytes};
 use mocapd::outcome::Outcome;
-use mocapd_acquire::files::NewFile;
-use mocapd_service::{
-    finished::{MovedTake, TakeNotes, TrashedTake},
-    take_files::notes::notes_path,
-};
+use mocapd_service::finished::{MovedTake, TakeNotes, TrashedTake};
 use serde_json::{Value, json};
 
 use super::{client::Client, events::encoded, show, text};
@@ -98,36 +87,4 @@ fn moved(document: &Value, json: bool) -> anyhow::Result<Outcome> {
     })?;
     moved.remarks.iter().for_each(|remark| notify(remark));
     Ok(Outcome::Done)
-}
-
-/// The notes of a take, in a file beside `output` that is complete but has no name yet.
-pub(super) struct NotesFile {
-    file: NewFile,
-    path: PathBuf,
-}
-
-impl NotesFile {
-    pub(super) fn keep(self) -> anyhow::Result<PathBuf> {
-        self.file.keep()?;
-        notify(&format!("{}: its notes", self.path.display()));
-        Ok(self.path)
-    }
-}
-
-/// Requests the notes of a take; `None` if it has none.
-pub(super) fn notes_file(
-    client: &Client,
-    name: &str,
-    output: &Path,
-) -> anyhow::Result<Option<NotesFile>> {
-    let path = format!("/v1/takes/{}/notes", encoded(name));
-    let Some(mut answer) = client.open_if_there(&Method::GET, &path, Bytes::new())? else {
-        return Ok(None);
-    };
-    let to = notes_path(output);
-    let mut file = NewFile::create(&to)?;
-    while let Some(piece) = answer.next(super::events::DOWNLOAD_TIMEOUT)? {
-        file.write_all(&piece).with_context(|| format!("cannot write {}", to.display()))?;
-    }
-    Ok(Some(NotesFile { file, path: to }))
 }

@@ -7,8 +7,9 @@ use mocapd_acquire::heartbeat::Heartbeat;
 use super::{journal::JOURNAL, *};
 use crate::{
     config::{Config, Environment, Overrides},
-    control::Control,
+    control::{Control, Request},
     engine::{Engine, EngineOptions, folder::summary_of},
+    finished::{Rename, Restore},
 };
 
 /// A finished take.
@@ -329,4 +330,52 @@ fn a_removal_that_was_interrupted_is_undone() {
     rig.wait(&[("a", uploaded), ("b", uploaded), ("b-2", failed)]);
     assert_eq!(fs::read(rig.path("takes/b.take")).unwrap(), TAKE);
     assert_eq!(fs::read(rig.path("takes/b-2.take")).unwrap(), b"another");
+}
+
+#[test]
+fn a_renamed_take_keeps_its_object_and_is_removed_by_it() {
+    let mut rig = Rig::new();
+    rig.add("a");
+    rig.add("b");
+    rig.start("");
+    rig.wait(&[("a", UploadState::Uploaded), ("b", UploadState::Uploaded)]);
+    let rename = |to: &str| Rename { to: to.to_owned(), ..Rename::default() };
+    let moved = rig.engine().rename("a", &rename("c")).unwrap();
+    assert!(moved.remarks[0].contains("archive/a.take"), "{moved:?}");
+    rig.wait(&[("b", UploadState::Uploaded), ("c", UploadState::Uploaded)]);
+    // Also after a restart, and renamed again.
+    rig.start("");
+    rig.wait(&[("b", UploadState::Uploaded), ("c", UploadState::Uploaded)]);
+    rig.engine().rename("c", &rename("d")).unwrap();
+    rig.wait(&[("b", UploadState::Uploaded), ("d", UploadState::Uploaded)]);
+    let takes = rig.engine().takes(9).unwrap();
+    let upload = takes.iter().find(|take| take.name == "d").unwrap().upload.clone().unwrap();
+    assert!(upload.url.ends_with("/a.take"), "{upload:?}");
+    let archived = || fs::read_dir(rig.path("archive")).unwrap().count();
+    assert_eq!(archived(), 2, "nothing was uploaded twice");
+    // The local copy is compared with that object.
+    rig.engine().reload(rig.options("remove_local_after = '0s'"));
+    rig.wait(&[]);
+    assert_eq!(archived(), 2);
+}
+
+#[test]
+fn a_trashed_take_is_not_uploaded_until_it_is_restored() {
+    let mut rig = Rig::new();
+    rig.add("a");
+    rig.start("rate_max = '1KiB'");
+    rig.wait(&[("a", UploadState::Uploading)]);
+    // Not while it is being uploaded.
+    let refused = rig.engine().trash("a", &Request::default()).unwrap_err();
+    assert!(refused.message.contains("uploaded"), "{refused}");
+    rig.engine().rename("a", &Rename { to: "b".to_owned(), ..Rename::default() }).unwrap_err();
+    rig.engine().reload(rig.options(""));
+    rig.wait(&[("a", UploadState::Uploaded)]);
+    rig.engine().trash("a", &Request::default()).unwrap();
+    rig.wait(&[]);
+    rig.add("b");
+    rig.wait(&[("b", UploadState::Uploaded)]);
+    rig.engine().restore("a", &Restore::default()).unwrap();
+    rig.wait(&[("a", UploadState::Uploaded), ("b", UploadState::Uploaded)]);
+    assert_eq!(fs::read_dir(rig.path("archive")).unwrap().count(), 2);
 }
