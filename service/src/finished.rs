@@ -6,8 +6,8 @@ use mocapd_acquire::files::path_as_text;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Longest notes of a finished take in bytes: a page of text, and a list of a thousand takes with them stays below what
-/// clients read.
+/// Longest notes of a finished take in bytes: a page of text. A list of a thousand takes with them has at most 9 MB in
+/// JSON, where line ends, tabs and quotes take two bytes, which `mocapd ctl` reads.
 pub const NOTES_BYTES_MAX: usize = 4096;
 
 /// Whether a take can be used. Laboratories keep or exclude a trial, and film sets circle a take or not: a scale of

@@ -14,7 +14,7 @@ use mocapd_service::{
     engine::Engine,
     finished::{EditNotes, Rename, Restore, TakeRating},
     status::{ServiceEventKind, TakeSummary},
-    take_files,
+    take_files::{self, trash::remove_expired},
 };
 
 use super::engine::options;
@@ -68,7 +68,7 @@ impl Folder {
                 .collect()
         };
         let trashed =
-            names(&self.path(".trash"), 14).into_iter().map(|name| format!("trash/{name}"));
+            names(&self.path(".trash"), 28).into_iter().map(|name| format!("trash/{name}"));
         let mut files: Vec<_> = names(self.folder.path(), 0).into_iter().chain(trashed).collect();
         files.sort();
         files
@@ -101,13 +101,13 @@ fn request() -> Request {
 fn a_rating_and_notes_are_kept_beside_the_take_and_its_bytes_stay() {
     let mut folder = Folder::new(&["a"]);
     assert_eq!(folder.listed("a").notes, None);
-    folder.rate("a", TakeRating::Good, "left shoe\nsecond line \u{1b}[2J");
+    folder.rate("a", TakeRating::Good, "left shoe\n\tsecond \"line\"");
     // What is not sent stays.
     let only_rating = EditNotes { rating: Some(TakeRating::Bad), ..EditNotes::default() };
     let notes = folder.engine().edit_notes("a", &only_rating).unwrap();
     assert_eq!(
         (notes.rating, notes.text.as_str()),
-        (TakeRating::Bad, "left shoe\nsecond line \u{1b}[2J")
+        (TakeRating::Bad, "left shoe\n\tsecond \"line\"")
     );
     assert_eq!(folder.listed("a").notes, Some(notes.clone()));
     folder.restart();
@@ -119,7 +119,12 @@ fn a_rating_and_notes_are_kept_beside_the_take_and_its_bytes_stay() {
     assert_eq!(refused(edit(TakeRating::Unknown, "")), RefusalKind::Invalid);
     assert_eq!(refused(edit(TakeRating::Good, &"x".repeat(4097))), RefusalKind::Invalid);
     assert_eq!(refused(edit(TakeRating::Good, "a\0")), RefusalKind::Invalid);
-    folder.rate("a", TakeRating::None, &"\u{1}".repeat(4096));
+    for text in ["\u{1}", "\u{1b}[2J", "a\rb"] {
+        assert_eq!(refused(edit(TakeRating::Good, text)), RefusalKind::Invalid, "{text:?}");
+    }
+    folder.rate("a", TakeRating::None, "a\r\nb");
+    assert_eq!(folder.listed("a").notes.unwrap().text, "a\nb");
+    folder.rate("a", TakeRating::None, &"\n".repeat(4096));
     assert_eq!(folder.listed("a").notes.unwrap().text.len(), 4096);
     for name in ["none", "../a", "", ".a"] {
         folder.engine().edit_notes(name, &edit(TakeRating::Good, "")).unwrap_err();
@@ -263,7 +268,7 @@ fn a_crash_between_two_renames_is_repaired_by_the_next_start() {
     assert_eq!(folder.files(), ["b.take", "c.notes.json", "c.take"]);
     assert_eq!(text(&folder, "c").as_deref(), Some("of a"));
     // On the way to the trash, and back.
-    let in_trash = "1796000000000.c";
+    let in_trash = "1796000000000-0000000000000.c";
     fs::create_dir(folder.path(".trash")).unwrap();
     folder.engine = None;
     fs::rename(folder.path("c.take"), folder.path(&format!(".trash/{in_trash}.take"))).unwrap();
@@ -272,11 +277,11 @@ fn a_crash_between_two_renames_is_repaired_by_the_next_start() {
     folder.engine = None;
     fs::rename(folder.path(&format!(".trash/{in_trash}.take")), folder.path("d.take")).unwrap();
     // What a killed write of notes leaves.
-    fs::write(folder.path(".mocapd-notes-x1"), "{").unwrap();
+    fs::write(folder.path(".mocapd-new-x1"), "{").unwrap();
     folder.restart();
     assert_eq!(folder.files(), ["b.take", "d.notes.json", "d.take"]);
     assert_eq!(text(&folder, "d").as_deref(), Some("of a"));
-    assert!(!folder.path(".mocapd-notes-x1").exists());
+    assert!(!folder.path(".mocapd-new-x1").exists());
     // Notes whose take is gone are told, and stay; no other take gets them.
     fs::remove_file(folder.path("d.take")).unwrap();
     fs::write(folder.path("e.notes.json"), "damaged").unwrap();
@@ -290,41 +295,45 @@ fn a_crash_between_two_renames_is_repaired_by_the_next_start() {
 fn takes_leave_the_trash_after_their_time_and_an_event_says_so() {
     let mut folder = Folder::new(&["new", "old"]);
     folder.rate("old", TakeRating::Bad, "");
-    for name in ["new", "old"] {
-        folder.engine().trash(name, &request()).unwrap();
-    }
+    folder.engine().trash("old", &request()).unwrap();
+    folder.engine().trash("new", &request()).unwrap();
     let trash = folder.path(".trash");
-    // As if it had been there for two hours.
-    for entry in trash.read_dir().unwrap().map(Result::unwrap) {
-        let name = entry.file_name().into_string().unwrap();
-        let (ms, rest) = name.split_once('.').unwrap();
-        if rest.starts_with("old") {
-            let earlier = ms.parse::<u64>().unwrap() - 7_200_000;
-            fs::rename(entry.path(), trash.join(format!("{earlier}.{rest}"))).unwrap();
+    fs::write(trash.join("readme.txt"), "not a take").unwrap();
+    fs::write(trash.join("2026.11.x.take"), "not from here").unwrap();
+    folder.engine = None;
+    // As if the service had run for two hours since.
+    let now = jiff::Timestamp::now().as_millisecond();
+    let clock = format!("{{\"age_ms\":7200000,\"unix_ms\":{now}}}");
+    fs::write(trash.join(".mocapd-trash.json"), clock).unwrap();
+    fs::remove_file(folder.path(".trash").join("readme.txt")).unwrap();
+    let mut options = options(folder.folder.path(), Path::new("/nowhere"));
+    options.take.trash_keep = Duration::from_secs(3 * 3600);
+    let engine = Engine::start(options.clone(), &Heartbeat::default()).unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(engine.trashed(9).len(), 2);
+    let events = engine.events();
+    options.take.trash_keep = Duration::from_secs(3600);
+    engine.reload(options);
+    super::engine::wait_until("the removal", || engine.trashed(9).is_empty());
+    let mut messages = String::new();
+    while let Some(event) = events.next(Duration::from_millis(200)) {
+        if event.kind == ServiceEventKind::TakeChanged {
+            messages += &event.message;
         }
     }
-    fs::write(trash.join("readme.txt"), "not a take").unwrap();
-    fs::write(trash.join("x.y.take"), "not from here").unwrap();
-    folder.engine = None;
-    let now = u64::try_from(jiff::Timestamp::now().as_millisecond()).unwrap();
+    assert_mentions(&messages, &["old", "new", "removed from the trash"]);
+    drop(engine);
+    let left: Vec<_> = trash.read_dir().unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left.len(), 2, "the clock, and what is not from here: {left:?}");
     let keep = Duration::from_secs(3600);
-    let removed = take_files::remove_expired(folder.folder.path(), now.cast_signed(), keep);
-    assert_eq!(removed.len(), 1, "{removed:?}");
-    assert_mentions(removed[0].1.as_ref().unwrap(), &["old", "removed"]);
-    let mut left: Vec<_> = trash
-        .read_dir()
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
-    left.sort();
-    assert_eq!(left.len(), 3, "{left:?}");
-    assert!(left[0].ends_with(".new.take"), "{left:?}");
-    // The service does so by itself.
-    let first = left[0].split_once('.').unwrap().0.parse::<u64>().unwrap() - 7_200_000;
-    fs::rename(trash.join(&left[0]), trash.join(format!("{first}.new.take"))).unwrap();
     folder.restart();
-    super::engine::wait_until("the removal", || folder.engine().trashed(9).is_empty());
-    assert_eq!(trash.read_dir().unwrap().count(), 2);
+    fs::write(folder.path("a.take"), take()).unwrap();
+    let trashed = folder.engine().trash("a", &request()).unwrap();
+    assert_eq!(folder.engine().trashed(9), [trashed]);
+    let removed = remove_expired(folder.folder.path(), now + 3_000_000, keep);
+    assert_eq!((removed.takes.len(), removed.problem), (0, None), "its time is not over");
+    let removed = remove_expired(folder.folder.path(), now + 3_800_000, keep);
+    assert_eq!(removed.takes, [("a".to_owned(), take().len() as u64)]);
 }
 
 #[test]

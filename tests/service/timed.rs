@@ -70,7 +70,9 @@ fn a_take_with_a_length_ends_also_while_the_device_is_away() {
     wait_until("its end", || engine.status().last_take.is_some());
     let last = engine.status().last_take.unwrap();
     assert_eq!((last.name.as_str(), last.ending), ("away", Some(EndingKind::Length)));
-    let ledger = read(&started.path).take.ledger.unwrap();
+    let take = read(&started.path).take;
+    assert_eq!(take.n_rows, 120, "lost ones included, and none beyond the length");
+    let ledger = take.ledger.unwrap();
     assert!(ledger.closes() && ledger.unknown_after_disconnect > 0, "{ledger:?}");
 }
 

@@ -9,7 +9,7 @@ use std::sync::{Arc, atomic::Ordering};
 
 use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
 use mocapd_take::{
-    record::{Event, TakeEnding},
+    record::{EndingKind, Event, TakeEnding},
     timeline::{LossCauses, RowTime},
 };
 
@@ -306,7 +306,12 @@ impl Intake {
         if !matches!(command, TakeCommand::Begin(..)) {
             self.count_absence(now_ns);
         }
-        self.close_pending();
+        let is_at_length = matches!(command, TakeCommand::End(EndingKind::Length));
+        match self.take_end_row.filter(|_| is_at_length && self.length_is_reached()) {
+            // The length counts, although the reader was told later.
+            Some(end_row) => self.close_pending_up_to(end_row),
+            None => self.close_pending(),
+        }
         let boundary = self.feed.next_stretch();
         // A take that waits for its device begins before this command: an end does not wait.
         for command in self.deferred_begin.take().into_iter().chain([command]) {

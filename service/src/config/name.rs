@@ -108,6 +108,9 @@ impl NameTemplate {
         if self.text.starts_with(['.', '-', ' ']) {
             return Err("a take name cannot begin with a dot, a dash or a space".to_owned());
         }
+        if is_reserved_name(&self.text) {
+            return Err("it is a device name of Windows".to_owned());
+        }
         if self.text.ends_with([' ', '.']) {
             return Err("a take name cannot end with a dot or a space".to_owned());
         }
@@ -195,6 +198,7 @@ mod tests {
             ("{subject}", "date, time, rig, count"),
             ("{rig}.take", ".take"),
             ("{rig}.", ""),
+            ("nul.{count}", "Windows"),
             ("{rig}{rig}{rig}{rig}", "256"),
         ] {
             let reason = NameTemplate::parse(text).unwrap_err();

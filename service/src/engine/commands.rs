@@ -147,7 +147,13 @@ impl Inner {
         let Ok(first) = first.recv_timeout(FIRST_FRAME_TIMEOUT) else {
             return Err(self.no_first_frame(command));
         };
-        remarks.extend(names.as_ref().and_then(|names| self.note_names(names, &named)));
+        if let Some(names) = names {
+            self.core().names = Some(names.clone());
+            // A name that the request has chosen is no count.
+            if start.name.is_none() {
+                remarks.extend(note_count(names, &named));
+            }
+        }
         let mut core = self.core();
         if let Some(take) = &mut core.take {
             take.first = Some(first);
@@ -425,6 +431,16 @@ impl CheckedStart {
             Some(s) => seconds(s, "pre_roll_s")?,
         };
         let length = start.seconds.map(length).transpose()?;
+        if let (Some(length), Some(max)) = (length, options.take.max_length)
+            && length > max
+        {
+            let message = format!(
+                "seconds is {}, but take.max_length ends every take after {} s: ask for less",
+                length.as_secs_f64(),
+                max.as_secs_f64()
+            );
+            return Err(Refusal::new(RefusalKind::Invalid, message));
+        }
         let names = TrialNames::of_start(start, options)?;
         if let Some(notes) = &start.notes {
             check_text(notes, "notes")?;
@@ -442,18 +458,14 @@ impl Inner {
         let request = TakeRequest { name, names, notes: None, pre_roll, requested_ns: 0 };
         free_name(&request, &options).map(drop)
     }
+}
 
-    /// Notes the names of a take that has begun. Returns a remark if its count is not stored.
-    fn note_names(&self, names: &TrialNames, take: &NamedTake) -> Option<String> {
-        self.core().names = Some(names.clone());
-        let folder = take.path.parent()?;
-        let noted = names.note(&take.name, folder, super::status::unix_ms());
-        noted.err().map(|error| {
-            format!(
-                "its count is not stored, and may be used again if the take is moved: {error:#}"
-            )
-        })
-    }
+/// Notes the count of a take that has begun. Returns a remark if it is not stored.
+fn note_count(names: &TrialNames, take: &NamedTake) -> Option<String> {
+    let noted = names.note(&take.name, take.path.parent()?, super::status::unix_ms());
+    noted.err().map(|error| {
+        format!("its count is not stored, and may be used again if the take is moved: {error:#}")
+    })
 }
 
 /// A name that no take has, and the path of its file.

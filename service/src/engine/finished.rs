@@ -16,14 +16,15 @@ use mocapd_acquire::{
 };
 use mocapd_drivers::plain_file;
 
-use super::{Inner, status::unix_ms};
+use super::{Inner, status::unix_ms, uploads};
 use crate::{
-    control::{Refusal, RefusalKind, Request},
+    control::{Refusal, RefusalKind},
     finished::{
         EditNotes, MovedTake, NOTES_BYTES_MAX, Rename, Restore, TakeNotes, TakeRating, TrashedTake,
     },
     status::ServiceEventKind,
-    take_files::{self, notes},
+    take_files::{self, notes, trash},
+    take_name,
 };
 
 /// Time between two looks at the trash.
@@ -37,7 +38,9 @@ pub(super) struct TakeClaims(Mutex<Claimed>);
 pub(super) struct Claimed {
     /// What is done with the take of each name.
     names: HashMap<String, &'static str>,
-    /// Old and new names. Read by the uploads within seconds, and empty without an archive.
+    /// Counts the changes of names.
+    changes: u64,
+    /// Old and new names that the uploads do not know of yet; empty without an archive.
     renamed: Vec<(String, String)>,
 }
 
@@ -59,18 +62,32 @@ impl TakeClaims {
         Some(Claim { claims: self, name: name.to_owned() })
     }
 
-    /// Runs `read` while no name changes, and returns the renames before.
-    pub(super) fn while_names_stay<T>(
-        &self,
-        read: impl FnOnce() -> T,
-    ) -> (T, Vec<(String, String)>) {
+    /// A number that changes whenever a name does.
+    pub(super) fn changes(&self) -> u64 {
+        lock(&self.0).changes
+    }
+
+    /// The renames since the last call, if no name has changed since `changes`.
+    pub(super) fn renames_up_to(&self, changes: u64) -> Option<Vec<(String, String)>> {
         let mut claimed = lock(&self.0);
-        let found = read();
-        (found, std::mem::take(&mut claimed.renamed))
+        (claimed.changes == changes).then(|| std::mem::take(&mut claimed.renamed))
     }
 
     fn forget_renames(&self) {
         lock(&self.0).renamed.clear();
+    }
+}
+
+impl Claimed {
+    /// Refuses a name with whose take something is done.
+    fn check_free(&self, name: &str) -> Result<(), Refusal> {
+        let name = take_name::strip_extension(name).unwrap_or(name);
+        match self.names.get(name) {
+            Some(what) => Err(Refusal::conflict(format!(
+                "{name} is being {what}: try again when that is done"
+            ))),
+            None => Ok(()),
+        }
     }
 }
 
@@ -82,16 +99,25 @@ impl Drop for Claim<'_> {
 
 /// Removes takes from the trash until the service stops.
 pub(super) fn run(inner: &Arc<Inner>) {
+    let mut problem = None;
     while !inner.is_stopping() {
         let options = Arc::clone(&inner.core().options);
         let (folder, keep) = (&options.take.directory, options.take.trash_keep);
-        for (name, removed) in take_files::remove_expired(folder, unix_ms(), keep) {
-            let (kind, message) = match removed {
-                Ok(message) => (ServiceEventKind::TakeChanged, message),
-                Err(message) => (ServiceEventKind::Warning, message),
-            };
-            inner.publish(kind, &message, Some(&name));
+        // Not while a take is restored.
+        let claimed = lock(&inner.claims.0);
+        let removed = trash::remove_expired(folder, unix_ms(), keep);
+        drop(claimed);
+        for (name, bytes) in removed.takes {
+            let message = format!(
+                "the take {name} was removed from the trash after its time: {bytes} bytes are free"
+            );
+            inner.publish(ServiceEventKind::TakeChanged, &message, Some(&name));
         }
+        // Once, not with every look.
+        if let Some(message) = removed.problem.as_ref().filter(|_| problem != removed.problem) {
+            inner.publish(ServiceEventKind::Warning, message, None);
+        }
+        problem = removed.problem;
         inner.wait_while(EXPIRY_INTERVAL, |core| Arc::ptr_eq(&core.options, &options));
     }
 }
@@ -110,34 +136,47 @@ impl Inner {
         if edit.rating == Some(TakeRating::Unknown) {
             return invalid("a rating is good, bad or none".to_owned());
         }
-        if edit.text.as_ref().is_some_and(|it| it.len() > NOTES_BYTES_MAX || it.contains('\0')) {
-            return invalid(format!("notes may have at most {NOTES_BYTES_MAX} bytes and no NUL"));
+        let text = edit.text.as_ref().map(|text| text.replace("\r\n", "\n"));
+        let is_text = |text: &String| {
+            let is_refused = |c: char| c.is_control() && c != '\n' && c != '\t';
+            text.len() <= NOTES_BYTES_MAX && !text.contains(is_refused)
+        };
+        if text.as_ref().is_some_and(|text| !is_text(text)) {
+            return invalid(format!(
+                "notes may have at most {NOTES_BYTES_MAX} bytes, and no control characters but line ends and tabs"
+            ));
         }
-        if edit.rating.is_none() && edit.text.is_none() {
+        if edit.rating.is_none() && text.is_none() {
             return invalid("send a rating, a text, or both".to_owned());
         }
-        let claimed = lock(&self.claims.0);
+        let mut claimed = lock(&self.claims.0);
         let path = self.unused_take(&claimed, name)?;
-        let edited = notes::edit(&path, edit.rating, edit.text.as_deref(), unix_ms());
-        drop(claimed);
-        let notes =
-            edited.map_err(|error| Refusal::new(RefusalKind::Conflict, format!("{error:#}")))?;
         let name = stem(&path);
-        let message =
-            format!("{name}: rating {}, notes of {} bytes", notes.rating.name(), notes.text.len());
+        claimed.names.insert(name.clone(), "rated");
+        drop(claimed);
+        // The disk may be slow to sync.
+        let _claim = Claim { claims: &self.claims, name: name.clone() };
+        let notes = notes::edit(&path, edit.rating, text.as_deref(), unix_ms())?;
+        if let Some(last) = self.core().last_take.as_mut().filter(|last| last.name == name) {
+            last.notes = Some(notes.clone());
+        }
+        let (rating, bytes) = (notes.rating.name(), notes.text.len());
+        let message = format!("{name}: rating {rating}, notes of {bytes} bytes");
         self.publish(ServiceEventKind::TakeChanged, &message, Some(&name));
         Ok(notes)
     }
 
     pub(super) fn rename_take(&self, name: &str, rename: &Rename) -> Result<MovedTake, Refusal> {
-        let folder = self.core().options.take.directory.clone();
+        let options = Arc::clone(&self.core().options);
+        let folder = &options.take.directory;
         let mut claimed = lock(&self.claims.0);
         let from = stem(&self.unused_take(&claimed, name)?);
-        let mut moved = take_files::rename(&folder, &from, &rename.to)?;
-        let upload = self.uploads.upload_of(&from);
-        if let Some(url) = upload {
+        claimed.check_free(&rename.to)?;
+        let mut moved = take_files::rename(folder, &from, &rename.to)?;
+        claimed.changes += 1;
+        if options.archive.url.is_some() {
             claimed.renamed.push((from.clone(), moved.name.clone()));
-            moved.remarks.push(format!("the archive keeps it as {url}"));
+            moved.remarks.extend(uploads::note_rename(self, folder, &from, &moved.name));
         }
         drop(claimed);
         if let Some(last) = self.core().last_take.as_mut().filter(|last| last.name == from) {
@@ -148,20 +187,15 @@ impl Inner {
         Ok(moved)
     }
 
-    pub(super) fn trash_take(
-        &self,
-        name: &str,
-        _request: &Request,
-    ) -> Result<TrashedTake, Refusal> {
+    pub(super) fn trash_take(&self, name: &str) -> Result<TrashedTake, Refusal> {
         let options = Arc::clone(&self.core().options);
         let (folder, keep) = (&options.take.directory, options.take.trash_keep);
-        let claimed = lock(&self.claims.0);
+        let mut claimed = lock(&self.claims.0);
         self.unused_take(&claimed, name)?;
-        let trashed = take_files::trash(folder, name, unix_ms(), keep)?;
+        let trashed = trash::trash(folder, name, unix_ms(), keep)?;
+        claimed.changes += 1;
+        self.uploads.forget_take(&trashed.name);
         drop(claimed);
-        let mut core = self.core();
-        core.last_take.take_if(|last| last.name == trashed.name);
-        drop(core);
         let message = format!("the take {} was moved to the trash", trashed.name);
         self.publish(ServiceEventKind::TakeChanged, &message, Some(&trashed.name));
         Ok(trashed)
@@ -169,8 +203,12 @@ impl Inner {
 
     pub(super) fn restore_take(&self, id: &str, restore: &Restore) -> Result<MovedTake, Refusal> {
         let folder = self.core().options.take.directory.clone();
-        let claimed = lock(&self.claims.0);
+        let mut claimed = lock(&self.claims.0);
+        if let Some(to) = &restore.to {
+            claimed.check_free(to)?;
+        }
         let moved = take_files::restore(&folder, id, restore.to.as_deref())?;
+        claimed.changes += 1;
         drop(claimed);
         let message = format!("the take {} was restored from the trash", moved.name);
         self.publish(ServiceEventKind::TakeChanged, &message, Some(&moved.name));
@@ -179,7 +217,7 @@ impl Inner {
 
     pub(super) fn list_trash(&self, limit: usize) -> Vec<TrashedTake> {
         let options = Arc::clone(&self.core().options);
-        take_files::trashed(&options.take.directory, options.take.trash_keep, limit)
+        trash::trashed(&options.take.directory, options.take.trash_keep, limit)
     }
 
     /// The path of a finished take that nobody uses.

@@ -30,7 +30,7 @@ use crate::{
 /// Maximum number of files of the folder that are read: larger folders are not folders of takes.
 const FILES_MAX: usize = 100_000;
 
-/// Maximum number of cached summaries, some 300 bytes each: four times the longest list.
+/// Maximum number of cached summaries: four times the longest list. Each has some 300 bytes, and its notes at most 4096.
 const CACHED_MAX: usize = 4000;
 
 /// Summaries of files by path, valid while the stamp stays the same.
@@ -113,7 +113,9 @@ impl Inner {
             let is_open = open == Some(stamp.file);
             let (mut summary, is_lasting) = summarise(&path, stamp.bytes, modified, is_open);
             summary.notes = notes_stamp.and_then(|_| notes::listed(&path));
-            if is_lasting {
+            // Notes that cannot be read may be readable next time.
+            let has_problem = summary.notes.as_ref().is_some_and(|it| it.problem.is_some());
+            if is_lasting && !has_problem {
                 new.push((path, stamps, summary.clone()));
             }
             summaries.push(summary);

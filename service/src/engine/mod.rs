@@ -167,6 +167,7 @@ impl Engine {
     /// Applies other options: with the next take, or when next armed.
     pub fn reload(&self, options: EngineOptions) {
         self.inner.core().options = Arc::new(options);
+        self.inner.changed.notify_all();
         self.inner.publish(ServiceEventKind::State, "configuration reloaded", None);
     }
 
@@ -309,8 +310,7 @@ impl Control for Engine {
     }
 
     fn trash(&self, name: &str, request: &Request) -> Result<TrashedTake, Refusal> {
-        self.inner
-            .once("trash", request.request_id.as_deref(), |inner| inner.trash_take(name, request))
+        self.inner.once("trash", request.request_id.as_deref(), |inner| inner.trash_take(name))
     }
 
     fn trashed(&self, limit: usize) -> Vec<TrashedTake> {

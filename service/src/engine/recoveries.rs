@@ -22,7 +22,7 @@ use mocapd_take::{
 use super::{Inner, folder::summary_of, uploads};
 use crate::{
     status::{ServiceEventKind, TakeSummary},
-    take_files,
+    take_files::trash,
 };
 
 /// Most takes that are recovered at startup. Older ones are left to `mocapd recover`.
@@ -58,8 +58,8 @@ pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
 /// The ids of recovered takes, under whatever name, also in the trash.
 fn recovered_ids(inner: &Inner) -> HashSet<String> {
     let folder = inner.core().options.take.directory.clone();
-    let trashed = take_files::trashed(&folder, Duration::ZERO, LISTED_MAX);
-    let trash = folder.join(take_files::TRASH);
+    let trashed = trash::trashed(&folder, Duration::ZERO, LISTED_MAX);
+    let trash = folder.join(trash::TRASH);
     let trashed =
         trashed.iter().filter_map(|it| summary_of(&trash.join(format!("{}.take", it.id))));
     let listed = inner.list_takes(LISTED_MAX).unwrap_or_default();

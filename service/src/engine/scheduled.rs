@@ -101,8 +101,9 @@ impl Inner {
     /// Executes the start whose time has come. A failure is an event, and in the status.
     fn start_scheduled(&self) {
         let command = self.command();
-        // It may have been cancelled while another command was executed.
-        let Some(due) = self.core().scheduled.take() else { return };
+        // It may have been cancelled while another command was executed, and another one scheduled, or the clock set back.
+        let is_due = |it: &mut ScheduledStart| it.pending.at_unix_ms <= unix_ms();
+        let Some(due) = self.core().scheduled.take_if(is_due) else { return };
         let at = &due.pending.at;
         let late_ms = unix_ms().saturating_sub(due.pending.at_unix_ms);
         let is_armed = self.core().session.is_some();

@@ -3,7 +3,12 @@
 //! The count continues from the names in the folder and in the trash, and from a file of the last counts: takes that
 //! were moved elsewhere do not make their names free again.
 
-use std::{collections::BTreeMap, fs, io::Write, path::Path};
+use std::{
+    collections::BTreeMap,
+    fs,
+    io::{ErrorKind, Write},
+    path::Path,
+};
 
 use anyhow::Context;
 use mocapd_acquire::files;
@@ -15,7 +20,7 @@ use crate::{
     config::is_refused_in_name,
     control::{NAME_PART_BYTES_MAX, Refusal, RefusalKind, Start},
     status::TrialNames,
-    take_files::TRASH,
+    take_files::{TEMPORARY_PREFIX, TRASH},
 };
 
 /// Digits of a count at most; a longer number is part of another name.
@@ -69,8 +74,9 @@ impl TrialNames {
         {
             names.subject.clone_from(&subject.name);
         }
+        let subject = if start.subject.is_some() { "subject" } else { "configured subject.name" };
         for (what, part) in
-            [("subject", &names.subject), ("session", &names.session), ("trial", &names.trial)]
+            [(subject, &names.subject), ("session", &names.session), ("trial", &names.trial)]
         {
             check_part(what, part)?;
         }
@@ -91,7 +97,9 @@ impl TrialNames {
     /// The folder cannot be read, or all counts are used.
     pub(super) fn next_name(&self, folder: &Path) -> Result<String, Refusal> {
         let base = self.base();
-        let known = TrialCounts::read(folder).0.get(&base).map_or(0, |last| last.count);
+        // If the counts cannot be read, the reply says so once the take has begun.
+        let known = TrialCounts::read(folder).unwrap_or_default();
+        let known = known.0.get(&base).map_or(0, |last| last.count);
         let in_folder = last_count(folder, &base, false).map_err(|error| {
             let message = format!("cannot read the folder {}: {error}", folder.display());
             Refusal::new(RefusalKind::Disk, message)
@@ -109,11 +117,13 @@ impl TrialNames {
     /// Notes that a take has got this name.
     ///
     /// # Errors
-    /// The file of counts cannot be written.
+    /// The file of counts cannot be read or written.
     pub(super) fn note(&self, name: &str, folder: &Path, now_unix_ms: i64) -> anyhow::Result<()> {
         let base = self.base();
         let Some(count) = count_in(name, &base) else { return Ok(()) };
-        let mut counts = TrialCounts::read(folder);
+        // Counts that cannot be read are left as they are.
+        let mut counts = TrialCounts::read(folder)?;
+        let count = counts.0.get(&base).map_or(count, |last| last.count.max(count));
         counts.0.insert(base, LastCount { count, used_unix_ms: now_unix_ms });
         while counts.0.len() > COUNTS_MAX {
             let oldest = counts.0.iter().min_by_key(|(_, last)| last.used_unix_ms);
@@ -145,16 +155,22 @@ impl TrialNames {
 }
 
 impl TrialCounts {
-    /// Reads the counts. Without a readable file they continue from the folder.
-    fn read(folder: &Path) -> Self {
-        let read = files::read_bounded(&folder.join(COUNTS), COUNTS_BYTES_MAX);
-        read.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    /// Reads the counts; none if there is no file.
+    fn read(folder: &Path) -> anyhow::Result<Self> {
+        let path = folder.join(COUNTS);
+        if path.symlink_metadata().is_err_and(|error| error.kind() == ErrorKind::NotFound) {
+            return Ok(Self::default());
+        }
+        let bytes = files::read_bounded(&path, COUNTS_BYTES_MAX)?;
+        serde_json::from_slice(&bytes).with_context(|| format!("{} is damaged", path.display()))
     }
 
     fn write(&self, folder: &Path) -> anyhow::Result<()> {
         let path = folder.join(COUNTS);
         let writing = || format!("cannot write {}", path.display());
-        let mut file = tempfile::NamedTempFile::new_in(folder).with_context(writing)?;
+        // Removed when the service starts, if a kill leaves it.
+        let temporary = tempfile::Builder::new().prefix(TEMPORARY_PREFIX).tempfile_in(folder);
+        let mut file = temporary.with_context(writing)?;
         serde_json::to_writer(&mut file, self).with_context(writing)?;
         file.flush().with_context(writing)?;
         file.as_file().sync_all().with_context(writing)?;
@@ -190,7 +206,7 @@ fn last_count(folder: &Path, base: &str, is_trash: bool) -> std::io::Result<u64>
     for entry in fs::read_dir(folder)?.take(FILES_MAX).flatten() {
         let name = entry.file_name();
         let Some(name) = name.to_str() else { continue };
-        // In the trash, the time comes first.
+        // In the trash, times come first.
         let name = if is_trash { name.split_once('.').map_or("", |(_, name)| name) } else { name };
         last = last.max(count_in(name, base).unwrap_or(0));
     }
@@ -238,9 +254,14 @@ mod tests {
         fs::remove_dir_all(folder.path().join(TRASH)).unwrap();
         assert_eq!(next(), "S01_session1_jump_042", "it was given before");
         assert_eq!(names("", "", "jump").next_name(folder.path()).unwrap(), "jump_001");
-        // A file that is damaged is as none.
+        // A smaller one that somebody chose does not count.
+        jump.note("S01_session1_jump_002", folder.path(), 6).unwrap();
+        assert_eq!(next(), "S01_session1_jump_042");
+        // A file that is damaged is as none, and stays.
         add(COUNTS);
         assert_eq!(next(), "S01_session1_jump_013");
+        jump.note("S01_session1_jump_013", folder.path(), 7).unwrap_err();
+        assert_eq!(fs::read(folder.path().join(COUNTS)).unwrap(), b"");
         add("S01_session1_jump_999999999.take");
         assert_eq!(jump.next_name(folder.path()).unwrap_err().kind, RefusalKind::Exists);
     }
@@ -254,9 +275,9 @@ mod tests {
             counts.0.insert(long, LastCount { count: COUNT_MAX, used_unix_ms: i64::MAX - n });
         }
         counts.write(folder.path()).unwrap();
-        assert_eq!(TrialCounts::read(folder.path()).0.len(), COUNTS_MAX);
+        assert_eq!(TrialCounts::read(folder.path()).unwrap().0.len(), COUNTS_MAX);
         names("", "", "jump").note("jump_007", folder.path(), i64::MAX).unwrap();
-        let read = TrialCounts::read(folder.path());
+        let read = TrialCounts::read(folder.path()).unwrap();
         assert_eq!((read.0.len(), read.0["jump"].count), (COUNTS_MAX, 7));
     }
 

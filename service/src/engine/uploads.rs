@@ -95,11 +95,9 @@ impl Uploads {
         *lock(&self.error) = None;
     }
 
-    /// Where a take was uploaded to.
-    pub(super) fn upload_of(&self, name: &str) -> Option<String> {
-        let states = lock(&self.states);
-        let upload = states.get(name).filter(|upload| upload.state == UploadState::Uploaded)?;
-        Some(upload.url.clone())
+    /// Forgets a take that has left the folder.
+    pub(super) fn forget_take(&self, name: &str) {
+        lock(&self.states).remove(name);
     }
 
     fn set(&self, name: &str, state: UploadState, url: &ObjectUrl, message: String) {
@@ -139,6 +137,22 @@ struct Uploader {
 /// The ids of takes that were uploaded from a folder and removed there: they need no recovery.
 pub(super) fn removed_ids(directory: &Path) -> HashSet<String> {
     Journal::read(directory).removed_ids()
+}
+
+/// Notes that a take was renamed: its object keeps its name, also after a restart. Returns a remark about it. The caller
+/// keeps names from changing.
+pub(super) fn note_rename(inner: &Inner, directory: &Path, from: &str, to: &str) -> Option<String> {
+    let mut states = lock(&inner.uploads.states);
+    states.remove(to);
+    if let Some(state) = states.remove(from) {
+        states.insert(to.to_owned(), state);
+    }
+    drop(states);
+    let mut journal = Journal::read(directory);
+    let url = journal.rename(from, to)?;
+    // If it cannot be stored, the take is uploaded once more after a restart.
+    journal.write(directory).ok();
+    Some(format!("the archive keeps it as {url}"))
 }
 
 /// Whether an error is that of one take: others can be uploaded meanwhile.
@@ -190,7 +204,10 @@ impl Uploader {
             inner.uploads.forget();
             restore_set_aside(inner, directory);
         }
-        let (listed, renamed) = inner.claims.while_names_stay(|| inner.list_takes(TAKES_MAX));
+        let changes = inner.claims.changes();
+        let listed = inner.list_takes(TAKES_MAX);
+        // A name has changed meanwhile: look again.
+        let Some(renamed) = inner.claims.renames_up_to(changes) else { return true };
         for (from, to) in &renamed {
             self.journal.rename(from, to);
         }

@@ -107,7 +107,10 @@ impl Inner {
 impl Core {
     fn due_ending(&self) -> Option<EndingKind> {
         let take = self.take.as_ref()?;
-        if self.options.take.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
+        // One that ends by itself earlier is left to the reader, to the frame.
+        let max_length = self.options.take.max_length;
+        let max_length = max_length.filter(|max| take.length.is_none_or(|length| length > *max));
+        if max_length.is_some_and(|max| take.begun.elapsed() >= max) {
             return Some(EndingKind::Length);
         }
         let session = self.session.as_ref()?;

@@ -4,7 +4,7 @@
 //! its ledger and its index. Beside any other take it is reported, and never replaced. The take's bytes are not touched.
 
 use std::{
-    fs::{self, File},
+    fs::File,
     io::{Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
@@ -16,18 +16,19 @@ use mocapd_take::TakeEnds;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::finished::{NOTES_BYTES_MAX, TakeNotes, TakeRating};
+use super::TEMPORARY_PREFIX;
+use crate::{
+    control::{Refusal, RefusalKind},
+    finished::{NOTES_BYTES_MAX, TakeNotes, TakeRating},
+};
 
 /// The end of the file's name, after the name of the take.
 pub const NOTES_SUFFIX: &str = ".notes.json";
 
-/// Begins the name of the temporary file.
-const TEMPORARY_PREFIX: &str = ".mocapd-notes-";
-
 const FORMAT: &str = "mocapd-notes";
 const VERSION: u32 = 1;
 
-/// Longest file that is read. Every byte of the notes may need six in JSON, and the other fields have a few hundred.
+/// Longest file that is read: a byte of the notes has at most two in JSON, and the other fields have a few hundred.
 const DOCUMENT_BYTES_MAX: usize = 8 * NOTES_BYTES_MAX;
 
 /// Bytes of each end of a take that the checksum covers: read in a millisecond, however long the take is.
@@ -176,19 +177,25 @@ pub fn edit(
     rating: Option<TakeRating>,
     text: Option<&str>,
     now_unix_ms: i64,
-) -> anyhow::Result<TakeNotes> {
-    let before = read(take)?;
+) -> Result<TakeNotes, Refusal> {
+    let refused = |kind| move |error: anyhow::Error| Refusal::new(kind, format!("{error:#}"));
+    let before = read(take).map_err(refused(RefusalKind::Conflict))?;
     let is_new = before.is_none();
     let (old_rating, old_text) =
         before.map_or_else(Default::default, |before| (before.rating, before.text));
     let document = NotesDocument {
         format: FORMAT.to_owned(),
         version: VERSION,
-        of: TakeIdentity::of(take)?,
+        of: TakeIdentity::of(take).map_err(refused(RefusalKind::Disk))?,
         rating: rating.unwrap_or(old_rating),
         text: text.map_or(old_text, str::to_owned),
         changed_unix_ms: now_unix_ms,
     };
+    write(&document, take, is_new).map_err(refused(RefusalKind::Disk))?;
+    Ok(document.into())
+}
+
+fn write(document: &NotesDocument, take: &Path, is_new: bool) -> anyhow::Result<()> {
     let path = notes_path(take);
     let writing = || format!("cannot write {}", path.display());
     let mut file = tempfile::Builder::new()
@@ -196,7 +203,7 @@ pub fn edit(
         .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644))
         .tempfile_in(files::folder_of(take))
         .with_context(writing)?;
-    serde_json::to_writer_pretty(&mut file, &document).with_context(writing)?;
+    serde_json::to_writer_pretty(&mut file, document).with_context(writing)?;
     file.write_all(b"\n").with_context(writing)?;
     file.as_file().sync_all().with_context(writing)?;
     if is_new {
@@ -206,15 +213,5 @@ pub fn edit(
         file.persist(&path).with_context(writing)?;
     }
     files::sync_name(&path);
-    Ok(document.into())
-}
-
-/// Removes temporary files that a killed process left.
-pub(super) fn remove_temporary(folder: &Path) {
-    let Ok(entries) = fs::read_dir(folder) else { return };
-    for entry in entries.flatten() {
-        if entry.file_name().to_string_lossy().starts_with(TEMPORARY_PREFIX) {
-            fs::remove_file(entry.path()).ok();
-        }
-    }
+    Ok(())
 }

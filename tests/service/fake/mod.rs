@@ -28,7 +28,7 @@ use mocapd_service::{
         MarkerQuality, PendingStart, Presence, ServiceEventKind, State, Status, TakeStatus,
         TakeSummary,
     },
-    take_files::{self, notes},
+    take_files::{self, notes, trash},
 };
 
 use mocapd_take::record::EndingKind;
@@ -419,8 +419,7 @@ impl Control for Fake {
 
     fn edit_notes(&self, name: &str, edit: &EditNotes) -> Result<TakeNotes, Refusal> {
         let path = take_files::path_of(&self.folder, name)?;
-        let edited = notes::edit(&path, edit.rating, edit.text.as_deref(), 1);
-        edited.map_err(|error| Refusal::new(RefusalKind::Conflict, format!("{error:#}")))
+        notes::edit(&path, edit.rating, edit.text.as_deref(), 1)
     }
 
     fn rename(&self, name: &str, rename: &Rename) -> Result<MovedTake, Refusal> {
@@ -428,11 +427,11 @@ impl Control for Fake {
     }
 
     fn trash(&self, name: &str, _request: &Request) -> Result<TrashedTake, Refusal> {
-        take_files::trash(&self.folder, name, 1_796_000_000_000, self.trash_keep)
+        trash::trash(&self.folder, name, 1_796_000_000_000, self.trash_keep)
     }
 
     fn trashed(&self, limit: usize) -> Vec<TrashedTake> {
-        take_files::trashed(&self.folder, self.trash_keep, limit)
+        trash::trashed(&self.folder, self.trash_keep, limit)
     }
 
     fn restore(&self, id: &str, restore: &Restore) -> Result<MovedTake, Refusal> {

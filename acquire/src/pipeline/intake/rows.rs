@@ -137,6 +137,14 @@ impl Intake {
         self.end_of(span, false)
     }
 
+    /// Sends the rows lost before `end_row` as a stretch of their own.
+    pub(super) fn close_pending_up_to(&mut self, end_row: u64) {
+        if end_row > self.next_row {
+            self.push_pending_up_to(end_row - self.next_row);
+            self.end_boundary();
+        }
+    }
+
     /// Whether the next frame is behind the end of a take of a requested length.
     pub(super) fn length_is_reached(&self) -> bool {
         self.take_end_row.is_some_and(|end| self.next_row + self.pending.rows() >= end)
@@ -150,10 +158,7 @@ impl Intake {
         }
         let Some(end_row) = self.take_end_row.take() else { return };
         self.close_stretch();
-        if end_row > self.next_row {
-            self.push_pending_up_to(end_row - self.next_row);
-            self.end_boundary();
-        }
+        self.close_pending_up_to(end_row);
         self.key_every = self.armed_key_rows;
         let end = (self.feed.next_stretch(), TakeCommand::End(EndingKind::Length));
         // The queue has a place for it; if the writer is gone, so is the take.

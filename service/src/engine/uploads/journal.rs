@@ -100,11 +100,12 @@ impl Journal {
         (is_there && self.entry(take, &uploaded).is_some()).then_some(uploaded)
     }
 
-    /// A take was renamed: its object keeps its name.
-    pub(super) fn rename(&mut self, from: &str, to: &str) {
-        if let Some(entry) = self.0.remove(from) {
-            self.0.insert(to.to_owned(), JournalEntry { renamed: true, ..entry });
-        }
+    /// A take was renamed: its object keeps its name. Returns its URL, if it was uploaded.
+    pub(super) fn rename(&mut self, from: &str, to: &str) -> Option<String> {
+        let entry = self.0.remove(from)?;
+        let url = entry.url.clone();
+        self.0.insert(to.to_owned(), JournalEntry { renamed: true, ..entry });
+        Some(url)
     }
 
     pub(super) fn insert(&mut self, name: &str, entry: JournalEntry) {
