@@ -18,12 +18,13 @@ export function ratingText({ notes }) {
 }
 
 /** What a dialog would change of a take: the requests, as [path, body]. Pure. */
-export function changes(take, { rating, text, name }) {
+export function changes(take, { rating, text, name, opened = take.notes?.text ?? "" }) {
   const path = `/v1/takes/${encodeURIComponent(take.name)}`;
-  const before = take.notes ?? { rating: "none", text: "" };
+  const before = take.notes ?? { rating: "none" };
   const edit = {};
   if (rating !== before.rating) edit.rating = rating;
-  if (text !== before.text) edit.text = text;
+  // A browser changes line ends: only what somebody has typed counts.
+  if (text !== opened) edit.text = text;
   const requests = [];
   if (!before.problem && Object.keys(edit).length > 0) requests.push([`${path}/notes`, edit]);
   if (name !== take.name) requests.push([`${path}/rename`, { to: name }]);
@@ -37,6 +38,7 @@ function failure(error) {
 
 export class Finished {
   #take = null;
+  #openedText = "";
 
   constructor(onChanged) {
     this.onChanged = onChanged;
@@ -52,6 +54,7 @@ export class Finished {
     setText(byId("take-title"), take.name);
     byId(`rating-${rating in RATINGS ? rating : "none"}`).checked = true;
     byId("take-notes").value = text;
+    this.#openedText = byId("take-notes").value;
     byId("take-name").value = take.name;
     byId("take-review").disabled = Boolean(problem);
     this.#answer("none", problem ?? "");
@@ -112,7 +115,7 @@ export class Finished {
 
   async #save() {
     const rating = document.querySelector("#take-form input[name=rating]:checked").value;
-    const wanted = { rating, text: byId("take-notes").value, name: byId("take-name").value.trim() };
+    const wanted = { rating, text: byId("take-notes").value, name: byId("take-name").value.trim(), opened: this.#openedText };
     const requests = changes(this.#take, wanted);
     const remarks = [];
     byId("take-save").disabled = true;
@@ -122,7 +125,8 @@ export class Finished {
         const answer = await sendCommand(path, body);
         remarks.push(...(answer.remarks ?? []));
         // Saved already if the next request is refused.
-        if (path.endsWith("/notes")) this.#take = { ...this.#take, notes: answer };
+        this.#take = path.endsWith("/notes") ? { ...this.#take, notes: answer } : { ...this.#take, name: answer.name };
+        setText(byId("take-title"), this.#take.name);
       }
       if (remarks.length > 0) this.#answer("done", `Done. Note: ${remarks.join(". ")}.`);
       else byId("take-dialog").close();

@@ -197,7 +197,7 @@ fn a_take_and_its_notes_are_renamed_trashed_and_restored_together() {
         folder.files(),
         ["b.take", "plain.take", "trash/jump 1.notes.json", "trash/jump 1.take"]
     );
-    assert_eq!(folder.engine().trashed(10), [trashed.clone()]);
+    assert_eq!(folder.engine().trashed(10), std::slice::from_ref(&trashed));
     assert_eq!(
         folder.engine().trash("jump 1", &request()).unwrap_err().kind,
         RefusalKind::NotFound

@@ -146,6 +146,8 @@ pub(super) fn download(
     // A slash in the name must not lead to another folder.
     let here = PathBuf::from(format!("{}.take", name.replace('/', "_")));
     let output = output.map_or(here, Path::to_owned);
+    // First, so that no take is transferred in vain.
+    let notes = notes_file(client, name, &output)?;
     let path = format!("/v1/takes/{}/download", encoded(name));
     let mut answer = client.open(&Method::GET, &path, &[], Bytes::new())?;
     let announced = answer.len();
@@ -158,7 +160,6 @@ pub(super) fn download(
     if let Some(announced) = announced.filter(|&announced| announced != bytes) {
         bail!("received {bytes} of {announced} bytes: try again");
     }
-    let notes = notes_file(client, name, &output)?;
     file.keep()?;
     notify(&format!("{}: {}", output.display(), values::bytes(bytes)));
     let notes = match notes {

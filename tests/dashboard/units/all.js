@@ -4,6 +4,7 @@ import "./motion.test.js";
 import "./format.test.js";
 import "./metrics.test.js";
 import "./messages.test.js";
+import "./finished.test.js";
 import { run } from "./harness.js";
 
 window.unitResults = run();
