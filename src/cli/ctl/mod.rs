@@ -142,7 +142,7 @@ struct StartArgs {
     /// Start at this time of day, by the clock of the service's machine; the rig has to be armed then
     #[arg(long, value_name = "HH:MM:SS")]
     at: Option<String>,
-    /// Subject: the take is called SUBJECT_SESSION_TRIAL_COUNT
+    /// Subject, such as S01: a take without a name is called after subject, session and trial, with a count
     #[arg(long)]
     subject: Option<String>,
     /// Session, such as session1
