@@ -26,8 +26,10 @@ export function changes(take, { rating, text, name, opened = take.notes?.text ??
   // A browser changes line ends: only what somebody has typed counts.
   if (text !== opened) edit.text = text;
   const requests = [];
-  if (!before.problem && Object.keys(edit).length > 0) requests.push([`${path}/notes`, edit]);
-  if (name !== take.name) requests.push([`${path}/rename`, { to: name }]);
+  // Another take that has got the name meanwhile stays as it is.
+  const id = take.take_id ? { take_id: take.take_id } : {};
+  if (!before.problem && Object.keys(edit).length > 0) requests.push([`${path}/notes`, { ...id, ...edit }]);
+  if (name !== take.name) requests.push([`${path}/rename`, { ...id, to: name }]);
   return requests;
 }
 
@@ -141,7 +143,8 @@ export class Finished {
   async #trash() {
     byId("take-trash-now").disabled = true;
     try {
-      await sendCommand(`/v1/takes/${encodeURIComponent(this.#take.name)}/trash`);
+      const { name, take_id: id } = this.#take;
+      await sendCommand(`/v1/takes/${encodeURIComponent(name)}/trash`, id ? { take_id: id } : {});
       byId("take-dialog").close();
     } catch (error) {
       this.#answer(error instanceof ServiceError ? "refused" : "unknown", failure(error));
@@ -183,7 +186,7 @@ export class Finished {
       await this.#showTrash();
       this.onChanged();
     });
-    const note = `${bytes(size).join(" ")} · removed ${dateTime(removedMs, Date.now())}`;
+    const note = `${bytes(size).join(" ")} · in the trash until ${dateTime(removedMs, Date.now())}`;
     return h("li", {}, h("div", { class: "take-text" }, h("strong", {}, name), h("p", { class: "note" }, note)), restore);
   }
 }

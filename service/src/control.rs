@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TrashedTake},
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     live::LiveFeed,
     status::{
         MarkerQuality, PendingStart, ServiceEvent, ServiceEventKind, Status, TakeStatus,
@@ -119,7 +119,7 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     ///
     /// # Errors
     /// There is no such take, or it is in use.
-    fn trash(&self, name: &str, request: &Request) -> Result<TrashedTake, Refusal>;
+    fn trash(&self, name: &str, trash: &Trash) -> Result<TrashedTake, Refusal>;
 
     /// The takes in the trash, newest first, at most `limit`.
     fn trashed(&self, limit: usize) -> Vec<TrashedTake>;

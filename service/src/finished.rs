@@ -61,6 +61,9 @@ pub struct EditNotes {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
+    /// Id of the take, from the list; if given, another take that has got the name meanwhile is left alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub take_id: Option<String>,
     /// `good`, `bad` or `none`; unchanged if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rating: Option<TakeRating>,
@@ -77,8 +80,24 @@ pub struct Rename {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
+    /// Id of the take, from the list; if given, another take that has got the name meanwhile is left alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub take_id: Option<String>,
     /// The new name, without `.take`.
     pub to: String,
+}
+
+/// A request to move a take to the trash.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Trash {
+    /// Chosen by the client, at most 64 characters: the same request again gets the same reply.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
+    pub request_id: Option<String>,
+    /// Id of the take, from the list; if given, another take that has got the name meanwhile is left alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub take_id: Option<String>,
 }
 
 /// A request to restore a take from the trash.

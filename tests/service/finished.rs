@@ -10,9 +10,9 @@ use std::{
 
 use mocapd_acquire::{files::TakeFile, health::TakeHealth, heartbeat::Heartbeat};
 use mocapd_service::{
-    control::{Control, Refusal, RefusalKind, Request},
+    control::{Control, Refusal, RefusalKind},
     engine::Engine,
-    finished::{EditNotes, Rename, Restore, TakeRating},
+    finished::{EditNotes, Rename, Restore, TakeRating, Trash},
     status::{ServiceEventKind, TakeSummary},
     take_files::{self, trash::remove_expired},
 };
@@ -93,8 +93,8 @@ fn edit(rating: TakeRating, text: &str) -> EditNotes {
     EditNotes { rating: Some(rating), text: Some(text.to_owned()), ..EditNotes::default() }
 }
 
-fn request() -> Request {
-    Request::default()
+fn request() -> Trash {
+    Trash::default()
 }
 
 #[test]
@@ -220,6 +220,62 @@ fn a_take_and_its_notes_are_renamed_trashed_and_restored_together() {
     assert_eq!(folder.files(), ["b.take", "jump 1.notes.json", "jump 1.take", "plain.take"]);
     assert_eq!(folder.listed("jump 1").notes.unwrap().text, "of a");
     assert_eq!(fs::read(folder.path("jump 1.take")).unwrap(), take());
+}
+
+#[test]
+fn a_take_that_has_got_the_name_meanwhile_is_left_alone() {
+    let folder = Folder::new(&["a"]);
+    let id = Some(folder.listed("a").take_id);
+    let other = Some("0".repeat(32));
+    let trash = |take_id: &Option<String>| {
+        let trash = Trash { take_id: take_id.clone(), ..Trash::default() };
+        folder.engine().trash("a", &trash)
+    };
+    let rename = |take_id: &Option<String>, to: &str| {
+        let rename = Rename { take_id: take_id.clone(), to: to.to_owned(), ..Rename::default() };
+        folder.engine().rename("a", &rename)
+    };
+    let rate = |take_id: &Option<String>| {
+        let edit = EditNotes { take_id: take_id.clone(), ..edit(TakeRating::Bad, "") };
+        folder.engine().edit_notes("a", &edit)
+    };
+    assert_eq!(trash(&other).unwrap_err().kind, RefusalKind::Conflict);
+    assert_eq!(rename(&other, "b").unwrap_err().kind, RefusalKind::Conflict);
+    assert_eq!(rate(&other).unwrap_err().kind, RefusalKind::Conflict);
+    assert_eq!(folder.files(), ["a.take"]);
+    rate(&id).unwrap();
+    rename(&id, "b").unwrap();
+    folder.rename("b", "a").unwrap();
+    trash(&id).unwrap();
+}
+
+#[test]
+fn a_request_id_is_of_one_take() {
+    let folder = Folder::new(&["a", "b"]);
+    let request = Trash { request_id: Some("1".to_owned()), ..Trash::default() };
+    let trashed = folder.engine().trash("a", &request).unwrap();
+    assert_eq!(folder.engine().trash("a", &request).unwrap(), trashed, "executed once");
+    let refused = folder.engine().trash("b", &request).unwrap_err();
+    assert_eq!(refused.kind, RefusalKind::Invalid);
+    assert!(folder.path("b.take").exists());
+}
+
+#[test]
+fn renames_and_starts_at_once_replace_nothing() {
+    let names: Vec<String> = (0..8).map(|n| format!("t{n}")).collect();
+    let folder = Folder::new(&names.iter().map(String::as_str).collect::<Vec<_>>());
+    for (n, name) in names.iter().enumerate() {
+        folder.rate(name, TakeRating::Good, &n.to_string());
+    }
+    let done: Vec<_> = std::thread::scope(|scope| {
+        let threads: Vec<_> =
+            names.iter().map(|name| scope.spawn(|| folder.rename(name, "one").is_ok())).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    });
+    assert_eq!(done.iter().filter(|is_done| **is_done).count(), 1, "{done:?}");
+    assert_eq!(folder.files().len(), 16);
+    let winner = done.iter().position(|is_done| *is_done).unwrap();
+    assert_eq!(folder.listed("one").notes.unwrap().text, winner.to_string());
 }
 
 #[test]

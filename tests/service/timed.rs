@@ -6,6 +6,7 @@ use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_service::{
     control::{Control, RefusalKind, Request, SaveLast, Start},
     engine::Engine,
+    finished::Trash,
     status::{Presence, ServiceEventKind, State},
 };
 use mocapd_take::record::{EndingKind, Subject};
@@ -206,7 +207,7 @@ fn takes_are_named_after_subject_session_and_trial_with_a_count_that_never_retur
     assert_eq!(read(&walk.path).take.subject.unwrap().documents.len(), 1);
     let second = record(&engine, &jump);
     assert_eq!(second.name, "S02_session1_jump_002");
-    engine.trash(&second.name, &Request::default()).unwrap();
+    engine.trash(&second.name, &Trash::default()).unwrap();
     assert_eq!(record(&engine, &jump).name, "S02_session1_jump_003");
     drop(engine);
     // After a restart, and although the takes were moved away.

@@ -16,11 +16,12 @@ use mocapd_acquire::{
 };
 use mocapd_drivers::plain_file;
 
-use super::{Inner, status::unix_ms, uploads};
+use super::{Inner, folder::summary_of, status::unix_ms, uploads};
 use crate::{
     control::{Refusal, RefusalKind},
     finished::{
-        EditNotes, MovedTake, NOTES_BYTES_MAX, Rename, Restore, TakeNotes, TakeRating, TrashedTake,
+        EditNotes, MovedTake, NOTES_BYTES_MAX, Rename, Restore, TakeNotes, TakeRating, Trash,
+        TrashedTake,
     },
     status::ServiceEventKind,
     take_files::{self, notes, trash},
@@ -150,7 +151,7 @@ impl Inner {
             return invalid("send a rating, a text, or both".to_owned());
         }
         let mut claimed = lock(&self.claims.0);
-        let path = self.unused_take(&claimed, name)?;
+        let path = self.unused_take(&claimed, name, edit.take_id.as_deref())?;
         let name = stem(&path);
         claimed.names.insert(name.clone(), "rated");
         drop(claimed);
@@ -170,7 +171,7 @@ impl Inner {
         let options = Arc::clone(&self.core().options);
         let folder = &options.take.directory;
         let mut claimed = lock(&self.claims.0);
-        let from = stem(&self.unused_take(&claimed, name)?);
+        let from = stem(&self.unused_take(&claimed, name, rename.take_id.as_deref())?);
         claimed.check_free(&rename.to)?;
         let mut moved = take_files::rename(folder, &from, &rename.to)?;
         claimed.changes += 1;
@@ -187,11 +188,11 @@ impl Inner {
         Ok(moved)
     }
 
-    pub(super) fn trash_take(&self, name: &str) -> Result<TrashedTake, Refusal> {
+    pub(super) fn trash_take(&self, name: &str, request: &Trash) -> Result<TrashedTake, Refusal> {
         let options = Arc::clone(&self.core().options);
         let (folder, keep) = (&options.take.directory, options.take.trash_keep);
         let mut claimed = lock(&self.claims.0);
-        self.unused_take(&claimed, name)?;
+        self.unused_take(&claimed, name, request.take_id.as_deref())?;
         let trashed = trash::trash(folder, name, unix_ms(), keep)?;
         claimed.changes += 1;
         self.uploads.forget_take(&trashed.name);
@@ -220,8 +221,13 @@ impl Inner {
         trash::trashed(&options.take.directory, options.take.trash_keep, limit)
     }
 
-    /// The path of a finished take that nobody uses.
-    fn unused_take(&self, claimed: &Claimed, name: &str) -> Result<PathBuf, Refusal> {
+    /// The path of a finished take that nobody uses, and that has this id if one is given.
+    fn unused_take(
+        &self,
+        claimed: &Claimed,
+        name: &str,
+        take_id: Option<&str>,
+    ) -> Result<PathBuf, Refusal> {
         let path = self.path_of(name)?;
         let found = stem(&path);
         if let Some(what) = claimed.names.get(&found) {
@@ -238,6 +244,12 @@ impl Inner {
         // By this service or by another recorder.
         if is_mine || is_being_written(&file) {
             return Err(Refusal::conflict(format!("{found} is being written: stop it first")));
+        }
+        if let Some(id) = take_id
+            && summary_of(&path).is_none_or(|take| take.take_id != id)
+        {
+            let message = format!("another take is called {found} now: look at the list again");
+            return Err(Refusal::conflict(message));
         }
         Ok(path)
     }

@@ -61,7 +61,7 @@ use super::{
         Control, EventFeed, Mark, Marked, Refusal, RefusalKind, Request, SaveLast, Start, Started,
         Stopped,
     },
-    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TrashedTake},
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     live::LiveFeed,
     status::{
         MarkerQuality, PendingStart, Presence, ServiceEventKind, State, Status, TakeStatus,
@@ -300,17 +300,21 @@ impl Control for Engine {
     }
 
     fn edit_notes(&self, name: &str, edit: &EditNotes) -> Result<TakeNotes, Refusal> {
-        self.inner
-            .once("edit_notes", edit.request_id.as_deref(), |inner| inner.edit_notes(name, edit))
+        self.inner.once_about(("edit_notes", name), edit.request_id.as_deref(), |inner| {
+            inner.edit_notes(name, edit)
+        })
     }
 
     fn rename(&self, name: &str, rename: &Rename) -> Result<MovedTake, Refusal> {
-        self.inner
-            .once("rename", rename.request_id.as_deref(), |inner| inner.rename_take(name, rename))
+        self.inner.once_about(("rename", name), rename.request_id.as_deref(), |inner| {
+            inner.rename_take(name, rename)
+        })
     }
 
-    fn trash(&self, name: &str, request: &Request) -> Result<TrashedTake, Refusal> {
-        self.inner.once("trash", request.request_id.as_deref(), |inner| inner.trash_take(name))
+    fn trash(&self, name: &str, trash: &Trash) -> Result<TrashedTake, Refusal> {
+        self.inner.once_about(("trash", name), trash.request_id.as_deref(), |inner| {
+            inner.trash_take(name, trash)
+        })
     }
 
     fn trashed(&self, limit: usize) -> Vec<TrashedTake> {
@@ -318,8 +322,9 @@ impl Control for Engine {
     }
 
     fn restore(&self, id: &str, restore: &Restore) -> Result<MovedTake, Refusal> {
-        self.inner
-            .once("restore", restore.request_id.as_deref(), |inner| inner.restore_take(id, restore))
+        self.inner.once_about(("restore", id), restore.request_id.as_deref(), |inner| {
+            inner.restore_take(id, restore)
+        })
     }
 
     fn live_take(&self, file: FileId) -> Option<TakeStatus> {

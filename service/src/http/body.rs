@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     control::{self, Mark, SaveLast, Start},
-    finished::{EditNotes, Rename, Restore},
+    finished::{EditNotes, Rename, Restore, Trash},
 };
 
 /// Largest body in bytes: many times the longest note that anybody types.
@@ -39,7 +39,7 @@ macro_rules! identified {
     )*};
 }
 
-identified!(control::Request, Start, Mark, SaveLast, EditNotes, Rename, Restore);
+identified!(control::Request, Start, Mark, SaveLast, EditNotes, Rename, Restore, Trash);
 
 /// A JSON object as the body; an empty body counts as an empty object.
 #[derive(Debug)]

@@ -22,8 +22,8 @@ use super::{
     takes::{self, Listing},
 };
 use crate::{
-    control::{Control, Refusal, Request},
-    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TrashedTake},
+    control::{Control, Refusal},
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     take_files::notes,
 };
 
@@ -102,13 +102,13 @@ pub(super) async fn rename(
 /// Move a finished take, and its notes, to the trash
 ///
 /// They are removed after `take.trash_keep`, and count as used space until then.
-#[utoipa::path(post, path = "/v1/takes/{name}/trash", tag = "takes", request_body = Request,
+#[utoipa::path(post, path = "/v1/takes/{name}/trash", tag = "takes", request_body = Trash,
     params(("name" = String, Path, description = "The take's name, without `.take`")),
     responses((status = 200, body = TrashedTake)))]
 pub(super) async fn trash(
     app: State<Shared>,
     name: Result<Path<String>, PathRejection>,
-    request: JsonBody<Request>,
+    request: JsonBody<Trash>,
 ) -> Answer<TrashedTake> {
     change(&app, name, move |control, name| control.trash(name, &request.0)).await
 }

@@ -19,6 +19,7 @@ test("only what was changed is sent, the notes first", () => {
   equal(changes(take, same), []);
   equal(changes(take, { ...same, rating: "bad" }), [["/v1/takes/a%20b/notes", { rating: "bad" }]]);
   equal(changes(take, { ...same, text: "z", name: "c" }), [["/v1/takes/a%20b/notes", { text: "z" }], ["/v1/takes/a%20b/rename", { to: "c" }]]);
+  equal(changes({ name: "a", take_id: "7", notes: null }, { rating: "none", text: "", opened: "", name: "b" }), [["/v1/takes/a/rename", { take_id: "7", to: "b" }]]);
   equal(changes({ name: "a", notes: null }, { rating: "none", text: "", opened: "", name: "a" }), []);
   equal(changes({ name: "a", notes: { rating: "none", text: "", problem: "damaged" } }, { rating: "bad", text: "", opened: "", name: "b" }), [["/v1/takes/a/rename", { to: "b" }]]);
 });

@@ -22,7 +22,7 @@ use mocapd_service::{
         Control, EventFeed, FirstFrame, Mark, Marked, Refusal, RefusalKind, Request, SaveLast,
         Start, Started, Stopped,
     },
-    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TrashedTake},
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     live::LiveFeed,
     status::{
         MarkerQuality, PendingStart, Presence, ServiceEventKind, State, Status, TakeStatus,
@@ -426,7 +426,7 @@ impl Control for Fake {
         take_files::rename(&self.folder, name, &rename.to)
     }
 
-    fn trash(&self, name: &str, _request: &Request) -> Result<TrashedTake, Refusal> {
+    fn trash(&self, name: &str, _request: &Trash) -> Result<TrashedTake, Refusal> {
         trash::trash(&self.folder, name, 1_796_000_000_000, self.trash_keep)
     }
 

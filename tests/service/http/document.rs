@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use mocapd_acquire::{files::FileState, ledger::LedgerDocument, listing::ListedDevice};
 use mocapd_service::{
     control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
-    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TakeRating, TrashedTake},
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TakeRating, Trash, TrashedTake},
     http::{Problem, ProblemKind, openapi},
     status::{
         ArchiveStatus, DeviceStatus, MarkerQuality, OutageStatus, PendingStart, ServiceEvent,
@@ -163,9 +163,14 @@ fn examples() -> Vec<(&'static str, Value)> {
         session: id.clone(),
         trial: id.clone(),
     };
-    let edit =
-        EditNotes { request_id: id.clone(), rating: Some(TakeRating::Good), text: id.clone() };
-    let rename = Rename { request_id: id.clone(), to: String::new() };
+    let edit = EditNotes {
+        request_id: id.clone(),
+        take_id: id.clone(),
+        rating: Some(TakeRating::Good),
+        text: id.clone(),
+    };
+    let rename = Rename { request_id: id.clone(), take_id: id.clone(), to: String::new() };
+    let trash = Trash { request_id: id.clone(), take_id: id.clone() };
     let restore = Restore { request_id: id.clone(), to: id.clone() };
     let moved = MovedTake { name: String::new(), path: "x".into(), remarks: vec!["x".to_owned()] };
     let mark = Mark { request_id: id.clone(), text: String::new() };
@@ -185,6 +190,7 @@ fn examples() -> Vec<(&'static str, Value)> {
         ("Mark", value(serde_json::to_value(mark))),
         ("EditNotes", value(serde_json::to_value(edit))),
         ("Rename", value(serde_json::to_value(rename))),
+        ("Trash", value(serde_json::to_value(trash))),
         ("Restore", value(serde_json::to_value(restore))),
         ("MovedTake", value(serde_json::to_value(moved))),
         ("TrashedTake", value(serde_json::to_value(TrashedTake::default()))),
@@ -274,7 +280,8 @@ fn every_field_is_described_and_every_described_field_exists() {
         document["components"]["schemas"].as_object().unwrap().keys().cloned().collect();
     assert_eq!(seen, described, "a type that is never sent");
     // Unknown fields of a request are refused, and the document says so.
-    for name in ["Request", "Start", "Mark", "SaveLast", "EditNotes", "Rename", "Restore"] {
+    for name in ["Request", "Start", "Mark", "SaveLast", "EditNotes", "Rename", "Restore", "Trash"]
+    {
         assert_eq!(
             document["components"]["schemas"][name]["additionalProperties"], false,
             "{name}"

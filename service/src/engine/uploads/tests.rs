@@ -7,9 +7,9 @@ use mocapd_acquire::heartbeat::Heartbeat;
 use super::{journal::JOURNAL, *};
 use crate::{
     config::{Config, Environment, Overrides},
-    control::{Control, Request},
+    control::Control,
     engine::{Engine, EngineOptions, folder::summary_of},
-    finished::{EditNotes, Rename, Restore},
+    finished::{EditNotes, Rename, Restore, Trash},
 };
 
 /// A finished take.
@@ -377,12 +377,12 @@ fn a_trashed_take_is_not_uploaded_until_it_is_restored() {
     rig.start("rate_max = '1KiB'");
     rig.wait(&[("a", UploadState::Uploading)]);
     // Not while it is being uploaded.
-    let refused = rig.engine().trash("a", &Request::default()).unwrap_err();
+    let refused = rig.engine().trash("a", &Trash::default()).unwrap_err();
     assert!(refused.message.contains("uploaded"), "{refused}");
     rig.engine().rename("a", &Rename { to: "b".to_owned(), ..Rename::default() }).unwrap_err();
     rig.engine().reload(rig.options(""));
     rig.wait(&[("a", UploadState::Uploaded)]);
-    rig.engine().trash("a", &Request::default()).unwrap();
+    rig.engine().trash("a", &Trash::default()).unwrap();
     rig.wait(&[]);
     rig.add("b");
     rig.wait(&[("b", UploadState::Uploaded)]);
