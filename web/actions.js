@@ -1,7 +1,7 @@
 // The buttons and their results. A button shows that its command is pending until the service answers.
 
 import { ServiceError, sendCommand } from "./api.js";
-import { byId, limitBytes, setAttribute, setText } from "./dom.js";
+import { byId, limitBytes, setAttribute, setHidden, setText } from "./dom.js";
 import { count, elapsed, nextName, plural, rounded } from "./format.js";
 
 const PROGRESS = {
@@ -11,12 +11,15 @@ const PROGRESS = {
   stop: "Stopping: waiting until the ledger is on disk",
   mark: "Marking",
   "save-last": "Saving",
+  cancel: "Cancelling the start",
 };
 
 /** The message that describes the response to a command. Pure. */
 export function responseMessage(what, answer, tookMs, rateHz) {
   const took = `${rounded(tookMs / 1000)} s`;
   const remarks = (answer.remarks ?? []).map((remark) => ` Note: ${remark}.`).join("");
+  if (what === "cancel") return `The start at ${answer.at} is cancelled.`;
+  if (what === "start" && answer.at) return `A take will be started at ${answer.at}.${remarks}`;
   if (what === "start") {
     const before = answer.first_frame.before_request_s;
     const start = before > 0.05 ? `, starting ${rounded(before)} s before the request` : "";
@@ -37,15 +40,32 @@ export function responseMessage(what, answer, tookMs, rateHz) {
   return what === "arm" ? `Armed (${took}).` : "Idle: the device is stopped and the pre-roll discarded.";
 }
 
+/** The fields from which takes are named. */
+const NAMES = ["subject", "session", "trial"];
+
+/** The fields of a start that are filled in. */
+function startBody() {
+  const body = {};
+  for (const [field, id] of [["name", "name"], ["notes", "notes"], ["at", "start-at"], ...NAMES.map((id) => [id, id])]) {
+    const value = byId(id).value.trim();
+    if (value) body[field] = value;
+  }
+  const seconds = byId("length").value;
+  if (seconds) body.seconds = Number(seconds);
+  return body;
+}
+
 export class Actions {
+  #hasNames = false;
   #status = null;
   #isLost = true;
   #pending = new Set();
 
   constructor(onDone) {
     this.onDone = onDone;
-    ["name", "notes", "mark-text"].forEach((id) => limitBytes(byId(id)));
+    ["name", "notes", "mark-text", ...NAMES].forEach((id) => limitBytes(byId(id)));
     byId("arm").addEventListener("click", () => this.#arm());
+    byId("cancel").addEventListener("click", () => this.#send("cancel", byId("cancel")));
     byId("record").addEventListener("click", () => this.#record());
     byId("mark-form").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -60,7 +80,20 @@ export class Actions {
   show(status, isLost) {
     this.#status = status ?? this.#status;
     this.#isLost = isLost;
+    this.#fillNames();
     this.#render();
+  }
+
+  /** Offers the names of the last take, once, if none are filled in. */
+  #fillNames() {
+    const names = this.#status?.names;
+    if (this.#hasNames || !names) return;
+    this.#hasNames = true;
+    if (NAMES.some((id) => byId(id).value)) return;
+    NAMES.forEach((id) => {
+      byId(id).value = names[id];
+    });
+    byId("more").open = true;
   }
 
   /** Starts a take; does nothing while that is not possible. */
@@ -90,16 +123,20 @@ export class Actions {
       if (done && name.value.trim() === done.name) name.value = nextName(done.name);
       return;
     }
-    const body = {};
-    const [name, notes] = [byId("name").value.trim(), byId("notes").value.trim()];
-    if (name) body.name = name;
-    if (notes) body.notes = notes;
-    if (await this.#send("start", byId("record"), body)) byId("notes").value = "";
+    const invalid = ["length", "start-at"].map(byId).find((field) => !field.checkValidity());
+    if (invalid) {
+      byId("more").open = true;
+      invalid.reportValidity();
+      return;
+    }
+    // A time of day counts once.
+    if (await this.#send("start", byId("record"), startBody())) byId("notes").value = byId("start-at").value = "";
   }
 
   async #saveLast() {
-    const seconds = Number(byId("save-seconds").value);
-    await this.#send("save-last", byId("save"), { seconds });
+    // Without a number, all that is held.
+    const seconds = byId("save-seconds").value;
+    await this.#send("save-last", byId("save"), seconds ? { seconds: Number(seconds) } : {});
   }
 
   /** The response of the service, or null if it refused or cannot be reached. */
@@ -139,6 +176,8 @@ export class Actions {
     setAttribute(record, "data-does", isRecording ? "stop" : "record");
     setAttribute(record, "aria-keyshortcuts", isRecording ? "S Space" : "R");
     record.disabled = state === "lost" || isBusy("start", "stop", "arm", "disarm");
+    setHidden(byId("cancel"), !this.#status?.pending_start);
+    byId("cancel").disabled = state === "lost" || isBusy("cancel");
     byId("mark").disabled = !isRecording || isBusy("mark", "stop");
     byId("save").disabled = !["armed", "recording"].includes(state) || isBusy("save-last");
   }

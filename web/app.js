@@ -4,6 +4,7 @@ import { Actions } from "./actions.js";
 import { get } from "./api.js";
 import { byId, setHidden, setText } from "./dom.js";
 import { Events } from "./events.js";
+import { Finished } from "./finished.js";
 import { duration, timeZone } from "./format.js";
 import { History } from "./history.js";
 import { installKeys, installTheme } from "./keys.js";
@@ -40,7 +41,8 @@ const markers = new Markers(({ hovered, pinned }) => {
   if (pinned !== undefined) view.select({ pinned: slot(pinned) === view.pinned ? -1 : slot(pinned) });
 });
 view.onSelected = (slot) => markers.highlight(motion.labels[slot] ?? null);
-const takes = new Takes(() => showTakes());
+const finished = new Finished(() => showTakes());
+const takes = new Takes(() => showTakes(), (take) => finished.open(take));
 const actions = new Actions(() => refresh());
 installKeys(actions, view);
 

@@ -10,7 +10,7 @@ const RETRY_MS = 1000;
 /** The service sends a comment at least every 15 s: longer silence means a lost connection. */
 const TIMEOUT_MS = 40_000;
 
-const SYMBOLS = { failure: "✕", warning: "▲", mark: "⚑", "take-started": "●", "take-stopped": "■", "take-saved": "■", trigger: "»",
+const SYMBOLS = { failure: "✕", warning: "▲", mark: "⚑", "take-started": "●", "take-stopped": "■", "take-saved": "■", "take-changed": "✎", trigger: "»",
   device: "◇", state: "·" };
 
 export class Events {

@@ -18,13 +18,23 @@ export function shownState({ state, device }) {
 export function describe(status) {
   const { state, take, pre_roll: preRoll, last_take: last, device } = status;
   if (shownState(status) !== state) return withoutFrames(status);
-  if (state === "recording" && take) return [take.name];
+  if (state === "recording" && take) return [take.name, ...(take.wanted_s ? [`ends by itself after ${elapsed(take.wanted_s)}`] : [])];
   if (state === "failed") return [status.failure ?? "reason unknown: see the events"];
   if (state === "armed") {
     const held = `${preRoll.held_s.toFixed(1)} s`;
-    return [preRoll.wanted_s > 0 ? `ready, pre-roll ${held} of ${preRoll.wanted_s.toFixed(0)} s` : "ready"];
+    return [preRoll.wanted_s > 0 ? `ready, pre-roll ${held} of ${preRoll.wanted_s.toFixed(0)} s` : "ready", ...pendingStart(status)];
   }
-  return [last ? `last take: ${last.name}` : device.is_awaited ? "starting the device" : "the device is not running"];
+  return [last ? `last take: ${last.name}` : device.is_awaited ? "starting the device" : "the device is not running", ...pendingStart(status)];
+}
+
+/** The line about a start that waits for its time, by the clock of the rig. */
+function pendingStart({ pending_start: pending }) {
+  return pending ? [`A take will be started at ${pending.at.slice(11, 19)} by the rig's clock`] : [];
+}
+
+/** Why the last start at a time of day did not take place, or null. Pure. */
+export function startNotice({ missed_start: text }) {
+  return text ? text.charAt(0).toUpperCase() + text.slice(1) : null;
 }
 
 /** The lines while no frames arrive: the take, the frames missing so far, and when recording resumes. */
@@ -83,6 +93,9 @@ export class Hero {
     const notice = fileNotice(status);
     setHidden(byId("file-notice"), notice === null);
     setText(byId("file-notice"), notice ?? "");
+    const missed = startNotice(status);
+    setHidden(byId("start-notice"), missed === null);
+    setText(byId("start-notice"), missed ?? "");
     const text = obstacle(status);
     setHidden(byId("obstacle"), text === null);
     setText(byId("obstacle"), text ?? "");
@@ -95,6 +108,7 @@ export class Hero {
     document.body.dataset.link = "lost";
     setHidden(byId("obstacle"), true);
     setHidden(byId("file-notice"), true);
+    setHidden(byId("start-notice"), true);
     this.#tick();
   }
 

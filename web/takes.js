@@ -2,6 +2,7 @@
 
 import { ServiceError, sendCommand } from "./api.js";
 import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
+import { ratingText } from "./finished.js";
 import { bytes, dateTime, elapsed, plural } from "./format.js";
 import { GLYPHS } from "./tiles.js";
 
@@ -61,8 +62,9 @@ export function verifyResult({ health: found, seconds, samples, max_error_mm: er
 export class Takes {
   #rows = new Map();
 
-  constructor(onVerified) {
+  constructor(onVerified, onEdit) {
     this.onVerified = onVerified;
+    this.onEdit = onEdit;
   }
 
   show(takes) {
@@ -92,21 +94,34 @@ export class Takes {
       glyph: h("span", { class: "glyph", "aria-hidden": "true" }),
       word: h("span"),
       upload: h("p", { class: "note" }),
+      ratingGlyph: h("span", { class: "glyph", "aria-hidden": "true" }),
+      ratingWords: h("span"),
+      edit: h("button", { type: "button", "aria-label": `Edit ${name}`, "aria-haspopup": "dialog" }, "Edit"),
       download: h("a", { class: "button", href: path, download: `${name}.take`, "aria-label": `Download ${name}` }, "Download"),
       play: h("a", { class: "button", href: `/player.html?take=${encodeURIComponent(name)}`, "aria-label": `Play ${name}` }, "Play"),
       verify: h("button", { type: "button", "aria-label": `Verify ${name}` }, "Verify"),
       answer: h("p", { class: "note", role: "status" }),
     };
     parts.verify.addEventListener("click", () => this.#verify(name, parts));
+    parts.edit.addEventListener("click", () => this.onEdit(parts.take));
+    parts.rating = h("p", { class: "rating-text" }, parts.ratingGlyph, parts.ratingWords);
     parts.element = h("li", { "data-take": name },
       h("div", { class: "take-text" }, h("strong", {}, name), parts.summary,
-        h("p", { class: "level" }, parts.glyph, " ", parts.word), parts.upload, parts.answer),
-      h("div", { class: "take-buttons" }, parts.play, parts.download, parts.verify));
+        h("p", { class: "level" }, parts.glyph, " ", parts.word), parts.rating, parts.upload, parts.answer),
+      h("div", { class: "take-buttons" }, parts.play, parts.download, parts.verify, parts.edit));
     this.#rows.set(name, parts);
     return parts;
   }
 
-  #update({ element, summary, glyph, word, upload, play, download, verify }, take) {
+  #update(parts, take) {
+    const { element, summary, glyph, word, upload, play, download, verify, rating, ratingGlyph, ratingWords, edit } = parts;
+    parts.take = take;
+    const [ratingSign, ratingLine] = ratingText(take);
+    setText(ratingGlyph, ratingSign);
+    setText(ratingWords, ratingLine);
+    setAttribute(rating, "data-rating", take.notes?.rating ?? "none");
+    setHidden(rating, ratingLine === "");
+    setHidden(edit, take.is_open);
     const [level, text] = health(take);
     setText(summary, takeSummary(take, Date.now()));
     setAttribute(element, "data-level", level);

@@ -36,7 +36,7 @@ use self::keys::{KEYS, SECTIONS};
 pub use self::{
     key::{DefaultValue, Key, ReloadPolicy, ValueType},
     keys::{example, table},
-    name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name},
+    name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name, is_reserved_name},
     problem::{ConfigError, ConfigProblem, PROBLEMS_MAX, SourceLocation},
     read::{CONFIG_BYTES_MAX, CONFIG_PATH, Environment, Overrides},
 };
@@ -105,6 +105,8 @@ pub struct TakeConfig {
     pub reconnect: Duration,
     /// The length at which a take is closed.
     pub max_length: Option<Duration>,
+    /// How long takes stay in the trash.
+    pub trash_keep: Duration,
 }
 
 /// The section `[arm]`.

@@ -11,9 +11,11 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     live::LiveFeed,
     status::{
-        MarkerQuality, ServiceEvent, ServiceEventKind, Status, TakeStatus, TakeSummary, ending_word,
+        MarkerQuality, PendingStart, ServiceEvent, ServiceEventKind, Status, TakeStatus,
+        TakeSummary, ending_word,
     },
 };
 
@@ -22,6 +24,13 @@ pub const TEXT_BYTES_MAX: usize = 1024;
 
 /// Longest pre-roll of a request, in seconds: more than `arm.pre_roll` can hold; larger numbers are typing errors.
 pub const SECONDS_MAX: f64 = 3600.0;
+
+/// Longest subject, session or trial in the name of a take, in bytes: three of them and a count stay below the longest
+/// name.
+pub const NAME_PART_BYTES_MAX: usize = 60;
+
+/// Longest take of a start with a length, in seconds: a day, as for one with a time.
+pub const LENGTH_SECONDS_MAX: f64 = 86_400.0;
 
 /// The service as the HTTP API, the triggers and the signal handlers see it.
 ///
@@ -49,8 +58,20 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     /// Starts a take, and returns when its first frame would survive a power cut. An idle service is armed first.
     ///
     /// # Errors
-    /// A take is being recorded; the name exists or is invalid; no frame arrives in time; the disk is full.
+    /// A take is being recorded; the name exists or is invalid; no frame arrives in time; the disk is full; `at` is set.
     fn start(&self, start: &Start) -> Result<Started, Refusal>;
+
+    /// Has a take started at a time of day, `start.at`, if the rig is armed then. Replaces no start that already waits.
+    ///
+    /// # Errors
+    /// The time is not one, is ambiguous, or more than a day away; another start waits; the request is invalid.
+    fn schedule(&self, start: &Start) -> Result<PendingStart, Refusal>;
+
+    /// Cancels the start that waits for its time.
+    ///
+    /// # Errors
+    /// None waits.
+    fn cancel(&self, request: &Request) -> Result<PendingStart, Refusal>;
 
     /// Stops the take, and returns when its ledger would survive a power cut.
     ///
@@ -64,7 +85,7 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     /// No take is being recorded, or the text is too long.
     fn mark(&self, mark: &Mark) -> Result<Marked, Refusal>;
 
-    /// Writes the pre-roll as a take, and continues.
+    /// Writes the pre-roll, or its last seconds, as a take, and continues.
     ///
     /// # Errors
     /// Not armed; nothing is held; the name exists or is invalid; the disk is full.
@@ -81,6 +102,33 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     /// # Errors
     /// No take of that name exists.
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal>;
+
+    /// Changes the rating or the notes of a finished take.
+    ///
+    /// # Errors
+    /// There is no such take, it is in use, or a file of notes that cannot be read lies beside it.
+    fn edit_notes(&self, name: &str, edit: &EditNotes) -> Result<TakeNotes, Refusal>;
+
+    /// Renames a finished take and its notes.
+    ///
+    /// # Errors
+    /// There is no such take, it is in use, or the new name is invalid or taken.
+    fn rename(&self, name: &str, rename: &Rename) -> Result<MovedTake, Refusal>;
+
+    /// Moves a finished take and its notes to the trash.
+    ///
+    /// # Errors
+    /// There is no such take, or it is in use.
+    fn trash(&self, name: &str, trash: &Trash) -> Result<TrashedTake, Refusal>;
+
+    /// The takes in the trash, newest first, at most `limit`.
+    fn trashed(&self, limit: usize) -> Vec<TrashedTake>;
+
+    /// Moves a take back from the trash: the one with this id, or else the newest of this name.
+    ///
+    /// # Errors
+    /// There is no such take in the trash, or its name is taken.
+    fn restore(&self, id: &str, restore: &Restore) -> Result<MovedTake, Refusal>;
 
     /// The status of the take being recorded, if it is this file, regardless of the file's current name. Never waits.
     fn live_take(&self, file: FileId) -> Option<TakeStatus>;
@@ -122,6 +170,25 @@ pub struct Start {
     /// Seconds of pre-roll to include, at most 3600, or as many as are held; by default as configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pre_roll_s: Option<f64>,
+    /// Seconds after which the take ends by itself, at exactly so many frames from its start on, at most 86 400; the
+    /// pre-roll comes in addition.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
+    /// A time of day, `HH:MM` or `HH:MM:SS` in the time zone of the service's machine: the take is started when it comes
+    /// next, and the rig has to be armed then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at: Option<String>,
+    /// Subject, at most 60 bytes: takes without a name are named after subject, session and trial if any of these is
+    /// given, with a count that continues. Stored in the take. By default the configured one, if session or trial is
+    /// given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub subject: Option<String>,
+    /// Session, at most 60 bytes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub session: Option<String>,
+    /// Trial, at most 60 bytes, such as the movement.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trial: Option<String>,
 }
 
 /// A request to put a mark into the take.
@@ -148,8 +215,9 @@ pub struct SaveLast {
     /// Name of the take, without `.take`; by default the configuration names it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Seconds to save, at most 3600; if more than are held, all of them are saved.
-    pub seconds: f64,
+    /// Seconds to save, at most 3600; all that is held if absent, or if that is less.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
 }
 
 /// Reply to a start: the take has begun.

@@ -7,6 +7,8 @@ use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::finished::TakeNotes;
+
 /// What the service is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -67,6 +69,16 @@ pub struct Status {
     pub pre_roll: PreRollStatus,
     /// The take being recorded.
     pub take: Option<TakeStatus>,
+    /// A start that was requested for a time of day, and waits for it.
+    #[serde(default)]
+    pub pending_start: Option<PendingStart>,
+    /// Why the last start that was requested for a time of day did not take place; null once another start takes place,
+    /// waits, or is cancelled.
+    #[serde(default)]
+    pub missed_start: Option<String>,
+    /// The subject, session and trial of the last start that had any.
+    #[serde(default)]
+    pub names: Option<TrialNames>,
     /// The previous take; null while it is being closed.
     pub last_take: Option<TakeSummary>,
     /// The disk that holds the takes' folder.
@@ -74,6 +86,31 @@ pub struct Status {
     /// The upload of finished takes; null without `archive.url`.
     #[serde(default)]
     pub archive: Option<ArchiveStatus>,
+}
+
+/// A start that waits for its time. A restart of the service forgets it.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct PendingStart {
+    /// When the take will be started, in milliseconds since 1970.
+    pub at_unix_ms: i64,
+    /// The same in the time zone of the service's machine, such as `2026-11-23T14:05:09+01:00`.
+    pub at: String,
+    /// Name that was requested for the take, without `.take`; null if it gets its name when it starts.
+    pub name: Option<String>,
+    /// Remarks, such as that the rig is not armed yet.
+    #[serde(default)]
+    pub remarks: Vec<String>,
+}
+
+/// From what takes are named: `SUBJECT_SESSION_TRIAL_COUNT`, without the parts that are empty.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct TrialNames {
+    /// The subject; may be empty.
+    pub subject: String,
+    /// The session; may be empty.
+    pub session: String,
+    /// The trial, such as the movement; may be empty.
+    pub trial: String,
 }
 
 /// The upload of finished takes to object storage.
@@ -218,6 +255,9 @@ pub struct TakeStatus {
     pub rows: u64,
     /// Length in seconds.
     pub seconds: f64,
+    /// Length in seconds from its start on at which it ends by itself; null if it was started without one.
+    #[serde(default)]
+    pub wanted_s: Option<f64>,
     /// Size of the file in bytes.
     pub bytes: u64,
     /// Bytes of it that would survive a power cut.
@@ -265,6 +305,9 @@ pub struct TakeSummary {
     /// Its upload; null without `archive.url`, and for a take that is not finished.
     #[serde(default)]
     pub upload: Option<TakeUpload>,
+    /// Its rating and notes; null if it has none.
+    #[serde(default)]
+    pub notes: Option<TakeNotes>,
 }
 
 /// The disk that holds the takes' folder.
@@ -319,6 +362,8 @@ pub enum ServiceEventKind {
     TakeStopped,
     /// The pre-roll was saved as a take.
     TakeSaved,
+    /// A finished take was rated, renamed, moved to the trash or back, or removed from it.
+    TakeChanged,
     /// A mark was put into the take.
     Mark,
     /// Something may need attention.
@@ -345,7 +390,7 @@ pub struct ServiceEvent {
     pub number: u64,
     /// Time in milliseconds since 1970.
     pub unix_ms: i64,
-    /// `state`, `device`, `take-started`, `take-stopped`, `take-saved`, `mark`, `warning`, `failure`, `trigger`.
+    /// `state`, `device`, `take-started`, `take-stopped`, `take-saved`, `take-changed`, `mark`, `warning`, `failure`, `trigger`.
     #[schema(value_type = String)]
     pub kind: ServiceEventKind,
     /// The message, one line.

@@ -152,6 +152,15 @@ fn rows(triggers: SocketAddr, peer: SocketAddr, archive: &Path) -> Vec<Row> {
             scene.stop();
             is_over
         }),
+        row("take.trash_keep", "trash_keep = '2h'", "", |scene| {
+            // One of those that the rows before have recorded.
+            let takes = scene.service.get("/v1/takes");
+            let path = format!("/v1/takes/{}/trash", takes[0]["name"].as_str().unwrap());
+            let (code, trashed) = scene.service.post(&path, "{}");
+            assert_eq!(code, 200, "{trashed}");
+            let ms = |field: &str| trashed[field].as_i64().unwrap();
+            ms("removed_unix_ms") - ms("trashed_unix_ms") == 7_200_000
+        }),
         row("http.allowed_hosts", "allowed_hosts = ['rig.lab']", "", |scene| {
             scene.called("rig.lab") == "200"
         }),

@@ -74,6 +74,10 @@ class Browser:
         self.js("document.activeElement?.blur()")
         ActionChains(self.driver).send_keys(keys).perform()
 
+    def press(self, *keys):
+        """Presses keys where the focus is."""
+        ActionChains(self.driver).send_keys(*keys).perform()
+
     def wait(self, what, condition, seconds=8.0):
         """Waits until `condition`, a function or a script, returns a true value, and returns that value."""
         until = time.monotonic() + seconds
@@ -99,6 +103,10 @@ class Browser:
         """Errors that the browser logged since the last call: scripts, and violations of the CSP."""
         errors = [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
         return [message for message in errors if "favicon.ico" not in message]
+
+    def errors_but_refusals(self):
+        """Those errors without responses that refuse a request, which browsers log as errors."""
+        return [message for message in self.errors() if "status of 4" not in message]
 
     def json(self, url):
         """A JSON response of the service, fetched by the page."""

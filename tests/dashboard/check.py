@@ -17,6 +17,7 @@ import time
 import traceback
 from pathlib import Path
 
+import checks_finished
 import checks_page
 import checks_player
 import checks_service
@@ -41,8 +42,9 @@ def main():
         parser.error("chromium or chromedriver is missing: apt-get install chromium chromium-driver")
     if (args.mocapd is None) != (args.mocapd_sim is None):
         parser.error("--mocapd and --mocapd-sim go together")
-    checks = [*checks_page.CHECKS, *checks_player.CHECKS]
+    checks = [*checks_page.CHECKS, *checks_player.CHECKS, *checks_finished.CHECKS]
     if args.mocapd:
+        checks += checks_finished.checks(args.mocapd.resolve(), args.mocapd_sim.resolve())
         checks += checks_service.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(), args.picture)
         checks += checks_view.checks(args.mocapd.resolve())
         if args.drawn_subject:

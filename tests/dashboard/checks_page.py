@@ -331,7 +331,7 @@ def phone(browser, _log):
             browser.wait("rows", "return document.querySelectorAll('#markers-body tr').length === 200")
             assert browser.js("return document.documentElement.scrollWidth") <= PHONE[0]
             small = """return [...document.querySelectorAll('#controls button, #record, #view ~ div button, #takes .button')]
-                .filter((b) => b.getBoundingClientRect().height < 40).map((b) => b.textContent)"""
+                .filter((b) => b.checkVisibility() && b.getBoundingClientRect().height < 40).map((b) => b.textContent)"""
             assert browser.js(small) == []
             browser.picture("phone-dark")
             browser.picture("phone-dark-whole", whole=True)

@@ -85,6 +85,8 @@ class Handler(BaseHTTPRequestHandler):
             if url.path == "/v1/takes":
                 limit = int(parse_qs(url.query).get("limit", ["50"])[0])
                 return self.reply(200, self.rig.takes[:limit])
+            if url.path == "/v1/trash":
+                return self.reply(200, [trashed for trashed, _ in self.rig.trash])
         if url.path.startswith("/v1/takes/") and url.path.endswith("/download"):
             name = unquote(url.path.split("/")[3])
             return self.reply(200, b"mock take\n", "application/octet-stream",
@@ -132,6 +134,7 @@ class Handler(BaseHTTPRequestHandler):
                 if "add_take" in body:
                     name, seconds, health = body.pop("add_take")
                     rig.takes.insert(0, rig.new_take(name, int(time.time() * 1000), seconds, health))
+                rig.missed = body.pop("missed", rig.missed)
                 rig.set_faults({key: value for key, value in body.items() if key in FAULTS})
             return self.reply(200, {})
         if not self.is_authorized():
@@ -165,12 +168,15 @@ class Handler(BaseHTTPRequestHandler):
     def execute(self, path, body):
         rig = self.rig
         calls = {"/v1/arm": rig.arm, "/v1/disarm": rig.disarm, "/v1/start": rig.start, "/v1/stop": rig.stop,
-                 "/v1/mark": rig.mark, "/v1/save-last": rig.save_last}
+                 "/v1/mark": rig.mark, "/v1/save-last": rig.save_last, "/v1/cancel": rig.cancel}
+        of_take = {"notes": rig.edit_notes, "rename": rig.rename, "trash": rig.trash_take, "restore": rig.restore}
         try:
             if rig.faults["refuse"]:
                 raise Refused(*rig.faults["refuse"])
             if path.startswith("/v1/takes/") and path.endswith("/verify"):
                 return 200, self.verify(unquote(path.split("/")[3]))
+            if path.startswith(("/v1/takes/", "/v1/trash/")) and path.split("/")[-1] in of_take:
+                return 200, of_take[path.split("/")[-1]](unquote(path.split("/")[3]), body)
             if path not in calls:
                 raise Refused("not_found", f"there is no {path}")
             return 200, calls[path](body) or rig.status()

@@ -34,9 +34,14 @@ class Rig:
         self.gone_at, self.missed_s = None, 0.0
         self.session, self.cookie = secrets.token_hex(4), secrets.token_hex(8)
         self.events, self.replies, self.requests = [], {}, []
+        self.trash, self.pending, self.missed = [], None, None
         now = int(time.time() * 1000)
         self.takes = [self.new_take(f"jump-{n:03}", now - (6 - n) * 420_000, 8.4 + 3 * n, health) for n, health in
                       [(5, "unknown"), (4, "complete"), (3, "lossy"), (2, "cut off"), (1, "complete")]]
+        self.takes[1]["notes"] = {"rating": "good", "text": "left shoe\nbest of the series", "changed_unix_ms": now, "problem": None}
+        self.takes[2]["notes"] = {"rating": "bad", "text": "a marker fell off", "changed_unix_ms": now, "problem": None}
+        self.takes[4]["notes"] = {"rating": "none", "text": "", "changed_unix_ms": 0,
+                                  "problem": "jump-001.notes.json belongs to another take, or this one has changed since; it is left as it is"}
         with self.lock:
             self._begin(scenario)
 
@@ -90,7 +95,62 @@ class Rig:
         known = health not in ("unknown", "unreadable")
         return {"name": name, "bytes": int(seconds * 61_000 * len(self.body.labels) / 200), "is_open": False,
                 "modified_unix_ms": modified, "health": health, "seconds": seconds if known else 0.0,
-                "markers": len(self.body.labels) if known else 0, "take_id": uuid.uuid4().hex if known else ""}
+                "markers": len(self.body.labels) if known else 0, "take_id": uuid.uuid4().hex if known else "", "notes": None}
+
+    def find(self, name):
+        for take in self.takes:
+            if take["name"] == name:
+                return take
+        raise Refused("not_found", f"there is no take called {name}")
+
+    def check_free(self, name):
+        if any(take["name"] == name for take in self.takes):
+            raise Refused("exists", f"a take called {name}, or notes for it, exist: choose another name")
+
+    def edit_notes(self, name, body):
+        take = self.find(name)
+        before = take["notes"] or {"rating": "none", "text": ""}
+        if before.get("problem"):
+            raise Refused("conflict", before["problem"])
+        take["notes"] = {"rating": body.get("rating", before["rating"]), "text": body.get("text", before["text"]),
+                         "changed_unix_ms": int(time.time() * 1000), "problem": None}
+        self.event("take-changed", f"{name}: rating {take['notes']['rating']}")
+        return take["notes"]
+
+    def rename(self, name, body):
+        take = self.find(name)
+        if "/" in body["to"]:
+            raise Refused("invalid", "a take name cannot contain '/', as it is a file name")
+        self.check_free(body["to"])
+        take["name"] = body["to"]
+        self.event("take-changed", f"the take {name} is now {body['to']}")
+        return {"name": body["to"], "path": f"/var/lib/mocapd/{body['to']}.take", "remarks": []}
+
+    def trash_take(self, name, _body):
+        take, now = self.find(name), int(time.time() * 1000)
+        self.takes.remove(take)
+        trashed = {"id": f"{now}.{name}", "name": name, "bytes": take["bytes"], "trashed_unix_ms": now,
+                   "removed_unix_ms": now + 30 * 86_400_000}
+        self.trash.insert(0, (trashed, take))
+        self.event("take-changed", f"the take {name} was moved to the trash")
+        return trashed
+
+    def restore(self, key, body):
+        for entry in self.trash:
+            trashed, take = entry
+            if key in (trashed["id"], trashed["name"]):
+                self.check_free(body.get("to") or take["name"])
+                self.trash.remove(entry)
+                self.takes.insert(0, take)
+                self.event("take-changed", f"the take {take['name']} was restored from the trash")
+                return {"name": take["name"], "path": f"/var/lib/mocapd/{take['name']}.take", "remarks": []}
+        raise Refused("not_found", f"there is no take {key} in the trash")
+
+    def cancel(self, _body):
+        if self.pending is None:
+            raise Refused("conflict", "no start is waiting: there is nothing to cancel")
+        pending, self.pending = self.pending, None
+        return pending
 
     def step(self):
         """Adds the frames lost since the last step."""
@@ -120,14 +180,23 @@ class Rig:
     def start(self, body):
         if self.state == "recording":
             raise Refused("conflict", f"{self.take['name']} is being recorded: stop it first")
-        name = body.get("name") or f"take-{len(self.takes) + 1:03}"
+        if body.get("at"):
+            if self.pending:
+                raise Refused("conflict", f"a start already waits for {self.pending['at']}: cancel it first")
+            self.pending = {"at_unix_ms": int(time.time() * 1000), "at": f"2026-11-29T{body['at']}+01:00", "name": body.get("name"),
+                            "remarks": []}
+            self.event("state", f"a take will be started at {self.pending['at']}")
+            return self.pending
+        parts = [body[key] for key in ("subject", "session", "trial") if body.get(key)]
+        counted = f"{'_'.join(parts)}_{len(self.takes):03}" if parts else None
+        name = body.get("name") or counted or f"take-{len(self.takes) + 1:03}"
         if any(take["name"] == name for take in self.takes):
             raise Refused("exists", f"a take called {name} exists: choose another name")
         self.arm()
         held = min(10.0, time.time() - self.armed_at)
         self.state = "recording"
         self.take = {"take_id": uuid.uuid4().hex, "name": name, "path": f"/var/lib/mocapd/{name}.take", "held": held,
-                     "started": time.time()}
+                     "started": time.time(), "wanted": body.get("seconds")}
         self.causes = [0, 0, 0, 0]
         self.event("take-started", f"{name} starts {held:.2f} s before the request")
         remarks = [f"the pre-roll is {held:.1f} s long: no more was held"] if held < 9.9 else []
@@ -154,16 +223,17 @@ class Rig:
     def save_last(self, body):
         if self.armed_at is None:
             raise Refused("conflict", "not armed: the pre-roll is empty")
-        seconds = min(body["seconds"], 10.0, time.time() - self.armed_at)
+        wanted = body.get("seconds", 10.0)
+        seconds = min(wanted, 10.0, time.time() - self.armed_at)
         name = body.get("name") or f"last-{len(self.takes) + 1:03}"
         take = self.new_take(name, int(time.time() * 1000), seconds, "complete")
         self.takes.insert(0, take)
         self.event("take-saved", f"{name}: the last {seconds:.1f} s")
         return {"take_id": take["take_id"], "name": name, "path": f"/var/lib/mocapd/{name}.take",
                 "rows": int(seconds * self.rate_hz), "seconds": seconds, "bytes": take["bytes"], "ending": "saved",
-                "short_by_s": body["seconds"] - seconds, "ledger": self.ledger(int(seconds * self.rate_hz)),
-                "remarks": [f"only {seconds:.1f} s of the requested {body['seconds']:.1f} s were held"]
-                if body["seconds"] > seconds + 0.1 else []}
+                "short_by_s": wanted - seconds if "seconds" in body else 0.0, "ledger": self.ledger(int(seconds * self.rate_hz)),
+                "remarks": [f"only {seconds:.1f} s of the requested {wanted:.1f} s were held"]
+                if "seconds" in body and wanted > seconds + 0.1 else []}
 
     def ledger(self, rows):
         link, device, ring, other = self.causes
@@ -185,7 +255,7 @@ class Rig:
         return {"take_id": take["take_id"], "name": take["name"], "path": take["path"],
                 "started_unix_ms": int(take["started"] * 1000), "rows": rows, "seconds": seconds,
                 "bytes": raw // 21, "durable_bytes": max(0, raw // 21 - 30_000), "ratio": 21.0,
-                "max_error_mm": 0.499, "ledger": self.ledger(rows)}
+                "max_error_mm": 0.499, "ledger": self.ledger(rows), "wanted_s": take["wanted"]}
 
     def status(self):
         self.step()
@@ -210,6 +280,7 @@ class Rig:
                       "ring_latency_p99_us": 46 if is_armed else 0, "jitter_p99_us": 212 if is_armed else 0,
                       "drift_ppm": 11.8, "cpu_cores": 0.07 if is_armed else 0.0},
             "pre_roll": {"wanted_s": 10.0, "held_s": held, "held_bytes": int(held * 61_000), "is_cut": False},
+            "pending_start": self.pending, "missed_start": self.missed, "names": None,
             "take": self.take_status(), "last_take": self.takes[0] if self.takes else None,
             "disk": {"directory": "/var/lib/mocapd", "free_bytes": faults["free_bytes"],
                      "keep_free_bytes": 268_435_456, "left_s": int(faults["free_bytes"] / 12_000) if is_armed else None},

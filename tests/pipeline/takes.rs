@@ -110,6 +110,66 @@ fn takes_begin_and_end_at_the_next_frame() {
 }
 
 #[test]
+fn a_take_of_a_requested_length_ends_by_itself_at_exactly_that_row() {
+    let motion = crowd(17, 200.0, 20.0);
+    let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+    let timed =
+        |seq, rows| NewTake { length_rows: Some(rows), ..new_take(&motion, Duration::ZERO, seq) };
+    feed_all(&mut intake, &motion, 0..333);
+    for (from, rows) in [(333, 1), (334, 100), (600, 999)] {
+        let next = intake.next_row() as usize;
+        feed_all(&mut intake, &motion, next..from);
+        let handle = armed.takes.begin(timed(from, rows as u64)).unwrap();
+        // The last frame alone ends it.
+        feed_all(&mut intake, &motion, from..from + rows);
+        let (written, take) = ended(&handle);
+        assert_eq!(written.ending.kind, EndingKind::Length);
+        assert_has(&take, &motion, from..from + rows);
+    }
+    // A take that follows at once is another one, and an end in between has no effect.
+    let handle = armed.takes.begin(timed(1599, 50)).unwrap();
+    feed_all(&mut intake, &motion, 1599..1649);
+    armed.takes.end(EndingKind::Stopped).unwrap();
+    let next = armed.takes.begin(timed(1649, 7)).unwrap();
+    feed_all(&mut intake, &motion, 1649..1700);
+    assert_has(&ended(&handle).1, &motion, 1599..1649);
+    assert_has(&ended(&next).1, &motion, 1649..1656);
+    // One that is stopped earlier does not shorten the next.
+    let handle = armed.takes.begin(timed(1700, 100)).unwrap();
+    feed_all(&mut intake, &motion, 1700..1750);
+    armed.takes.end(EndingKind::Stopped).unwrap();
+    let next = armed.takes.begin(new_take(&motion, Duration::ZERO, 1750)).unwrap();
+    feed_all(&mut intake, &motion, 1750..1900);
+    armed.takes.end(EndingKind::Stopped).unwrap();
+    feed_all(&mut intake, &motion, 1900..1901);
+    assert_eq!(ended(&handle).0.ending.kind, EndingKind::Stopped);
+    assert_has(&ended(&next).1, &motion, 1750..1900);
+    drop(intake);
+    pipeline.join().unwrap();
+}
+
+#[test]
+fn frames_lost_at_the_end_of_a_requested_length_belong_to_the_take_up_to_it() {
+    let motion = crowd(18, 200.0, 20.0);
+    let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+    feed_all(&mut intake, &motion, 0..400);
+    let pre_roll = Duration::from_secs(1);
+    let take = NewTake { length_rows: Some(100), ..new_take(&motion, pre_roll, 400) };
+    let handle = armed.takes.begin(take).unwrap();
+    feed_all(&mut intake, &motion, (400..480).chain(520..530));
+    let first = handle.first.recv_timeout(Duration::from_secs(30)).unwrap();
+    let (written, take) = ended(&handle);
+    assert_eq!(written.ending.kind, EndingKind::Length);
+    assert!(written.ledger.closes() && first.row <= 200, "{first:?} {:?}", written.ledger);
+    assert_eq!((written.ledger.recorded, written.ledger.frames_lost()), (480 - first.row, 20));
+    let (rows, problems) = rows(&take);
+    assert!(problems.is_empty(), "{problems:?}");
+    assert_eq!(rows.len() as u64, 500 - first.row, "its pre-roll, and a hundred rows");
+    drop(intake);
+    pipeline.join().unwrap();
+}
+
+#[test]
 fn a_take_begins_before_its_request_as_far_as_the_pre_roll_reaches() {
     let motion = jump(12, 100.0, 30.0);
     let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);

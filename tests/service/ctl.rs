@@ -70,6 +70,7 @@ fn a_session_from_the_command_line() {
     assert_mentions(&takes, &["jump", "last"]);
     stdout(&["download", "jump"]);
     assert_eq!(rig.folder.read("jump.take"), rig.folder.read("takes/jump.take"));
+    assert!(!rig.folder.content().iter().any(|file| file.0 == "jump.notes.json"));
     let again = rig.ctl(&["download", "jump"]).with_code(1);
     let exists = NameTaken { path: "jump.take".into() };
     assert_eq!(again.stderr, format!("mocapd: {exists}\n"));
@@ -79,6 +80,65 @@ fn a_session_from_the_command_line() {
     assert!(rig.ctl(&["devices", "--json"]).with_code(0).json().is_array());
     assert_mentions(&stdout(&["disarm"]), &["idle"]);
     assert_eq!(rig.ctl(&["status", "--json"]).json()["state"], "idle");
+}
+
+#[test]
+fn finished_takes_from_the_command_line() {
+    let rig = rig();
+    let stdout = |args: &[&str]| rig.ctl(args).with_code(0).stdout;
+    stdout(&["start", "--name", "jump"]);
+    stdout(&["stop"]);
+    let rated = stdout(&["rate", "jump", "good", "--notes", "left shoe\nsecond line"]);
+    assert_mentions(&rated, &["jump", "good", "second line"]);
+    assert_mentions(&stdout(&["rate", "jump", "bad"]), &["bad", "second line"]);
+    let takes = stdout(&["takes"]);
+    assert!(takes.lines().count() == 1 && takes.contains("[bad: left"), "{takes}");
+    rig.ctl(&["rate", "jump"]).with_code(2);
+    rig.ctl(&["rate", "jump", "great"]).with_code(2);
+    rig.ctl(&["rate", "none", "good"]).with_code(1);
+    assert_mentions(&stdout(&["rename", "jump", "walk 1"]), &["walk 1.take"]);
+    rig.ctl(&["rename", "walk 1", "../x"]).with_code(2);
+    rig.ctl(&["rename", "jump", "x"]).with_code(1);
+    // Both files are downloaded, or none.
+    rig.folder.write("walk 1.notes.json", "mine");
+    rig.ctl(&["download", "walk 1"]).with_code(1);
+    assert!(!rig.folder.content().iter().any(|file| file.0 == "walk 1.take"));
+    let report = rig.ctl(&["download", "walk 1", "-o", "copy.take", "--json"]).with_code(0).json();
+    assert_eq!(report["notes"], "copy.notes.json");
+    for name in ["take", "notes.json"] {
+        let taken = rig.folder.read(&format!("takes/walk 1.{name}"));
+        assert_eq!(rig.folder.read(&format!("copy.{name}")), taken);
+    }
+    assert_mentions(&stdout(&["trash", "walk 1"]), &["walk 1", "until"]);
+    assert_mentions(&stdout(&["trashed"]), &["1796000000000-0000000000000.walk 1"]);
+    assert_eq!(stdout(&["takes"]), "no takes\n");
+    rig.ctl(&["restore", "jump"]).with_code(1);
+    assert_mentions(&stdout(&["restore", "walk 1", "--to", "jump"]), &["jump.take"]);
+    assert_eq!(stdout(&["trashed"]), "the trash is empty\n");
+    assert_eq!(rig.ctl(&["takes", "--json"]).json()[0]["notes"]["rating"], "bad");
+}
+
+#[test]
+fn a_start_that_waits_is_shown_and_cancelled() {
+    let rig = rig();
+    let waits = rig.ctl(&["start", "--at", "14:05:00", "--seconds", "2min"]).with_code(0);
+    assert_mentions(&waits.stdout, &["will be started", "14:05:00"]);
+    assert_mentions(&waits.stderr, &["not armed"]);
+    assert_mentions(&rig.ctl(&["status"]).stdout, &["will be started at 14:05:00"]);
+    rig.ctl(&["start", "--at", "15:05:00"]).with_code(1);
+    assert_mentions(&rig.ctl(&["stop"]).with_code(0).stdout, &["14:05:00", "cancelled"]);
+    rig.ctl(&["cancel"]).with_code(1);
+    rig.ctl(&["start", "--at", "noon"]).with_code(2);
+    for seconds in ["0", "-1", "x", "nan", "1 floppy"] {
+        rig.ctl(&["start", "--seconds", seconds]).with_code(2);
+    }
+    rig.ctl(&["start", "--seconds", "10", "--name", "a"]).with_code(0);
+    rig.ctl(&["start", "--at", "14:05:00"]).with_code(0);
+    let stopped = rig.ctl(&["stop"]).with_code(0);
+    assert_mentions(&stopped.stderr, &["still waits", "ctl cancel"]);
+    rig.ctl(&["cancel"]).with_code(0);
+    rig.ctl(&["arm"]).with_code(0);
+    rig.ctl(&["save-last", "--name", "all"]).with_code(0);
 }
 
 #[test]

@@ -30,6 +30,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
             keep_free_bytes: 0,
             reconnect: Duration::from_secs(20),
             max_length: None,
+            trash_keep: Duration::from_secs(3600),
         },
         subject: None,
         arm: ArmConfig {
@@ -152,7 +153,8 @@ fn the_pre_roll_is_in_the_take_and_can_be_saved() {
     let start = Start { pre_roll_s: Some(2.0), ..named("early") };
     let started = engine.start(&start).unwrap();
     assert!((2.0..3.7).contains(&started.first_frame.before_request_s), "{started:?}");
-    let save = SaveLast { seconds: 3.0, name: Some("last".to_owned()), ..SaveLast::default() };
+    let save =
+        SaveLast { seconds: Some(3.0), name: Some("last".to_owned()), ..SaveLast::default() };
     let saved = engine.save_last(&save).unwrap();
     assert!((2.9..4.9).contains(&saved.seconds), "{saved:?}");
     assert_eq!((saved.short_by_s, saved.remarks.len()), (0.0, 0));
@@ -182,7 +184,7 @@ fn a_repeated_request_is_executed_once() {
     assert_eq!(engine.status().state, State::Armed);
     let other = Request { request_id: id("a") };
     assert_eq!(engine.stop(&other).unwrap_err().kind, RefusalKind::Invalid);
-    let save = SaveLast { request_id: id("b"), seconds: 1.0, ..SaveLast::default() };
+    let save = SaveLast { request_id: id("b"), seconds: Some(1.0), ..SaveLast::default() };
     assert_eq!(engine.save_last(&save).unwrap_err().kind, RefusalKind::Invalid);
 }
 

@@ -4,6 +4,8 @@ mod ctl;
 mod cycles;
 pub(crate) mod engine;
 pub(crate) mod fake;
+mod finished;
 pub(crate) mod http;
 mod idle;
+mod timed;
 mod triggers;

@@ -220,7 +220,14 @@ fn link_or_move(from: &Path, to: &Path) -> io::Result<()> {
 /// `AlreadyExists` if it does, and those of the file system.
 pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // Some network file systems do not support this rename. The plain one refuses folders that are not empty.
+        // Some network file systems do not support this rename; a link refuses to overwrite as well.
+        Err(Errno::INVAL | Errno::NOSYS) if from.symlink_metadata()?.is_file() => {
+            match linkat(CWD, from, CWD, to, AtFlags::empty()) {
+                Ok(()) => fs::remove_file(from),
+                Err(error) => Err(error.into()),
+            }
+        }
+        // The plain rename refuses folders that are not empty.
         Err(Errno::INVAL | Errno::NOSYS) if to.symlink_metadata().is_err() => fs::rename(from, to),
         Err(Errno::INVAL | Errno::NOSYS) => Err(ErrorKind::AlreadyExists.into()),
         other => Ok(other?),

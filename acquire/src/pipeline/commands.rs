@@ -43,6 +43,9 @@ pub struct NewTake {
     pub pre_roll: Duration,
     /// When the take was requested, by the host's monotonic clock.
     pub requested_ns: u64,
+    /// The number of rows from its request on, lost ones included, at which the take ends by itself, with the ending
+    /// [`Length`](EndingKind::Length); those of the pre-roll come in addition.
+    pub length_rows: Option<u64>,
     /// The notes of the request, which become the first event of the take.
     pub notes: Option<Event>,
     /// Bytes of the disk to leave free.
@@ -58,6 +61,7 @@ impl NewTake {
             subject: None,
             pre_roll: Duration::ZERO,
             requested_ns: 0,
+            length_rows: None,
             notes: None,
             keep_free_bytes: 0,
         }

@@ -9,7 +9,7 @@ use std::sync::{Arc, atomic::Ordering};
 
 use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
 use mocapd_take::{
-    record::{Event, TakeEnding},
+    record::{EndingKind, Event, TakeEnding},
     timeline::{LossCauses, RowTime},
 };
 
@@ -72,6 +72,8 @@ pub struct Intake {
     key_every: u64,
     next_key_row: u64,
     splits: SplitSchedule,
+    /// The row at which the open take ends by itself.
+    take_end_row: Option<u64>,
     /// Arrival of the open stretch's first row, in host nanoseconds, and the longest time it may stay open.
     open_since_ns: u64,
     open_ns_max: u64,
@@ -151,6 +153,7 @@ impl Intake {
             key_every: if plan.pre_roll.is_some() { plan.armed_key_rows } else { plan.key_rows },
             next_key_row: 0,
             splits: SplitSchedule::Never,
+            take_end_row: None,
             open_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
             open_first: FrameTimes::default(),
@@ -211,6 +214,7 @@ impl Intake {
             return;
         }
         self.split_before_frame();
+        self.end_before_frame();
         if self.open_rows == 0 {
             self.open_since_ns = arrival_ns;
             self.open_first = FrameTimes { device_ticks, arrival_ns };
@@ -221,6 +225,8 @@ impl Intake {
         if self.open_rows >= self.open_limit {
             self.close_stretch();
         }
+        // The frame was the last one of the take: its end does not wait for the next.
+        self.end_before_frame();
     }
 
     /// Advances the host's monotonic time, also when nothing arrives: a stretch that stays open because frames come
@@ -283,6 +289,7 @@ impl Intake {
             Some(begin) => self.cut(begin, now_ns),
             // A take that ends in the absence has a part of its rows.
             None if self.splits.is_due(self.next_row + self.pending.rows()) => {}
+            None if self.length_is_reached() => {}
             None if self.pending.rows() > 0 => {
                 self.close_stretch();
                 self.close_pending();
@@ -299,14 +306,26 @@ impl Intake {
         if !matches!(command, TakeCommand::Begin(..)) {
             self.count_absence(now_ns);
         }
-        self.close_pending();
+        let is_at_length = matches!(command, TakeCommand::End(EndingKind::Length));
+        match self.take_end_row.filter(|_| is_at_length && self.length_is_reached()) {
+            // The length counts, although the reader was told later.
+            Some(end_row) => self.close_pending_up_to(end_row),
+            None => self.close_pending(),
+        }
         let boundary = self.feed.next_stretch();
         // A take that waits for its device begins before this command: an end does not wait.
         for command in self.deferred_begin.take().into_iter().chain([command]) {
-            match command {
-                // While a take is written, key stretches may be rarer.
-                TakeCommand::Begin(..) => self.key_every = self.key_rows,
-                TakeCommand::End(_) => self.key_every = self.armed_key_rows,
+            match &command {
+                TakeCommand::Begin(take, _) => {
+                    // While a take is written, key stretches may be rarer.
+                    self.key_every = self.key_rows;
+                    let rows = take.length_rows;
+                    self.take_end_row = rows.map(|rows| self.next_row.saturating_add(rows));
+                }
+                TakeCommand::End(_) => {
+                    self.key_every = self.armed_key_rows;
+                    self.take_end_row = None;
+                }
                 TakeCommand::Save(..) => {}
             }
             // If the writer is gone, the closed reply channel tells the requester.

@@ -136,8 +136,9 @@ pub(super) struct FromReader {
 pub(super) fn reader_to_writer() -> (ToWriter, FromReader) {
     let (control_in, control) = bounded(CONTROL_MAX);
     let (clock_in, clock) = bounded(CLOCK_ITEMS_MAX);
-    // One more than to the reader: for a take that waited for its device, and the command that overtook it.
-    let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX + 1);
+    // Two more than to the reader: for a take that waited for its device, beside the command that overtook it, and for
+    // the end of a take that has its requested length.
+    let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX + 2);
     let to_writer = ToWriter { control: control_in, clock: clock_in, commands: commands_in };
     (to_writer, FromReader { control, clock, commands })
 }

@@ -155,6 +155,10 @@ keys! {
     // A month: in longer takes the frame counter of a 1000 Hz device would wrap around.
     take.max_length: ValueType::Time(Duration::from_secs(1)..=Duration::from_secs(744 * 3600)),
         DefaultValue::Absent("\"1h\""), ReloadPolicy::Now, field!(take.max_length);
+    /// How long takes stay in the trash, the folder `.trash` in the takes' folder, before they are removed.
+    /// A month is long enough to notice that a take is missing; until then the disk has less free space.
+    take.trash_keep: ValueType::Time(Duration::from_secs(3600)..=Duration::from_secs(8760 * 3600)),
+        DefaultValue::Text("720h"), ReloadPolicy::Now, field!(take.trash_keep);
     /// Name of the subject, stored in every take.
     /// Where labels name several subjects, as in `S01:LKNE`, it selects the one that the skeleton belongs to.
     subject.name: ValueType::Text("a name of at most 128 bytes"),

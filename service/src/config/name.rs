@@ -19,6 +19,20 @@ pub fn is_refused_in_name(c: char) -> bool {
         || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fffd}')
 }
 
+/// Whether Windows reserves the name for a device, with or without an extension: a take of that name could not be copied
+/// there.
+#[must_use]
+pub fn is_reserved_name(name: &str) -> bool {
+    let base = name.split('.').next().unwrap_or(name).trim_end();
+    let is_numbered = |prefix: &str| {
+        let number = base.get(..3).filter(|start| start.eq_ignore_ascii_case(prefix));
+        number.is_some() && matches!(base.as_bytes()[3..], [b'1'..=b'9'])
+    };
+    ["con", "prn", "aux", "nul"].iter().any(|reserved| base.eq_ignore_ascii_case(reserved))
+        || is_numbered("com")
+        || is_numbered("lpt")
+}
+
 /// Longest text of a placeholder in bytes: a rig name has up to 64, and the others are shorter.
 const PLACEHOLDER_BYTES_MAX: usize = 64;
 
@@ -93,6 +107,9 @@ impl NameTemplate {
         }
         if self.text.starts_with(['.', '-', ' ']) {
             return Err("a take name cannot begin with a dot, a dash or a space".to_owned());
+        }
+        if is_reserved_name(&self.text) {
+            return Err("it is a device name of Windows".to_owned());
         }
         if self.text.ends_with([' ', '.']) {
             return Err("a take name cannot end with a dot or a space".to_owned());
@@ -181,6 +198,7 @@ mod tests {
             ("{subject}", "date, time, rig, count"),
             ("{rig}.take", ".take"),
             ("{rig}.", ""),
+            ("nul.{count}", "Windows"),
             ("{rig}{rig}{rig}{rig}", "256"),
         ] {
             let reason = NameTemplate::parse(text).unwrap_err();

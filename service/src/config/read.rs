@@ -190,6 +190,7 @@ impl Config {
                 keep_free_bytes: 0,
                 reconnect: Duration::ZERO,
                 max_length: None,
+                trash_keep: Duration::ZERO,
             },
             subject: SubjectFiles::default(),
             arm: ArmConfig::default(),

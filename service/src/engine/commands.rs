@@ -14,20 +14,25 @@ use mocapd_acquire::{
     pipeline::{FirstRow, NewTake, check_disk_space},
     threads,
 };
-use mocapd_take::record::{EndingKind, Event, EventKind};
+use mocapd_take::{
+    motion::frame_at,
+    record::{EndingKind, Event, EventKind},
+};
 
 use super::{
-    Inner, folder,
+    Inner,
     session::{NamedTake, OpenTake},
 };
 use crate::{
     config::message_with_keys,
     control::{
-        FirstFrame, Marked, Refusal, RefusalKind, SECONDS_MAX, SaveLast, Start, Started, Stopped,
-        TEXT_BYTES_MAX,
+        FirstFrame, LENGTH_SECONDS_MAX, Marked, Refusal, RefusalKind, SECONDS_MAX, SaveLast, Start,
+        Started, Stopped, TEXT_BYTES_MAX,
     },
     notify,
-    status::ServiceEventKind,
+    status::{ServiceEventKind, TrialNames},
+    take_files::notes::notes_path,
+    take_name,
 };
 
 /// Longest time to open and start a device.
@@ -115,26 +120,45 @@ impl Inner {
         if let Some(take) = &core.take {
             return Err(already_recording(take));
         }
-        let pre_roll = match start.pre_roll_s {
-            None => core.options.arm.include_pre_roll,
-            Some(s) => seconds(s, "pre_roll_s")?,
-        };
-        let away = core.away();
+        let (options, away) = (std::sync::Arc::clone(&core.options), core.away());
         drop(core);
+        let checked = CheckedStart::of(start, &options)?;
         if let Some(message) = away {
             return Err(Refusal::device(message));
         }
-        let (name, notes) = (start.name.as_deref(), start.notes.as_deref());
-        let (named, take) = self.new_take(name, notes, pre_roll, requested_ns)?;
-        let begun = self.arm(command).and_then(|()| self.begin_take(&named, take));
+        let CheckedStart { pre_roll, length, ref names } = checked;
+        let notes = start.notes.as_deref();
+        let request = TakeRequest {
+            name: start.name.as_deref(),
+            names: names.as_ref(),
+            notes,
+            pre_roll,
+            requested_ns,
+        };
+        let (named, mut take) = self.new_take(&request)?;
+        let mut remarks = Vec::new();
+        if let Some(names) = names {
+            let (subject, remark) = names.subject(options.subject.as_deref());
+            take.subject = subject.map(std::sync::Arc::new);
+            remarks.extend(remark);
+        }
+        let begun = self.arm(command).and_then(|()| self.begin_take(&named, take, length));
         let first = begun.inspect_err(|_| named.discard())?;
         let Ok(first) = first.recv_timeout(FIRST_FRAME_TIMEOUT) else {
             return Err(self.no_first_frame(command));
         };
+        if let Some(names) = names {
+            self.core().names = Some(names.clone());
+            // A name that the request has chosen is no count.
+            if start.name.is_none() {
+                remarks.extend(note_count(names, &named));
+            }
+        }
         let mut core = self.core();
         if let Some(take) = &mut core.take {
             take.first = Some(first);
         }
+        core.missed_start = None;
         let kept_open = std::mem::take(&mut core.kept_open);
         drop(core);
         // Closing a large file without a name takes time.
@@ -144,16 +168,22 @@ impl Inner {
         let kind = ServiceEventKind::TakeStarted;
         self.publish_with_notes(kind, &format!("recording {name}"), Some(&name), notes);
         let before_request_s = requested_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
-        let remarks = pre_roll_remark(pre_roll, before_request_s).into_iter().collect();
+        remarks.extend(pre_roll_remark(pre_roll, before_request_s));
         let FirstRow { device_ticks, arrival_ns, .. } = first;
         let first_frame = FirstFrame { device_ticks, arrival_ns, before_request_s };
         Ok(Started { take_id: id, name, path, first_frame, remarks })
     }
 
     /// Makes the take the current one. Returns the channel that delivers its first row.
-    fn begin_take(&self, named: &NamedTake, take: NewTake) -> Result<Receiver<FirstRow>, Refusal> {
+    fn begin_take(
+        &self,
+        named: &NamedTake,
+        mut take: NewTake,
+        length: Option<Duration>,
+    ) -> Result<Receiver<FirstRow>, Refusal> {
         let mut core = self.core();
         let Some(session) = &mut core.session else { return Err(device_gone()) };
+        take.length_rows = length.map(|length| frame_at(length, session.header.rate_hz).max(1));
         let begun = session.takes.begin(session.with_header(take)).map_err(|e| busy(&e))?;
         let take = OpenTake {
             named: named.clone(),
@@ -161,6 +191,7 @@ impl Inner {
             requested_unix_ms: super::status::unix_ms(),
             begun: Instant::now(),
             rate_hz: session.header.rate_hz,
+            length,
             first: None,
             ended: begun.ended,
             ending: None,
@@ -265,7 +296,8 @@ impl Inner {
         save: &SaveLast,
     ) -> Result<Stopped, Refusal> {
         let requested_ns = monotonic_ns();
-        let last = seconds(save.seconds, "seconds")?;
+        // Without a time, all that is held, which is less than the longest time.
+        let last = seconds(save.seconds.unwrap_or(SECONDS_MAX), "seconds")?;
         if last.is_zero() {
             let message = "seconds is 0: there is nothing to save";
             return Err(Refusal::new(RefusalKind::Invalid, message));
@@ -273,7 +305,14 @@ impl Inner {
         if self.core().session.is_none() {
             return Err(Refusal::conflict("not armed: the pre-roll is empty"));
         }
-        let (named, take) = self.new_take(save.name.as_deref(), None, last, requested_ns)?;
+        let request = TakeRequest {
+            name: save.name.as_deref(),
+            names: None,
+            notes: None,
+            pre_roll: last,
+            requested_ns,
+        };
+        let (named, take) = self.new_take(&request)?;
         let mut core = self.core();
         let saved = match &mut core.session {
             Some(session) => {
@@ -289,29 +328,22 @@ impl Inner {
             Ok((ended.recv_timeout(CLOSE_TIMEOUT).map_err(late)?, rate_hz))
         });
         let (end, rate_hz) = end.inspect_err(|_| named.discard())?;
-        Ok(with_shortfall(self.closed(end, &named, rate_hz)?, last))
+        let saved = self.closed(end, &named, rate_hz)?;
+        Ok(if save.seconds.is_some() { with_shortfall(saved, last) } else { saved })
     }
 
     /// Creates the file of a new take under a free name.
-    fn new_take(
-        &self,
-        name: Option<&str>,
-        notes: Option<&str>,
-        pre_roll: Duration,
-        requested_ns: u64,
-    ) -> Result<(NamedTake, NewTake), Refusal> {
+    fn new_take(&self, request: &TakeRequest<'_>) -> Result<(NamedTake, NewTake), Refusal> {
+        let TakeRequest { notes, pre_roll, requested_ns, .. } = *request;
         if self.is_stopping() {
             return Err(stopping());
         }
         let options = std::sync::Arc::clone(&self.core().options);
         let refused = |kind| move |error| Refusal::new(kind, message_with_keys(&error));
-        let (name, path) = self.free_name(name, &options)?;
+        let (name, path) = free_name(request, &options)?;
         check_disk_space(&path, options.take.keep_free_bytes)
             .map_err(refused(RefusalKind::Disk))?;
         let notes = notes.filter(|notes| !notes.is_empty());
-        if let Some(notes) = notes {
-            check_text(notes, "notes")?;
-        }
         let header =
             header::new(&options.take.codec, 1.0).map_err(refused(RefusalKind::Internal))?;
         let output = TakeFile::create(&path).map_err(refused(RefusalKind::Disk))?;
@@ -327,37 +359,6 @@ impl Inner {
             ..NewTake::new(output, header)
         };
         Ok((NamedTake { id, name, path, file }, take))
-    }
-
-    fn free_name(
-        &self,
-        name: Option<&str>,
-        options: &super::EngineOptions,
-    ) -> Result<(String, PathBuf), Refusal> {
-        let path = |name: &str| options.take.directory.join(format!("{name}.take"));
-        let is_free = |path: &PathBuf| path.symlink_metadata().is_err();
-        if let Some(name) = name {
-            let name = folder::normalised(name)?;
-            let path = path(name);
-            if !is_free(&path) {
-                let message = format!("a take called {name} exists: choose another name");
-                return Err(Refusal::new(RefusalKind::Exists, message));
-            }
-            return Ok((name.to_owned(), path));
-        }
-        for count in 1..NAMES_MAX {
-            let name = options.name_take(count);
-            let name = folder::normalised(&name)?.to_owned();
-            // A template without `{count}` gets a number appended if needed.
-            let counted = format!("{name}-{count}");
-            let name = if count == 1 || is_free(&path(&name)) { name } else { counted };
-            let path = path(&name);
-            if is_free(&path) {
-                return Ok((name, path));
-            }
-        }
-        let message = "all names that take.name can give exist already: give the take a name";
-        Err(Refusal::new(RefusalKind::Exists, message))
     }
 
     /// Waits until no take is being closed by another thread: longer if a removed take is being copied.
@@ -385,6 +386,7 @@ impl Inner {
         if self.stopping.swap(true, Ordering::SeqCst) {
             return;
         }
+        self.drop_scheduled();
         // If a client's stop is under way, that one closes the take.
         let command = self.command_within(super::STOP_TIMEOUT);
         let is_mine = command.as_ref().ok().filter(|_| self.core().take.is_some());
@@ -402,6 +404,108 @@ impl Inner {
         self.viewers.close();
         self.changed.notify_all();
     }
+}
+
+/// What a new take is made from.
+#[derive(Debug, Clone, Copy)]
+struct TakeRequest<'a> {
+    name: Option<&'a str>,
+    names: Option<&'a TrialNames>,
+    notes: Option<&'a str>,
+    pre_roll: Duration,
+    requested_ns: u64,
+}
+
+/// The checked fields of a start.
+#[derive(Debug)]
+struct CheckedStart {
+    pre_roll: Duration,
+    length: Option<Duration>,
+    names: Option<TrialNames>,
+}
+
+impl CheckedStart {
+    fn of(start: &Start, options: &super::EngineOptions) -> Result<Self, Refusal> {
+        let pre_roll = match start.pre_roll_s {
+            None => options.arm.include_pre_roll,
+            Some(s) => seconds(s, "pre_roll_s")?,
+        };
+        let length = start.seconds.map(length).transpose()?;
+        if let (Some(length), Some(max)) = (length, options.take.max_length)
+            && length > max
+        {
+            let message = format!(
+                "seconds is {}, but take.max_length ends every take after {} s: ask for less",
+                length.as_secs_f64(),
+                max.as_secs_f64()
+            );
+            return Err(Refusal::new(RefusalKind::Invalid, message));
+        }
+        let names = TrialNames::of_start(start, options)?;
+        if let Some(notes) = &start.notes {
+            check_text(notes, "notes")?;
+        }
+        Ok(Self { pre_roll, length, names })
+    }
+}
+
+impl Inner {
+    /// Checks a start that will be executed later.
+    pub(super) fn check_start(&self, start: &Start) -> Result<(), Refusal> {
+        let options = std::sync::Arc::clone(&self.core().options);
+        let CheckedStart { pre_roll, names, .. } = CheckedStart::of(start, &options)?;
+        let (name, names) = (start.name.as_deref(), names.as_ref());
+        let request = TakeRequest { name, names, notes: None, pre_roll, requested_ns: 0 };
+        free_name(&request, &options).map(drop)
+    }
+}
+
+/// Notes the count of a take that has begun. Returns a remark if it is not stored.
+fn note_count(names: &TrialNames, take: &NamedTake) -> Option<String> {
+    let noted = names.note(&take.name, take.path.parent()?, super::status::unix_ms());
+    noted.err().map(|error| {
+        format!("its count is not stored, and may be used again if the take is moved: {error:#}")
+    })
+}
+
+/// A name that no take has, and the path of its file.
+fn free_name(
+    request: &TakeRequest<'_>,
+    options: &super::EngineOptions,
+) -> Result<(String, PathBuf), Refusal> {
+    let path = |name: &str| options.take.directory.join(format!("{name}.take"));
+    // Notes that lie beside no take belong to another one.
+    let is_free = |path: &PathBuf| {
+        path.symlink_metadata().is_err() && notes_path(path).symlink_metadata().is_err()
+    };
+    if let Some(name) = request.name {
+        let name = take_name::normalised(name)?;
+        let path = path(name);
+        if !is_free(&path) {
+            let message =
+                format!("a take called {name}, or notes for it, exist: choose another name");
+            return Err(Refusal::new(RefusalKind::Exists, message));
+        }
+        return Ok((name.to_owned(), path));
+    }
+    if let Some(names) = request.names {
+        let name = names.next_name(&options.take.directory)?;
+        let path = path(take_name::normalised(&name)?);
+        return Ok((name, path));
+    }
+    for count in 1..NAMES_MAX {
+        let name = options.name_take(count);
+        let name = take_name::normalised(&name)?.to_owned();
+        // A template without `{count}` gets a number appended if needed.
+        let counted = format!("{name}-{count}");
+        let name = if count == 1 || is_free(&path(&name)) { name } else { counted };
+        let path = path(&name);
+        if is_free(&path) {
+            return Ok((name, path));
+        }
+    }
+    let message = "all names that take.name can give exist already: give the take a name";
+    Err(Refusal::new(RefusalKind::Exists, message))
 }
 
 /// Adds how much less was held than requested.
@@ -439,6 +543,16 @@ fn seconds(value: f64, what: &str) -> Result<Duration, Refusal> {
         return Ok(Duration::from_secs_f64(value));
     }
     let message = format!("{what} is {value}: it must be 0 to {SECONDS_MAX} s");
+    Err(Refusal::new(RefusalKind::Invalid, message))
+}
+
+/// The length of a take that ends by itself.
+fn length(value: f64) -> Result<Duration, Refusal> {
+    if value > 0.0 && value <= LENGTH_SECONDS_MAX {
+        return Ok(Duration::from_secs_f64(value));
+    }
+    let message =
+        format!("seconds is {value}: it must be above 0 and at most {LENGTH_SECONDS_MAX} s");
     Err(Refusal::new(RefusalKind::Invalid, message))
 }
 

@@ -1,9 +1,10 @@
-//! The takes in the service's folder: their list, and the names that requests give them.
+//! The takes in the service's folder.
 
 use std::{
     collections::{HashMap, HashSet},
+    ffi::{OsStr, OsString},
     fs::{self, Metadata},
-    os::unix::fs::MetadataExt,
+    os::unix::{ffi::OsStrExt, fs::MetadataExt},
     path::{Path, PathBuf},
     time::SystemTime,
 };
@@ -18,20 +19,26 @@ use mocapd_take::{TakeEnds, TakeError};
 
 use super::Inner;
 use crate::{
-    config::{NAME_BYTES_MAX, is_refused_in_name},
     control::{Refusal, RefusalKind},
     status::TakeSummary,
+    take_files::{
+        self,
+        notes::{self, NOTES_SUFFIX},
+    },
 };
 
 /// Maximum number of files of the folder that are read: larger folders are not folders of takes.
 const FILES_MAX: usize = 100_000;
 
-/// Maximum number of cached summaries, some 300 bytes each: four times the longest list.
+/// Maximum number of cached summaries: four times the longest list. Each has some 300 bytes, and its notes at most 4096.
 const CACHED_MAX: usize = 4000;
 
 /// Summaries of files by path, valid while the stamp stays the same.
 #[derive(Debug, Default)]
-pub(super) struct SummaryCache(HashMap<PathBuf, (FileStamp, TakeSummary)>);
+pub(super) struct SummaryCache(HashMap<PathBuf, (Stamps, TakeSummary)>);
+
+/// Those of the file of a take, and of the file of its notes.
+type Stamps = (FileStamp, Option<FileStamp>);
 
 /// Identity, size and modification time: if they are unchanged, so is the content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,17 +59,17 @@ impl FileStamp {
 }
 
 impl SummaryCache {
-    fn get(&self, path: &Path, stamp: FileStamp) -> Option<TakeSummary> {
+    fn get(&self, path: &Path, stamps: Stamps) -> Option<TakeSummary> {
         let (known, summary) = self.0.get(path)?;
-        (*known == stamp).then(|| summary.clone())
+        (*known == stamps).then(|| summary.clone())
     }
 
-    fn add(&mut self, listed: Vec<(PathBuf, FileStamp, TakeSummary)>) {
+    fn add(&mut self, listed: Vec<(PathBuf, Stamps, TakeSummary)>) {
         if self.0.len() + listed.len() > CACHED_MAX {
             let kept: HashSet<&PathBuf> = listed.iter().map(|(path, ..)| path).collect();
             self.0.retain(|path, _| kept.contains(path));
         }
-        self.0.extend(listed.into_iter().map(|(path, stamp, summary)| (path, (stamp, summary))));
+        self.0.extend(listed.into_iter().map(|(path, stamps, summary)| (path, (stamps, summary))));
     }
 }
 
@@ -79,10 +86,14 @@ impl Inner {
             Refusal::new(RefusalKind::Disk, message)
         };
         let mut found = Vec::new();
+        let mut notes_of = HashMap::new();
         for entry in fs::read_dir(&directory).map_err(cannot)?.take(FILES_MAX).flatten() {
             let path = entry.path();
             let is_take = path.extension().is_some_and(|extension| extension == "take");
             let Ok(file) = entry.metadata() else { continue };
+            if let Some(stem) = notes_stem(&entry.file_name()) {
+                notes_of.insert(stem, FileStamp::of(&file));
+            }
             if is_take && file.is_file() {
                 let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
                 found.push((modified, FileStamp::of(&file), path));
@@ -93,14 +104,19 @@ impl Inner {
         let mut new = Vec::new();
         let mut summaries = Vec::with_capacity(found.len());
         for (modified, stamp, path) in found {
-            if let Some(known) = lock(&self.summaries).get(&path, stamp) {
+            let notes_stamp = path.file_stem().and_then(|stem| notes_of.get(stem)).copied();
+            let stamps = (stamp, notes_stamp);
+            if let Some(known) = lock(&self.summaries).get(&path, stamps) {
                 summaries.push(known);
                 continue;
             }
             let is_open = open == Some(stamp.file);
-            let (summary, is_lasting) = summarise(&path, stamp.bytes, modified, is_open);
-            if is_lasting {
-                new.push((path, stamp, summary.clone()));
+            let (mut summary, is_lasting) = summarise(&path, stamp.bytes, modified, is_open);
+            summary.notes = notes_stamp.and_then(|_| notes::listed(&path));
+            // Notes that cannot be read may be readable next time.
+            let has_problem = summary.notes.as_ref().is_some_and(|it| it.problem.is_some());
+            if is_lasting && !has_problem {
+                new.push((path, stamps, summary.clone()));
             }
             summaries.push(summary);
         }
@@ -120,18 +136,14 @@ impl Inner {
     }
 
     pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
-        let name = check(name)?;
-        let directory = self.core().options.take.directory.clone();
-        // The name as listed, or else as a file name.
-        for name in [Some(name), strip_extension(name)].into_iter().flatten() {
-            let path = directory.join(format!("{name}.take"));
-            // A link could lead out of the folder.
-            if path.symlink_metadata().is_ok_and(|file| file.is_file()) {
-                return Ok(path);
-            }
-        }
-        Err(Refusal::new(RefusalKind::NotFound, format!("there is no take called {name}")))
+        take_files::path_of(&self.core().options.take.directory.clone(), name)
     }
+}
+
+/// The name of the take whose notes the file has; `None` if it has none.
+fn notes_stem(name: &OsStr) -> Option<OsString> {
+    let stem = name.as_bytes().strip_suffix(NOTES_SUFFIX.as_bytes())?;
+    Some(OsStr::from_bytes(stem).to_owned())
 }
 
 /// The summary of a closed file from its header and end; `None` if there is no file.
@@ -189,84 +201,4 @@ pub(crate) fn summarise(
         }
     }
     (summary, true)
-}
-
-/// Normalises the name of a new take: a file name without path. The extension `.take` is removed and added once later.
-pub(super) fn normalised(name: &str) -> Result<&str, Refusal> {
-    let mut name = name;
-    while let Some(shorter) = strip_extension(name) {
-        name = shorter;
-    }
-    let name = check(name)?;
-    // An existing file may end like this: only a new one is refused.
-    if name.ends_with('.') {
-        return Err(Refusal::new(RefusalKind::Invalid, wrong_ends(name)));
-    }
-    Ok(name)
-}
-
-fn wrong_ends(name: &str) -> String {
-    format!(
-        "the take name {name:?} begins with '.', '-' or ' ', or ends with '.' or ' ': remove these"
-    )
-}
-
-/// The name without the extension `.take`, in any case; `None` if it has another or none.
-pub(super) fn strip_extension(name: &str) -> Option<&str> {
-    let (shorter, extension) = name.split_at_checked(name.len().checked_sub(".take".len())?)?;
-    extension.eq_ignore_ascii_case(".take").then_some(shorter)
-}
-
-/// Checks the name of an existing take. Files from other programs may be named `NAME.take.take`.
-pub(super) fn check(name: &str) -> Result<&str, Refusal> {
-    let invalid = |message: String| Err(Refusal::new(RefusalKind::Invalid, message));
-    if name.is_empty() || name.len() > NAME_BYTES_MAX {
-        return invalid(format!("a take name has 1 to {NAME_BYTES_MAX} bytes, not {}", name.len()));
-    }
-    if name.starts_with(['.', '-', ' ']) || name.ends_with(' ') {
-        return invalid(wrong_ends(name));
-    }
-    if let Some(wrong) = name.chars().find(|&c| is_refused_in_name(c)) {
-        return invalid(format!("a take name cannot contain {wrong:?}, as it is a file name"));
-    }
-    Ok(name)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn take_names_are_never_paths() {
-        for good in ["jump", "Max Müller 3", "2026-11-22_walk", "a.b", "x.take"] {
-            assert!(normalised(good).is_ok(), "{good}");
-        }
-        for (sent, name) in [("x.take", "x"), ("x.take.TAKE", "x"), ("x.taken", "x.taken")] {
-            assert_eq!(normalised(sent).unwrap(), name);
-        }
-        for existing in ["x.take", "x."] {
-            assert_eq!(check(existing).unwrap(), existing);
-        }
-        let long = "x".repeat(201);
-        for bad in [
-            "",
-            ".take",
-            "..",
-            "../x",
-            "/etc/passwd",
-            "a/b",
-            "a\\b",
-            ".x",
-            "-x",
-            "x.",
-            "x..take",
-            "a\0b",
-            "c:",
-            "what?",
-            "turned \u{202e}round",
-            &long,
-        ] {
-            assert_eq!(normalised(bad).unwrap_err().kind, RefusalKind::Invalid, "{bad:?}");
-        }
-    }
 }

@@ -22,6 +22,8 @@ pub(super) struct IdempotentReplies(VecDeque<(String, KnownRequest)>);
 #[derive(Debug, Clone)]
 struct KnownRequest {
     what: &'static str,
+    /// The take that the request is about, if its path names one.
+    about: String,
     reply: Reply,
 }
 
@@ -40,14 +42,24 @@ impl Inner {
         id: Option<&str>,
         execute: impl FnOnce(&Self) -> Result<T, Refusal>,
     ) -> Result<T, Refusal> {
+        self.once_about((what, ""), id, execute)
+    }
+
+    /// Executes a request about a take, unless one with its id was received before.
+    pub(super) fn once_about<T: Clone + Send + Sync + 'static>(
+        &self,
+        (what, about): (&'static str, &str),
+        id: Option<&str>,
+        execute: impl FnOnce(&Self) -> Result<T, Refusal>,
+    ) -> Result<T, Refusal> {
         let Some(id) = id else { return execute(self) };
         let invalid = |message: &str| Refusal::new(RefusalKind::Invalid, message);
         if id.is_empty() || id.len() > ID_BYTES_MAX || id.chars().any(char::is_control) {
             return Err(invalid("a request_id has 1 to 64 bytes and no control characters"));
         }
-        if let Some(known) = self.claim(what, id) {
+        if let Some(known) = self.claim((what, about), id) {
             let other = "this request_id was used for a different kind of request";
-            if known.what != what {
+            if known.what != what || known.about != about {
                 return Err(invalid(other));
             }
             let Reply::Done(answer) = known.reply else {
@@ -72,7 +84,7 @@ impl Inner {
     }
 
     /// The known request with this id; otherwise registers it as being executed.
-    fn claim(&self, what: &'static str, id: &str) -> Option<KnownRequest> {
+    fn claim(&self, (what, about): (&'static str, &str), id: &str) -> Option<KnownRequest> {
         let mut replies = lock(&self.replies);
         if let Some((_, known)) = replies.0.iter().find(|(known, _)| known == id) {
             return Some(known.clone());
@@ -80,7 +92,10 @@ impl Inner {
         if replies.0.len() == REPLIES_MAX {
             replies.0.pop_front();
         }
-        replies.0.push_back((id.to_owned(), KnownRequest { what, reply: Reply::Pending }));
+        replies.0.push_back((
+            id.to_owned(),
+            KnownRequest { what, about: about.to_owned(), reply: Reply::Pending },
+        ));
         None
     }
 }

@@ -6,6 +6,8 @@
 //! mocapd-watch   ends takes at their maximum length or when the disk or device fails; publishes events
 //! mocapd-recover recovers the takes that a killed service left, then ends
 //! mocapd-upload  uploads finished takes to an archive; it may wait for the network, and nothing waits for it
+//! mocapd-start   starts takes at a time of day
+//! mocapd-trash   removes takes whose time in the trash is over
 //! callers        start, stop, mark: one command at a time
 //! ```
 //!
@@ -14,14 +16,17 @@
 mod commands;
 mod events;
 mod finish;
+mod finished;
 mod folder;
 mod hub;
 mod idempotency;
 mod quality;
 mod recoveries;
+mod scheduled;
 mod session;
 mod status;
 mod supervisor;
+mod trial_names;
 mod uploads;
 mod watcher;
 
@@ -44,6 +49,7 @@ use mocapd_take::record::{EndingKind, Subject};
 pub(crate) use self::folder::summarise;
 use self::{
     events::EventPublisher,
+    finished::TakeClaims,
     folder::SummaryCache,
     hub::{Hub, Viewers},
     idempotency::IdempotentReplies,
@@ -53,10 +59,15 @@ use self::{
 };
 use super::{
     control::{
-        Control, EventFeed, Mark, Marked, Refusal, Request, SaveLast, Start, Started, Stopped,
+        Control, EventFeed, Mark, Marked, Refusal, RefusalKind, Request, SaveLast, Start, Started,
+        Stopped,
     },
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     live::LiveFeed,
-    status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
+    status::{
+        MarkerQuality, PendingStart, Presence, ServiceEventKind, State, Status, TakeStatus,
+        TakeSummary,
+    },
 };
 use crate::config::{
     ArchiveConfig, ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig,
@@ -91,6 +102,7 @@ struct Inner {
     /// Summaries of the takes in the folder.
     summaries: Mutex<SummaryCache>,
     uploads: Uploads,
+    claims: TakeClaims,
     rates: Rates,
     stopping: AtomicBool,
     began: Instant,
@@ -115,6 +127,7 @@ impl Engine {
             statistics: Mutex::new(MarkerStatistics::default()),
             summaries: Mutex::default(),
             uploads: Uploads::default(),
+            claims: TakeClaims::default(),
             rates: Rates::default(),
             stopping: AtomicBool::new(false),
             began: Instant::now(),
@@ -125,6 +138,7 @@ impl Engine {
         // Whether or not there is an archive now.
         let directory = inner.core().options.take.directory.clone();
         uploads::restore_set_aside(&inner, &directory);
+        finished::repair(&inner);
         let cut_off = recoveries::cut_off(&inner);
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);
@@ -138,9 +152,14 @@ impl Engine {
         let uploading = Arc::clone(&inner);
         // It may wait for a store that does not answer, so the end of the service does not wait for it.
         drop(threads::spawn("mocapd-upload", move || uploads::run(&uploading))?);
+        let emptying = Arc::clone(&inner);
+        // It may wait for a slow disk, but removes what nobody needs.
+        drop(threads::spawn("mocapd-trash", move || finished::run(&emptying))?);
+        let scheduling = Arc::clone(&inner);
         let threads = vec![
             threads::spawn("mocapd-hub", move || hub.run())?,
             threads::spawn("mocapd-rig", move || supervisor::run(&supervised, &sessions))?,
+            threads::spawn("mocapd-start", move || scheduled::run(&scheduling))?,
             threads::spawn("mocapd-watch", move || watcher::run(&watched))?,
         ];
         Ok(Self { inner, threads: Mutex::new(threads) })
@@ -149,6 +168,7 @@ impl Engine {
     /// Applies other options: with the next take, or when next armed.
     pub fn reload(&self, options: EngineOptions) {
         self.inner.core().options = Arc::new(options);
+        self.inner.changed.notify_all();
         self.inner.publish(ServiceEventKind::State, "configuration reloaded", None);
     }
 
@@ -234,9 +254,26 @@ impl Control for Engine {
     }
 
     fn start(&self, start: &Start) -> Result<Started, Refusal> {
+        if start.at.is_some() {
+            let message = "a start at a time of day is scheduled, not executed";
+            return Err(Refusal::new(RefusalKind::Invalid, message));
+        }
         self.inner.once("start", start.request_id.as_deref(), |inner| {
             inner.start_take(&inner.command()?, start)
         })
+    }
+
+    fn schedule(&self, start: &Start) -> Result<PendingStart, Refusal> {
+        self.inner.once("schedule", start.request_id.as_deref(), |inner| {
+            let _command = inner.command()?;
+            inner.schedule_start(start)
+        })
+    }
+
+    fn cancel(&self, request: &Request) -> Result<PendingStart, Refusal> {
+        // Not behind another command: a start whose time comes meanwhile is cancelled as well.
+        self.inner
+            .once("cancel", request.request_id.as_deref(), |inner| inner.cancel_start(request))
     }
 
     fn stop(&self, request: &Request) -> Result<Stopped, Refusal> {
@@ -261,6 +298,34 @@ impl Control for Engine {
 
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal> {
         self.inner.path_of(name)
+    }
+
+    fn edit_notes(&self, name: &str, edit: &EditNotes) -> Result<TakeNotes, Refusal> {
+        self.inner.once_about(("edit_notes", name), edit.request_id.as_deref(), |inner| {
+            inner.edit_notes(name, edit)
+        })
+    }
+
+    fn rename(&self, name: &str, rename: &Rename) -> Result<MovedTake, Refusal> {
+        self.inner.once_about(("rename", name), rename.request_id.as_deref(), |inner| {
+            inner.rename_take(name, rename)
+        })
+    }
+
+    fn trash(&self, name: &str, trash: &Trash) -> Result<TrashedTake, Refusal> {
+        self.inner.once_about(("trash", name), trash.request_id.as_deref(), |inner| {
+            inner.trash_take(name, trash)
+        })
+    }
+
+    fn trashed(&self, limit: usize) -> Vec<TrashedTake> {
+        self.inner.list_trash(limit)
+    }
+
+    fn restore(&self, id: &str, restore: &Restore) -> Result<MovedTake, Refusal> {
+        self.inner.once_about(("restore", id), restore.request_id.as_deref(), |inner| {
+            inner.restore_take(id, restore)
+        })
     }
 
     fn live_take(&self, file: FileId) -> Option<TakeStatus> {

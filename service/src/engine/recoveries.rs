@@ -1,9 +1,11 @@
 //! Recovers takes that a kill or power cut left without an end, when the service starts.
 
 use std::{
+    collections::HashSet,
     io::BufWriter,
     path::{Path, PathBuf},
     sync::Arc,
+    time::Duration,
 };
 
 use anyhow::Context;
@@ -12,13 +14,22 @@ use mocapd_acquire::{
     header::SOFTWARE,
     health::TakeHealth,
 };
-use mocapd_take::recovery::{RecoveryScan, repair_start};
+use mocapd_take::{
+    record::EndingKind,
+    recovery::{RecoveryScan, repair_start},
+};
 
 use super::{Inner, folder::summary_of, uploads};
-use crate::status::{ServiceEventKind, TakeSummary};
+use crate::{
+    status::{ServiceEventKind, TakeSummary},
+    take_files::trash,
+};
 
 /// Most takes that are recovered at startup. Older ones are left to `mocapd recover`.
 const TAKES_MAX: usize = 64;
+
+/// Newest takes among which those are looked for that were recovered already: as many summaries are cached.
+const LISTED_MAX: usize = 4000;
 
 /// Extension of recovered takes, before `.take`.
 const RECOVERED: &str = "recovered";
@@ -35,12 +46,28 @@ pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
     let removed = uploads::removed_ids(&inner.core().options.take.directory);
     let takes =
         takes.into_iter().filter(is_cut_off).filter(|take| !removed.contains(&take.take_id));
-    let with_path = |take: TakeSummary| Some((inner.path_of(&take.name).ok()?, take.take_id));
-    let is_recovered = |(path, take_id): &(PathBuf, String)| {
-        recovered_paths(path).map_while(|path| summary_of(&path)).any(|it| it.take_id == *take_id)
+    let cut_off: Vec<_> = takes.collect();
+    if cut_off.is_empty() {
+        return Vec::new();
+    }
+    let recovered = recovered_ids(inner);
+    let open = cut_off.into_iter().filter(|take| !recovered.contains(&take.take_id));
+    open.filter_map(|take| inner.path_of(&take.name).ok()).collect()
+}
+
+/// The ids of recovered takes, under whatever name, also in the trash.
+fn recovered_ids(inner: &Inner) -> HashSet<String> {
+    let folder = inner.core().options.take.directory.clone();
+    let trashed = trash::trashed(&folder, Duration::ZERO, LISTED_MAX);
+    let trash = folder.join(trash::TRASH);
+    let trashed =
+        trashed.iter().filter_map(|it| summary_of(&trash.join(format!("{}.take", it.id))));
+    let listed = inner.list_takes(LISTED_MAX).unwrap_or_default();
+    let is_recovered = |take: &TakeSummary| {
+        take.health != TakeHealth::CutOff && take.ending == Some(EndingKind::CutOff)
     };
-    let open = takes.filter_map(with_path).filter(|take| !is_recovered(take));
-    open.map(|(path, _)| path).collect()
+    let recovered = listed.into_iter().chain(trashed).filter(is_recovered);
+    recovered.map(|take| take.take_id).filter(|id| !id.is_empty()).collect()
 }
 
 /// Possible paths of a recovered take: another take of the same name may have been recovered before.
@@ -60,6 +87,11 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
             return;
         }
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        // Renamed or trashed since: it is looked at again with the next start.
+        let Some(_claim) = inner.claims.claim(&name, "recovered") else { continue };
+        if path.symlink_metadata().is_err() {
+            continue;
+        }
         let output = recovered_paths(&path).find(|path| path.symlink_metadata().is_err());
         let Some(output) = output else { continue };
         let message = match recover(&path, &output) {

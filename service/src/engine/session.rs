@@ -21,7 +21,10 @@ use mocapd_drivers::{device::Hello, registry::Candidate};
 use mocapd_take::record::{EndingKind, Header};
 
 use super::EngineOptions;
-use crate::status::TakeSummary;
+use crate::{
+    control::Start,
+    status::{PendingStart, TakeSummary, TrialNames},
+};
 
 /// Maximum number of removed files that are kept open: several takes may be removed in a row, but each occupies the
 /// disk.
@@ -40,6 +43,12 @@ pub(super) struct Core {
     /// While recording.
     pub(super) take: Option<OpenTake>,
     pub(super) last_take: Option<TakeSummary>,
+    /// A start that waits for its time.
+    pub(super) scheduled: Option<ScheduledStart>,
+    /// Why the last one did not take place.
+    pub(super) missed_start: Option<String>,
+    /// The names of the last start that had any.
+    pub(super) names: Option<TrialNames>,
     /// Number of takes that are no longer recorded but still being closed or copied.
     pub(super) closing: u32,
     /// How the last take lost data; a program that asks to stop it has to learn of it.
@@ -47,6 +56,13 @@ pub(super) struct Core {
     /// Files of removed takes that could not be saved: they can be copied from /proc until the next take has begun. At
     /// most [`KEPT_OPEN_MAX`].
     pub(super) kept_open: Vec<Box<dyn TakeOutput>>,
+}
+
+/// A start that waits for its time of day.
+#[derive(Debug)]
+pub(super) struct ScheduledStart {
+    pub(super) start: Start,
+    pub(super) pending: PendingStart,
 }
 
 /// What is known about the device, whether it is connected or not.
@@ -115,6 +131,8 @@ pub(super) struct OpenTake {
     pub(super) requested_unix_ms: i64,
     pub(super) begun: Instant,
     pub(super) rate_hz: f64,
+    /// The requested length, from its start on.
+    pub(super) length: Option<Duration>,
     pub(super) first: Option<FirstRow>,
     pub(super) ended: Receiver<TakeResult>,
     /// Number of changes to its file that have been reported.
@@ -152,6 +170,9 @@ impl Core {
             session: None,
             take: None,
             last_take: None,
+            scheduled: None,
+            missed_start: None,
+            names: None,
             closing: 0,
             data_lost: None,
             kept_open: Vec::new(),

@@ -84,6 +84,9 @@ impl Inner {
                 ..PreRollStatus::default()
             },
             take: None,
+            pending_start: core.scheduled.as_ref().map(|it| it.pending.clone()),
+            missed_start: core.missed_start.clone(),
+            names: core.names.clone(),
             last_take: core.last_take.clone(),
             disk: DiskStatus {
                 directory: options.take.directory.display().to_string(),
@@ -135,6 +138,7 @@ impl Core {
             started_unix_ms: take.requested_unix_ms,
             rows: now.rows,
             seconds: now.rows as f64 / take.rate_hz,
+            wanted_s: take.length.map(|length| length.as_secs_f64()),
             bytes: now.bytes,
             durable_bytes: now.durable_bytes,
             ratio: match now.bytes {
@@ -150,6 +154,12 @@ impl Core {
 }
 
 impl Session {
+    /// Whether no frame has arrived for this long.
+    pub(super) fn is_without_frames(&self, since: Duration) -> bool {
+        let since_ns = monotonic_ns().saturating_sub(load(&self.progress.last_arrival_ns));
+        Duration::from_nanos(since_ns) >= since
+    }
+
     /// The time since the last frame. The device is given up after `patience`.
     fn outage(&self, patience: Option<Duration>) -> OutageStatus {
         let since_ns = load(&self.progress.last_arrival_ns).max(self.armed_ns);

@@ -95,6 +95,11 @@ impl Uploads {
         *lock(&self.error) = None;
     }
 
+    /// Forgets a take that has left the folder.
+    pub(super) fn forget_take(&self, name: &str) {
+        lock(&self.states).remove(name);
+    }
+
     fn set(&self, name: &str, state: UploadState, url: &ObjectUrl, message: String) {
         let upload = TakeUpload { state, url: url.to_string(), message };
         lock(&self.states).insert(name.to_owned(), upload);
@@ -134,6 +139,22 @@ pub(super) fn removed_ids(directory: &Path) -> HashSet<String> {
     Journal::read(directory).removed_ids()
 }
 
+/// Notes that a take was renamed: its object keeps its name, also after a restart. Returns a remark about it. The caller
+/// keeps names from changing.
+pub(super) fn note_rename(inner: &Inner, directory: &Path, from: &str, to: &str) -> Option<String> {
+    let mut states = lock(&inner.uploads.states);
+    states.remove(to);
+    if let Some(state) = states.remove(from) {
+        states.insert(to.to_owned(), state);
+    }
+    drop(states);
+    let mut journal = Journal::read(directory);
+    let url = journal.rename(from, to)?;
+    // If it cannot be stored, the take is uploaded once more after a restart.
+    journal.write(directory).ok();
+    Some(format!("the archive keeps it as {url}"))
+}
+
 /// Whether an error is that of one take: others can be uploaded meanwhile.
 fn is_of_take(error: &StoreError) -> bool {
     matches!(
@@ -157,6 +178,7 @@ pub(super) fn run(inner: &Arc<Inner>) {
             None => {
                 uploader = Uploader::default();
                 inner.uploads.forget();
+                inner.forget_renames();
                 false
             }
         };
@@ -182,7 +204,17 @@ impl Uploader {
             inner.uploads.forget();
             restore_set_aside(inner, directory);
         }
-        let Ok(takes) = inner.list_takes(TAKES_MAX) else { return false };
+        let changes = inner.claims.changes();
+        let listed = inner.list_takes(TAKES_MAX);
+        // A name has changed meanwhile: look again.
+        let Some(renamed) = inner.claims.renames_up_to(changes) else { return true };
+        for (from, to) in &renamed {
+            self.journal.rename(from, to);
+        }
+        if !renamed.is_empty() {
+            self.save_journal(inner);
+        }
+        let Ok(takes) = listed else { return false };
         self.forget_missing(inner, &takes);
         let next = self.next(inner, &takes, url);
         if self.store_retry.is_some_and(|retry| retry.at > Instant::now()) {
@@ -214,8 +246,8 @@ impl Uploader {
                 // It is uploaded once it is recovered.
                 TakeHealth::CutOff => continue,
             }
-            if self.journal.entry(take, &object).is_some() {
-                inner.uploads.set(&take.name, UploadState::Uploaded, &object, String::new());
+            if let Some(uploaded) = self.journal.object(take, &object) {
+                inner.uploads.set(&take.name, UploadState::Uploaded, &uploaded, String::new());
             } else if let Some(retry) = self.take_retries.get(&take.name) {
                 next = next.or((retry.at <= Instant::now()).then_some((take, object)));
             } else {
@@ -246,6 +278,8 @@ impl Uploader {
         config: &ArchiveConfig,
     ) -> bool {
         let name = &take.name;
+        // It is being renamed or trashed: it is looked at again.
+        let Some(_claim) = inner.claims.claim(name, "uploaded") else { return false };
         inner.uploads.set(name, UploadState::Uploading, object, String::new());
         let sent = || -> Result<bool, StoreError> {
             let unreadable = |error: String| StoreError::Source(error);

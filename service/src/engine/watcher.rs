@@ -22,6 +22,9 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Time between measurements of a rate.
 const RATES_INTERVAL: Duration = Duration::from_secs(1);
 
+/// How late the last frames of a take of a requested length may arrive, as for `record --seconds`.
+const FRAMES_LATE_MAX: Duration = Duration::from_secs(1);
+
 /// Runs until the service ends.
 pub(super) fn run(inner: &Arc<Inner>) {
     // With sixty other threads registered, a heartbeat may be refused. Then the watchdog does not watch this thread.
@@ -104,10 +107,19 @@ impl Inner {
 impl Core {
     fn due_ending(&self) -> Option<EndingKind> {
         let take = self.take.as_ref()?;
-        if self.options.take.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
+        // One that ends by itself earlier is left to the reader, to the frame.
+        let max_length = self.options.take.max_length;
+        let max_length = max_length.filter(|max| take.length.is_none_or(|length| length > *max));
+        if max_length.is_some_and(|max| take.begun.elapsed() >= max) {
             return Some(EndingKind::Length);
         }
         let session = self.session.as_ref()?;
+        // While frames arrive, the reader ends it at its last frame.
+        if take.length.is_some_and(|length| take.begun.elapsed() >= length + FRAMES_LATE_MAX)
+            && session.is_without_frames(FRAMES_LATE_MAX)
+        {
+            return Some(EndingKind::Length);
+        }
         match session.progress.file_state() {
             FileState::Truncated => return Some(EndingKind::Truncated),
             FileState::Unmounted => return Some(EndingKind::Unmounted),

@@ -11,7 +11,10 @@ use super::{
     Shared,
     problem::{Problem, ProblemKind},
 };
-use crate::control::{self, Mark, SaveLast, Start};
+use crate::{
+    control::{self, Mark, SaveLast, Start},
+    finished::{EditNotes, Rename, Restore, Trash},
+};
 
 /// Largest body in bytes: many times the longest note that anybody types.
 const BODY_BYTES_MAX: usize = 64 << 10;
@@ -36,7 +39,7 @@ macro_rules! identified {
     )*};
 }
 
-identified!(control::Request, Start, Mark, SaveLast);
+identified!(control::Request, Start, Mark, SaveLast, EditNotes, Rename, Restore, Trash);
 
 /// A JSON object as the body; an empty body counts as an empty object.
 #[derive(Debug)]

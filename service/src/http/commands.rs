@@ -6,6 +6,7 @@ use axum::{
     Extension, Json,
     extract::State,
     http::{HeaderMap, StatusCode},
+    response::{IntoResponse, Response},
 };
 use mocapd_acquire::listing::{self, ListedDevice};
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,7 @@ use utoipa::ToSchema;
 use super::{Shared, Via, body::JsonBody, problem::Problem};
 use crate::{
     control::{Control, Mark, Marked, Refusal, Request, SaveLast, Start, Started, Stopped},
-    status::{MarkerQuality, State as ServiceState, Status},
+    status::{MarkerQuality, PendingStart, State as ServiceState, Status},
 };
 
 /// The whole status at one moment
@@ -69,7 +70,7 @@ pub(super) async fn devices(State(app): State<Shared>) -> Result<Json<Vec<Listed
     Ok(Json(listed.map_err(|error| Problem::internal(error.to_string()))?))
 }
 
-type Answer<T> = Result<Json<T>, Problem>;
+pub(super) type Answer<T> = Result<Json<T>, Problem>;
 
 /// Executes a command on a thread that may wait.
 async fn execute<T: Send + 'static>(
@@ -99,11 +100,29 @@ pub(super) async fn disarm(app: State<Shared>, request: JsonBody<Request>) -> An
 
 /// Start a take
 ///
-/// Replies when the first frame would survive a power cut. An idle service is armed first.
+/// Replies when the first frame would survive a power cut. An idle service is armed first. With `at`, replies that the
+/// start waits for its time; whether it took place is an event, and in the status.
 #[utoipa::path(post, path = "/v1/start", tag = "commands", request_body = Start,
-    responses((status = 200, body = Started)))]
-pub(super) async fn start(app: State<Shared>, request: JsonBody<Start>) -> Answer<Started> {
-    execute(&app, move |control| control.start(&request.0)).await
+    responses((status = 200, description = "The take has begun", body = Started),
+        (status = 202, description = "The start waits for its time", body = PendingStart)))]
+pub(super) async fn start(
+    app: State<Shared>,
+    request: JsonBody<Start>,
+) -> Result<Response, Problem> {
+    if request.0.at.is_some() {
+        let pending = execute(&app, move |control| control.schedule(&request.0)).await?;
+        return Ok((StatusCode::ACCEPTED, pending).into_response());
+    }
+    let started = execute(&app, move |control| control.start(&request.0)).await?;
+    Ok(started.into_response())
+}
+
+/// Cancel the start that waits for its time
+#[utoipa::path(post, path = "/v1/cancel", tag = "commands", request_body = Request,
+    responses((status = 200, body = PendingStart)))]
+pub(super) async fn cancel(app: State<Shared>, request: JsonBody<Request>) -> Answer<PendingStart> {
+    // Not queued behind other commands: it changes no file and waits for nothing.
+    Ok(Json(app.control.cancel(&request.0)?))
 }
 
 /// Stop the take

@@ -15,6 +15,7 @@ mod body;
 mod broadcast;
 mod commands;
 mod connection;
+mod finished;
 mod guard;
 mod login;
 mod metrics;

@@ -26,7 +26,7 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     Shared,
     auth::COOKIE,
-    commands, guard, login, metrics, playback,
+    commands, finished, guard, login, metrics, playback,
     problem::{PROBLEM_JSON, Problem},
     streams, takes,
 };
@@ -41,6 +41,7 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(commands::arm))
         .routes(routes!(commands::disarm))
         .routes(routes!(commands::start))
+        .routes(routes!(commands::cancel))
         .routes(routes!(commands::stop))
         .routes(routes!(commands::mark))
         .routes(routes!(commands::save_last))
@@ -50,6 +51,11 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(playback::overview))
         .routes(routes!(playback::window))
         .routes(routes!(playback::gaps))
+        .routes(routes!(finished::notes_file, finished::edit_notes))
+        .routes(routes!(finished::rename))
+        .routes(routes!(finished::trash))
+        .routes(routes!(finished::trashed))
+        .routes(routes!(finished::restore))
         .routes(routes!(streams::events))
         .routes(routes!(streams::live))
         .routes(routes!(commands::healthz))
@@ -214,7 +220,8 @@ mod tests {
     use super::*;
     use crate::{
         config::NAME_BYTES_MAX,
-        control::{SECONDS_MAX, TEXT_BYTES_MAX},
+        control::{LENGTH_SECONDS_MAX, NAME_PART_BYTES_MAX, SECONDS_MAX, TEXT_BYTES_MAX},
+        finished::NOTES_BYTES_MAX,
     };
 
     #[test]
@@ -239,9 +246,19 @@ mod tests {
             ("notes", "data-bytes-max", TEXT_BYTES_MAX),
             ("mark-text", "data-bytes-max", TEXT_BYTES_MAX),
             ("save-seconds", "max", SECONDS_MAX as usize),
+            ("subject", "data-bytes-max", NAME_PART_BYTES_MAX),
+            ("session", "data-bytes-max", NAME_PART_BYTES_MAX),
+            ("trial", "data-bytes-max", NAME_PART_BYTES_MAX),
+            ("length", "max", LENGTH_SECONDS_MAX as usize),
         ] {
             let field = page.lines().find(|line| line.contains(&format!("<input id=\"{id}\"")));
             let expected = format!(" {attribute}=\"{limit}\"");
+            assert!(field.is_some_and(|field| field.contains(&expected)), "{id}: {field:?}");
+        }
+        let script = WEB.get_file("finished.js").unwrap().contents_utf8().unwrap();
+        for (id, limit) in [("take-notes", NOTES_BYTES_MAX), ("take-name", NAME_BYTES_MAX)] {
+            let field = script.lines().find(|line| line.contains(&format!("{{ id: \"{id}\"")));
+            let expected = format!("\"data-bytes-max\": \"{limit}\"");
             assert!(field.is_some_and(|field| field.contains(&expected)), "{id}: {field:?}");
         }
     }

@@ -66,14 +66,16 @@ pub(super) async fn takes(
     State(app): State<Shared>,
     listing: Result<Query<Listing>, QueryRejection>,
 ) -> Result<Json<Vec<TakeSummary>>, Problem> {
-    let refused = || Problem::invalid(format!("`limit` must be a number from 1 to {LIMIT_MAX}"));
-    let Query(listing) = listing.map_err(|_| refused())?;
-    let limit = listing.limit.unwrap_or(LIMIT);
-    if !(1..=LIMIT_MAX).contains(&limit) {
-        return Err(refused());
-    }
+    let limit = limit(listing)?;
     let control = Arc::clone(&app.control);
     Ok(Json(app.queues.files.run(move || control.takes(limit)).await??))
+}
+
+/// The number of entries that a request for a list asks for.
+pub(super) fn limit(listing: Result<Query<Listing>, QueryRejection>) -> Result<usize, Problem> {
+    let refused = || Problem::invalid(format!("`limit` must be a number from 1 to {LIMIT_MAX}"));
+    let limit = listing.map_err(|_| refused())?.limit.unwrap_or(LIMIT);
+    if (1..=LIMIT_MAX).contains(&limit) { Ok(limit) } else { Err(refused()) }
 }
 
 /// An opened take file.
@@ -126,7 +128,7 @@ pub(super) fn unreadable(error: &io::Error) -> Problem {
 }
 
 /// Whether the name is a plain file name. The service checks it as well, but a path must not get that far.
-fn is_name(name: &str) -> bool {
+pub(super) fn is_name(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= NAME_BYTES_MAX
         && !name.starts_with('.')

@@ -85,6 +85,19 @@ impl Client {
         }
     }
 
+    /// Sends a request as [`open`](Self::open) does; `None` if the service does not have what is requested.
+    pub(super) fn open_if_there(
+        &self,
+        method: &Method,
+        path: &str,
+        body: Bytes,
+    ) -> anyhow::Result<Option<ResponseStream<'_>>> {
+        match self.open(method, path, &[], body) {
+            Err(error) if error.is::<NotFoundError>() => Ok(None),
+            opened => opened.map(Some),
+        }
+    }
+
     /// Sends a request; the body of the response is read as it arrives.
     pub(super) fn open(
         &self,
@@ -150,6 +163,9 @@ impl Client {
         if problem.kind == ProblemKind::Invalid {
             return Err(UsageError(problem.message).into());
         }
+        if problem.kind == ProblemKind::NotFound {
+            return Err(NotFoundError(problem.message).into());
+        }
         if matches!(problem.kind, ProblemKind::Vanished | ProblemKind::DataLost) {
             return Err(DataLostError(problem.message).into());
         }
@@ -190,6 +206,11 @@ async fn exchange(
 fn connection_lost(error: &hyper::Error) -> ConnectionLost {
     ConnectionLost(error.to_string())
 }
+
+/// The service does not have what was requested.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct NotFoundError(String);
 
 /// The connection broke; the service may have handled the request or not.
 #[derive(Debug, thiserror::Error)]

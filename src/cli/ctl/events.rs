@@ -11,7 +11,7 @@ use anyhow::{Context, bail};
 use hyper::{Method, body::Bytes};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::files::NewFile;
-use mocapd_service::status::ServiceEvent;
+use mocapd_service::{status::ServiceEvent, take_files::notes::notes_path};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -134,6 +134,8 @@ pub(super) struct DownloadReport {
     take: String,
     output: PathBuf,
     bytes: u64,
+    /// The file of the notes; null if the take has none.
+    notes: Option<PathBuf>,
 }
 
 pub(super) fn download(
@@ -144,6 +146,8 @@ pub(super) fn download(
     // A slash in the name must not lead to another folder.
     let here = PathBuf::from(format!("{}.take", name.replace('/', "_")));
     let output = output.map_or(here, Path::to_owned);
+    // First, so that no take is transferred in vain.
+    let notes = notes_file(client, name, &output)?;
     let path = format!("/v1/takes/{}/download", encoded(name));
     let mut answer = client.open(&Method::GET, &path, &[], Bytes::new())?;
     let announced = answer.len();
@@ -158,11 +162,43 @@ pub(super) fn download(
     }
     file.keep()?;
     notify(&format!("{}: {}", output.display(), values::bytes(bytes)));
-    Ok(DownloadReport { take: name.to_owned(), output, bytes })
+    let notes = match notes {
+        Some(notes) => Some(notes.keep()?),
+        None => None,
+    };
+    Ok(DownloadReport { take: name.to_owned(), output, bytes, notes })
+}
+
+/// The notes of a take, in a file beside `output` that is complete but has no name yet.
+struct NotesFile {
+    file: NewFile,
+    path: PathBuf,
+}
+
+impl NotesFile {
+    fn keep(self) -> anyhow::Result<PathBuf> {
+        self.file.keep()?;
+        notify(&format!("{}: its notes", self.path.display()));
+        Ok(self.path)
+    }
+}
+
+/// Requests the notes of a take; `None` if it has none.
+fn notes_file(client: &Client, name: &str, output: &Path) -> anyhow::Result<Option<NotesFile>> {
+    let path = format!("/v1/takes/{}/notes", encoded(name));
+    let Some(mut answer) = client.open_if_there(&Method::GET, &path, Bytes::new())? else {
+        return Ok(None);
+    };
+    let to = notes_path(output);
+    let mut file = NewFile::create(&to)?;
+    while let Some(piece) = answer.next(DOWNLOAD_TIMEOUT)? {
+        file.write_all(&piece).with_context(|| format!("cannot write {}", to.display()))?;
+    }
+    Ok(Some(NotesFile { file, path: to }))
 }
 
 /// Percent-encodes a name for a URL path.
-fn encoded(name: &str) -> String {
+pub(super) fn encoded(name: &str) -> String {
     let mut out = String::with_capacity(name.len());
     for byte in name.bytes() {
         if byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte) {

@@ -2,6 +2,7 @@
 
 mod client;
 mod events;
+mod finished;
 mod text;
 
 use std::{path::PathBuf, sync::atomic::Ordering, time::Duration};
@@ -10,8 +11,8 @@ use anyhow::Context;
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{files::FileState, listing::ListedDevice};
 use mocapd_service::{
-    control::{Marked, Started, Stopped},
-    status::{Status, TakeSummary},
+    control::{Marked, Start, Started, Stopped},
+    status::{PendingStart, Status, TakeSummary},
 };
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -19,7 +20,7 @@ use serde_json::{Value, json};
 use self::client::{Client, Target};
 use crate::cli::{
     devices, ledger,
-    output::{notify, print, print_json, print_json_text},
+    output::{notify, plain, print, print_json, print_json_text},
     stop::stop_on_signal,
     values,
 };
@@ -53,31 +54,25 @@ enum CtlCommand {
     Arm,
     /// Stop the device and discard the pre-roll
     Disarm,
-    /// Start a take; returns when its first frame is safe on disk
-    Start {
-        /// Name of the take [default: as configured]
-        #[arg(long)]
-        name: Option<String>,
-        /// A note to store in the take, as its first event
-        #[arg(long)]
-        notes: Option<String>,
-        /// Length of the pre-roll to include [default: as configured]
-        #[arg(long, value_name = "TIME", value_parser = mocapd_service::units::duration)]
-        pre_roll: Option<Duration>,
-    },
+    /// Start a take; returns when its first frame is safe on disk, or with --at when the start waits
+    Start(StartArgs),
     /// Stop the take; returns when its ledger is safe on disk. Exit code 3 if frames were lost
+    ///
+    /// Without a take, cancels a start that waits for its time.
     Stop,
+    /// Cancel the start that waits for its time
+    Cancel,
     /// Add a mark to the take
     Mark {
         /// Text of the mark
         #[arg(default_value = "")]
         text: String,
     },
-    /// Save the end of the pre-roll as a take; the service stays armed or continues recording
+    /// Save the pre-roll, or its end, as a take; the service stays armed or continues recording
     SaveLast {
-        /// Length to save, counted back from now
+        /// Length to save, counted back from now [default: all that is held]
         #[arg(value_name = "TIME", value_parser = values::length)]
-        length: Duration,
+        length: Option<Duration>,
         /// Name of the take [default: as configured]
         #[arg(long)]
         name: Option<String>,
@@ -92,7 +87,35 @@ enum CtlCommand {
     Devices,
     /// Print events as they happen, until Ctrl-C
     Events,
-    /// Download a take
+    /// Rate a finished take, or change its notes
+    Rate(finished::RateArgs),
+    /// Rename a finished take and its notes
+    Rename {
+        /// Name of the take, as listed by `takes`
+        name: String,
+        /// The new name
+        to: String,
+    },
+    /// Move a finished take and its notes to the trash
+    Trash {
+        /// Name of the take, as listed by `takes`
+        name: String,
+    },
+    /// List the takes in the trash, newest first: when they will be removed, size, id
+    Trashed {
+        /// Maximum number of takes to list
+        #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u16).range(1..=1000))]
+        limit: u16,
+    },
+    /// Move a take and its notes back from the trash
+    Restore {
+        /// Name of the take, for the newest of that name, or its id as listed by `trashed`
+        name: String,
+        /// Another name for it
+        #[arg(long, value_name = "NAME")]
+        to: Option<String>,
+    },
+    /// Download a take, and its notes as NAME.notes.json
     Download {
         /// Name of the take, as listed by `takes`
         name: String,
@@ -100,6 +123,58 @@ enum CtlCommand {
         #[arg(short, long, value_name = "FILE")]
         output: Option<PathBuf>,
     },
+}
+
+#[derive(Debug, clap::Args)]
+struct StartArgs {
+    /// Name of the take [default: after subject, session and trial, or as configured]
+    #[arg(long)]
+    name: Option<String>,
+    /// A note to store in the take, as its first event
+    #[arg(long)]
+    notes: Option<String>,
+    /// Length of the pre-roll to include [default: as configured]
+    #[arg(long, value_name = "TIME", value_parser = mocapd_service::units::duration)]
+    pre_roll: Option<Duration>,
+    /// Length after which the take ends by itself, such as 10, 10s or 2min; the pre-roll comes in addition
+    #[arg(long, value_name = "TIME", value_parser = seconds)]
+    seconds: Option<Duration>,
+    /// Start at this time of day, by the clock of the service's machine; the rig has to be armed then
+    #[arg(long, value_name = "HH:MM:SS")]
+    at: Option<String>,
+    /// Subject, such as S01: a take without a name is called after subject, session and trial, with a count
+    #[arg(long)]
+    subject: Option<String>,
+    /// Session, such as session1
+    #[arg(long)]
+    session: Option<String>,
+    /// Trial, such as jump
+    #[arg(long)]
+    trial: Option<String>,
+}
+
+impl StartArgs {
+    fn request(&self) -> Start {
+        Start {
+            request_id: None,
+            name: self.name.clone(),
+            notes: self.notes.clone(),
+            pre_roll_s: self.pre_roll.map(|pre_roll| pre_roll.as_secs_f64()),
+            seconds: self.seconds.map(|length| length.as_secs_f64()),
+            at: self.at.clone(),
+            subject: self.subject.clone(),
+            session: self.session.clone(),
+            trial: self.trial.clone(),
+        }
+    }
+}
+
+/// A length above 0: a number of seconds, or a number with another unit.
+fn seconds(text: &str) -> Result<Duration, String> {
+    match text.parse::<f64>() {
+        Ok(_) => values::length(&format!("{text}s")),
+        Err(_) => values::length(text),
+    }
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
@@ -110,20 +185,25 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         CtlCommand::Status { watch: false } => status(&client, args.json),
         CtlCommand::Arm => state(&client, "/v1/arm", args.json),
         CtlCommand::Disarm => state(&client, "/v1/disarm", args.json),
-        CtlCommand::Start { name, notes, pre_roll } => {
-            let pre_roll_s = pre_roll.map(|pre_roll| pre_roll.as_secs_f64());
-            let body = json!({"name": name, "notes": notes, "pre_roll_s": pre_roll_s});
-            start(&client, body, args.json)
-        }
-        CtlCommand::Stop => stopped(&client.post("/v1/stop", json!({}))?, args.json),
+        CtlCommand::Start(start_args) => start(&client, start_args, args.json),
+        CtlCommand::Stop => stop(&client, args.json),
+        CtlCommand::Cancel => cancel(&client, args.json),
         CtlCommand::Mark { text } => mark(&client, text, args.json),
         CtlCommand::SaveLast { length, name } => {
-            let body = json!({"name": name, "seconds": length.as_secs_f64()});
+            let seconds = length.map(|length| length.as_secs_f64());
+            let body = json!({"name": name, "seconds": seconds});
             stopped(&client.post("/v1/save-last", body)?, args.json)
         }
         CtlCommand::Takes { limit } => takes(&client, *limit, args.json),
         CtlCommand::Devices => devices(&client, args.json),
         CtlCommand::Events => events::follow(&client, args.json),
+        CtlCommand::Rate(rate) => finished::rate(&client, rate, args.json),
+        CtlCommand::Rename { name, to } => finished::rename(&client, (name, to), args.json),
+        CtlCommand::Trash { name } => finished::trash(&client, name, args.json),
+        CtlCommand::Trashed { limit } => finished::trashed(&client, *limit, args.json),
+        CtlCommand::Restore { name, to } => {
+            finished::restore(&client, name, to.as_deref(), args.json)
+        }
         CtlCommand::Download { name, output } => {
             let report = events::download(&client, name, output.as_deref())?;
             if args.json {
@@ -165,9 +245,39 @@ fn state(client: &Client, path: &str, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn start(client: &Client, body: Value, json: bool) -> anyhow::Result<Outcome> {
-    let started: Started = show(&client.post("/v1/start", body)?, json, text::started)?;
-    started.remarks.iter().for_each(|remark| notify(remark));
+fn start(client: &Client, args: &StartArgs, json: bool) -> anyhow::Result<Outcome> {
+    let document = client.post("/v1/start", serde_json::to_value(args.request())?)?;
+    let remarks = if args.at.is_some() {
+        let text =
+            |pending: &PendingStart| format!("a take will be started at {}\n", plain(&pending.at));
+        show::<PendingStart>(&document, json, text)?.remarks
+    } else {
+        show::<Started>(&document, json, text::started)?.remarks
+    };
+    remarks.iter().for_each(|remark| notify(remark));
+    Ok(Outcome::Done)
+}
+
+fn stop(client: &Client, json: bool) -> anyhow::Result<Outcome> {
+    let status: Status = read(&client.get("/v1/status")?)?;
+    match (&status.take, &status.pending_start) {
+        (None, Some(_)) => return cancel(client, json),
+        (Some(_), Some(pending)) => {
+            notify(&format!(
+                "a start still waits for {}: `mocapd ctl cancel` cancels it",
+                pending.at
+            ));
+        }
+        (_, None) => {}
+    }
+    stopped(&client.post("/v1/stop", json!({}))?, json)
+}
+
+fn cancel(client: &Client, json: bool) -> anyhow::Result<Outcome> {
+    let document = client.post("/v1/cancel", json!({}))?;
+    let text =
+        |pending: &PendingStart| format!("the start at {} is cancelled\n", plain(&pending.at));
+    show::<PendingStart>(&document, json, text)?;
     Ok(Outcome::Done)
 }
 

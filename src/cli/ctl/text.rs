@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use mocapd_service::{
     control::{Started, Stopped},
+    finished::{TakeNotes, TakeRating, TrashedTake},
     status::{Presence, State, Status, TakeSummary},
     units,
 };
@@ -51,13 +52,26 @@ pub(super) fn status(status: &Status) -> String {
     if let Some(take) = &status.take {
         let size = format!("{}, {:.1}:1", bytes(take.bytes), take.ratio);
         let (name, seconds, error) = (plain(&take.name), take.seconds, take.max_error_mm);
-        writeln!(out, "  take      {name}: {seconds:.1} s, {size}, max error {error:.4} mm").ok();
+        let wanted = take.wanted_s.map_or_else(String::new, |s| format!(", ends after {s} s"));
+        writeln!(
+            out,
+            "  take      {name}: {seconds:.1} s{wanted}, {size}, max error {error:.4} mm"
+        )
+        .ok();
         if let Some(notice) = &take.file_notice {
             writeln!(out, "            {}", plain(notice)).ok();
         }
         if let Some(losses) = losses(&take.ledger) {
             writeln!(out, "            not in the take: {losses}").ok();
         }
+    }
+    if let Some(pending) = &status.pending_start {
+        let name =
+            pending.name.as_deref().map_or_else(String::new, |name| format!(" {}", plain(name)));
+        writeln!(out, "  start     a take{name} will be started at {}", plain(&pending.at)).ok();
+    }
+    if let Some(missed) = &status.missed_start {
+        writeln!(out, "  start     {}", plain(missed)).ok();
     }
     if let Some(take) = &status.last_take {
         let (name, size, health) = (plain(&take.name), bytes(take.bytes), take.health.name());
@@ -169,9 +183,23 @@ pub(super) fn takes(takes: &[TakeSummary]) -> String {
         let when = time(take.modified_unix_ms);
         let health = if take.is_open { "being written" } else { take.health.name() };
         let (size, name) = (bytes(take.bytes), plain(&take.name));
-        writeln!(out, "{when}  {size:>10}  {health:<13} {name}{}", ended(take)).ok();
+        let (ended, noted) = (ended(take), noted(take));
+        writeln!(out, "{when}  {size:>10}  {health:<13} {name}{ended}{noted}").ok();
     }
     out
+}
+
+/// The rating and the first line of the notes of a take; empty if it has none.
+fn noted(take: &TakeSummary) -> String {
+    let Some(notes) = &take.notes else { return String::new() };
+    if let Some(problem) = &notes.problem {
+        return format!("  [{}]", plain(problem));
+    }
+    let rating = Some(notes.rating.name()).filter(|_| notes.rating != TakeRating::None);
+    let line = notes.text.lines().next().filter(|line| !line.is_empty());
+    let both: Vec<String> =
+        rating.into_iter().chain(line).map(|text| plain(text).to_string()).collect();
+    if both.is_empty() { String::new() } else { format!("  [{}]", both.join(": ")) }
 }
 
 /// Why a take ended; empty if that is unknown.
@@ -181,6 +209,27 @@ fn ended(take: &TakeSummary) -> String {
         detail => format!(": {}", plain(detail)),
     };
     take.ending.map_or_else(String::new, |ending| format!("  ({ending}{detail})"))
+}
+
+pub(super) fn notes(name: &str, notes: &TakeNotes) -> String {
+    let name = plain(name);
+    let mut out = format!("{name}: rating {}\n", notes.rating.name());
+    for line in notes.text.lines() {
+        writeln!(out, "  {}", plain(line)).ok();
+    }
+    out
+}
+
+pub(super) fn trashed(takes: &[TrashedTake]) -> String {
+    if takes.is_empty() {
+        return "the trash is empty\n".to_owned();
+    }
+    let mut out = String::new();
+    for take in takes {
+        let (removed, size, id) = (time(take.removed_unix_ms), bytes(take.bytes), plain(&take.id));
+        writeln!(out, "until {removed}  {size:>10}  {id}").ok();
+    }
+    out
 }
 
 /// A time in the local time zone, to the second.

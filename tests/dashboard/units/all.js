@@ -5,6 +5,7 @@ import "./format.test.js";
 import "./metrics.test.js";
 import "./messages.test.js";
 import "./playback.test.js";
+import "./finished.test.js";
 import { run } from "./harness.js";
 
 window.unitResults = await run();

@@ -22,8 +22,13 @@ use mocapd_service::{
         Control, EventFeed, FirstFrame, Mark, Marked, Refusal, RefusalKind, Request, SaveLast,
         Start, Started, Stopped,
     },
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     live::LiveFeed,
-    status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
+    status::{
+        MarkerQuality, PendingStart, Presence, ServiceEventKind, State, Status, TakeStatus,
+        TakeSummary,
+    },
+    take_files::{self, notes, trash},
 };
 
 use mocapd_take::record::EndingKind;
@@ -47,6 +52,8 @@ pub(crate) struct Fake {
     pub(crate) executed: AtomicU64,
     /// Kind and message of the events passed to `Control::tell`.
     pub(crate) told: Mutex<Vec<(String, String)>>,
+    /// How long takes stay in the trash.
+    pub(crate) trash_keep: Duration,
 }
 
 #[derive(Debug, Default)]
@@ -55,6 +62,7 @@ struct Inner {
     failure: Option<String>,
     take: Option<TakeStatus>,
     n_takes: u64,
+    pending_start: Option<PendingStart>,
     replies: HashMap<String, CachedReply>,
 }
 
@@ -92,6 +100,7 @@ impl Fake {
             lost: AtomicU64::new(0),
             executed: AtomicU64::new(0),
             told: Mutex::default(),
+            trash_keep: Duration::from_secs(3600),
         })
     }
 
@@ -163,6 +172,7 @@ impl Fake {
             software: "mocapd 0.0.0".to_owned(),
             uptime_s: self.started.elapsed().as_secs_f64(),
             take: inner.take.clone(),
+            pending_start: inner.pending_start.clone(),
             ..Status::default()
         };
         status.device.uri = "serial:/dev/fake".to_owned();
@@ -305,6 +315,29 @@ impl Control for Fake {
         })
     }
 
+    fn schedule(&self, start: &Start) -> Result<PendingStart, Refusal> {
+        let mut inner = self.lock();
+        if inner.pending_start.is_some() {
+            return refuse(RefusalKind::Conflict, "a start already waits");
+        }
+        if start.at.as_deref().is_none_or(|at| at.len() != 8) {
+            return refuse(RefusalKind::Invalid, "not a time");
+        }
+        let pending = PendingStart {
+            at_unix_ms: 1,
+            at: start.at.clone().unwrap(),
+            name: start.name.clone(),
+            remarks: vec!["the rig is not armed yet".to_owned()],
+        };
+        inner.pending_start = Some(pending.clone());
+        Ok(pending)
+    }
+
+    fn cancel(&self, _request: &Request) -> Result<PendingStart, Refusal> {
+        let pending = self.lock().pending_start.take();
+        pending.ok_or_else(|| Refusal::new(RefusalKind::Conflict, "no start is waiting"))
+    }
+
     fn stop(&self, request: &Request) -> Result<Stopped, Refusal> {
         let unwrap = |known| match known {
             CachedReply::Stopped(answer) => Some(*answer),
@@ -350,7 +383,7 @@ impl Control for Fake {
         };
         let wrap = |answer| CachedReply::Stopped(Box::new(answer));
         self.once(save.request_id.as_ref(), wrap, unwrap, |inner| {
-            if !(save.seconds > 0.0 && save.seconds <= 3600.0) {
+            if save.seconds.is_some_and(|seconds| !(seconds > 0.0 && seconds <= 3600.0)) {
                 return refuse(RefusalKind::Invalid, "seconds must be above 0 and at most 3600");
             }
             if inner.state != State::Armed {
@@ -373,6 +406,7 @@ impl Control for Fake {
             takes.push(TakeSummary {
                 name: name.to_owned(),
                 bytes: entry.metadata().map_or(0, |found| found.len()),
+                notes: notes::listed(&entry.path()),
                 modified_unix_ms: 1,
                 is_open: open.as_deref() == Some(name),
                 ..TakeSummary::default()
@@ -381,6 +415,27 @@ impl Control for Fake {
         takes.sort_by(|a, b| b.name.cmp(&a.name));
         takes.truncate(limit);
         Ok(takes)
+    }
+
+    fn edit_notes(&self, name: &str, edit: &EditNotes) -> Result<TakeNotes, Refusal> {
+        let path = take_files::path_of(&self.folder, name)?;
+        notes::edit(&path, edit.rating, edit.text.as_deref(), 1)
+    }
+
+    fn rename(&self, name: &str, rename: &Rename) -> Result<MovedTake, Refusal> {
+        take_files::rename(&self.folder, name, &rename.to)
+    }
+
+    fn trash(&self, name: &str, _request: &Trash) -> Result<TrashedTake, Refusal> {
+        trash::trash(&self.folder, name, 1_796_000_000_000, self.trash_keep)
+    }
+
+    fn trashed(&self, limit: usize) -> Vec<TrashedTake> {
+        trash::trashed(&self.folder, self.trash_keep, limit)
+    }
+
+    fn restore(&self, id: &str, restore: &Restore) -> Result<MovedTake, Refusal> {
+        take_files::restore(&self.folder, id, restore.to.as_deref())
     }
 
     fn live_take(&self, file: FileId) -> Option<TakeStatus> {

@@ -79,13 +79,14 @@ fn invalid_requests_are_refused_with_a_reason() {
     bad("/v1/start", r#"{"pre_roll_s": 1e999}"#);
     bad("/v1/start", r#"{"pre_roll_s": -1}"#);
     bad("/v1/start", r#"{"name": "../x"}"#);
-    bad("/v1/save-last", "{}");
+    bad("/v1/save-last", r#"{"seconds": 0}"#);
+    bad("/v1/start", r#"{"at": "noon"}"#);
     bad("/v1/mark", &format!(r#"{{"text": "{}"}}"#, "x".repeat(1025)));
     bad("/v1/arm", &"[".repeat(5000));
     for id in [String::new(), "x".repeat(65), "é".to_owned(), "a\tb".to_owned()] {
         bad("/v1/arm", &serde_json::json!({"request_id": id}).to_string());
     }
-    assert_eq!(served.fake.executed.load(Ordering::Relaxed), 3, "the fake's own refusals");
+    assert_eq!(served.fake.executed.load(Ordering::Relaxed), 4, "the fake's own refusals");
 }
 
 #[test]

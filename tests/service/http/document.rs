@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use mocapd_acquire::{files::FileState, ledger::LedgerDocument, listing::ListedDevice};
 use mocapd_service::{
     control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TakeRating, Trash, TrashedTake},
     http::{Problem, ProblemKind, openapi},
     playback::{GapBins, PlaybackEvent, TakeOverview},
     status::{
-        ArchiveStatus, DeviceStatus, MarkerQuality, OutageStatus, ServiceEvent, ServiceEventKind,
-        State, Status, TakeStatus, TakeSummary, TakeUpload,
+        ArchiveStatus, DeviceStatus, MarkerQuality, OutageStatus, PendingStart, ServiceEvent,
+        ServiceEventKind, State, Status, TakeStatus, TakeSummary, TakeUpload, TrialNames,
     },
 };
 use serde_json::{Value, json};
@@ -33,17 +34,24 @@ const ROUTES: &[(&str, &str)] = &[
     ("get", "/v1/takes"),
     ("get", "/v1/takes/{name}/download"),
     ("get", "/v1/takes/{name}/gaps"),
+    ("get", "/v1/takes/{name}/notes"),
     ("get", "/v1/takes/{name}/overview"),
     ("get", "/v1/takes/{name}/window"),
+    ("get", "/v1/trash"),
     ("post", "/login"),
     ("post", "/logout"),
     ("post", "/v1/arm"),
+    ("post", "/v1/cancel"),
     ("post", "/v1/disarm"),
     ("post", "/v1/mark"),
     ("post", "/v1/save-last"),
     ("post", "/v1/start"),
     ("post", "/v1/stop"),
+    ("post", "/v1/takes/{name}/notes"),
+    ("post", "/v1/takes/{name}/rename"),
+    ("post", "/v1/takes/{name}/trash"),
     ("post", "/v1/takes/{name}/verify"),
+    ("post", "/v1/trash/{id}/restore"),
 ];
 
 fn document() -> Value {
@@ -69,7 +77,7 @@ fn the_document_and_the_server_have_the_same_routes() {
     let served = serve();
     assert_eq!(get(served.at, "/openapi.json").json(), document);
     for &(method, path) in ROUTES {
-        let path = path.replace("{name}", "none");
+        let path = path.replace("{name}", "none").replace("{id}", "none");
         // A method that is not described is not allowed.
         let other = if method == "get" { "post" } else { "get" };
         if !described.contains(&(other, path.as_str())) && !path.contains("none") {
@@ -92,8 +100,16 @@ fn examples() -> Vec<(&'static str, Value)> {
     let status = Status {
         device: DeviceStatus { outage: Some(outage), ..DeviceStatus::default() },
         take: Some(TakeStatus::default()),
+        pending_start: Some(PendingStart {
+            name: Some("jump".to_owned()),
+            remarks: vec!["x".to_owned()],
+            ..PendingStart::default()
+        }),
+        missed_start: Some("x".to_owned()),
+        names: Some(TrialNames::default()),
         last_take: Some(TakeSummary {
             upload: Some(TakeUpload::default()),
+            notes: Some(TakeNotes { problem: Some("x".to_owned()), ..TakeNotes::default() }),
             ..TakeSummary::default()
         }),
         archive: Some(ArchiveStatus::default()),
@@ -155,9 +171,24 @@ fn examples() -> Vec<(&'static str, Value)> {
         name: id.clone(),
         notes: id.clone(),
         pre_roll_s: Some(1.0),
+        seconds: Some(1.0),
+        at: id.clone(),
+        subject: id.clone(),
+        session: id.clone(),
+        trial: id.clone(),
     };
+    let edit = EditNotes {
+        request_id: id.clone(),
+        take_id: id.clone(),
+        rating: Some(TakeRating::Good),
+        text: id.clone(),
+    };
+    let rename = Rename { request_id: id.clone(), take_id: id.clone(), to: String::new() };
+    let trash = Trash { request_id: id.clone(), take_id: id.clone() };
+    let restore = Restore { request_id: id.clone(), to: id.clone() };
+    let moved = MovedTake { name: String::new(), path: "x".into(), remarks: vec!["x".to_owned()] };
     let mark = Mark { request_id: id.clone(), text: String::new() };
-    let save = SaveLast { request_id: id.clone(), name: id, seconds: 1.0 };
+    let save = SaveLast { request_id: id.clone(), name: id, seconds: Some(1.0) };
     let problem = Problem { status: 400, kind: ProblemKind::Invalid, message: String::new() };
     let value = |value: serde_json::Result<Value>| value.unwrap();
     vec![
@@ -171,6 +202,12 @@ fn examples() -> Vec<(&'static str, Value)> {
         ("Request", value(serde_json::to_value(request))),
         ("Start", value(serde_json::to_value(start))),
         ("Mark", value(serde_json::to_value(mark))),
+        ("EditNotes", value(serde_json::to_value(edit))),
+        ("Rename", value(serde_json::to_value(rename))),
+        ("Trash", value(serde_json::to_value(trash))),
+        ("Restore", value(serde_json::to_value(restore))),
+        ("MovedTake", value(serde_json::to_value(moved))),
+        ("TrashedTake", value(serde_json::to_value(TrashedTake::default()))),
         ("SaveLast", value(serde_json::to_value(save))),
         ("TakeOverview", value(serde_json::to_value(overview))),
         (
@@ -266,7 +303,8 @@ fn every_field_is_described_and_every_described_field_exists() {
         document["components"]["schemas"].as_object().unwrap().keys().cloned().collect();
     assert_eq!(seen, described, "a type that is never sent");
     // Unknown fields of a request are refused, and the document says so.
-    for name in ["Request", "Start", "Mark", "SaveLast"] {
+    for name in ["Request", "Start", "Mark", "SaveLast", "EditNotes", "Rename", "Restore", "Trash"]
+    {
         assert_eq!(
             document["components"]["schemas"][name]["additionalProperties"], false,
             "{name}"

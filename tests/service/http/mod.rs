@@ -4,6 +4,7 @@ pub(crate) mod client;
 mod commands;
 mod connections;
 mod document;
+mod finished;
 mod hostile;
 mod lifecycle;
 mod page;

@@ -7,12 +7,14 @@ use std::{
 
 use mocapd_drivers::device::{Frame, MarkerInfo};
 use mocapd_take::{
+    record::EndingKind,
     stretch::{NUMBERS, Span},
     timeline::RowTime,
 };
 
 use super::{Intake, NO_SLOT, losses::PendingLoss};
 use crate::pipeline::{
+    commands::TakeCommand,
     messages::{Control, NewChannel, StretchEnd},
     plan::RUNS_MAX,
     ring::{RingProducer, Sample, TimelineItem},
@@ -133,6 +135,37 @@ impl Intake {
     fn boundary(&self) -> StretchEnd {
         let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
         self.end_of(span, false)
+    }
+
+    /// Sends the rows lost before `end_row` as a stretch of their own.
+    pub(super) fn close_pending_up_to(&mut self, end_row: u64) {
+        if end_row > self.next_row {
+            self.push_pending_up_to(end_row - self.next_row);
+            self.end_boundary();
+        }
+    }
+
+    /// Whether the next frame is behind the end of a take of a requested length.
+    pub(super) fn length_is_reached(&self) -> bool {
+        self.take_end_row.is_some_and(|end| self.next_row + self.pending.rows() >= end)
+    }
+
+    /// Ends the open take before the next frame if it has its requested length. Of the rows lost before that frame,
+    /// those up to the end belong to the take.
+    pub(super) fn end_before_frame(&mut self) {
+        if !self.length_is_reached() {
+            return;
+        }
+        let Some(end_row) = self.take_end_row.take() else { return };
+        self.close_stretch();
+        self.close_pending_up_to(end_row);
+        self.key_every = self.armed_key_rows;
+        let end = (self.feed.next_stretch(), TakeCommand::End(EndingKind::Length));
+        // The queue has a place for it; if the writer is gone, so is the take.
+        self.to_writer.commands.try_send(end).ok();
+        self.end_boundary();
+        self.next_key_row = self.next_row;
+        self.open_limit = self.first_stretch_rows;
     }
 
     /// Divides the recording before this frame, for which there is room, if a take ends here. Rows lost before it

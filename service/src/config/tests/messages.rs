@@ -104,6 +104,7 @@ fn wrong_types_and_units_say_what_was_found_and_what_to_write() {
     wrong("take.tolerance", "'0mm'", (2, 0), &["\"0mm\"", "lossless = true"]);
     wrong("take.tolerance", "'1s'", (2, 0), &["\"1s\"", "'s'"]);
     wrong("take.max_length", "'0s'", (2, 0), &["\"0s\""]);
+    wrong("take.trash_keep", "'0s'", (2, 0), &["\"0s\""]);
     let offline = wrong("take.resampler", "'spline'", (2, 0), &["\"spline\""]);
     let unknown = wrong("take.resampler", "'dens'", (2, 0), &["\"dens\"", "'dense'"]);
     differ(&[(offline, "spline"), (unknown, "dens")]);

@@ -33,6 +33,7 @@ sync = "0s"
 keep_free = "1.5GB"
 reconnect = "5min"
 max_length = "90min"
+trash_keep = "48h"
 [subject]
 name = "S 01"
 skeleton = "/srv/subjects/s01.json"
@@ -73,6 +74,7 @@ fn an_empty_file_is_the_defaults() {
     assert_eq!(config.take.codec.kind, mocapd_codec::ResamplerKind::Dense);
     assert_eq!(config.take.keep_free_bytes, 256 << 20);
     assert_eq!(config.take.max_length, None);
+    assert_eq!(config.take.trash_keep, Duration::from_secs(30 * 86_400));
     assert_eq!(config.arm.pre_roll, Duration::from_secs(10));
     assert_eq!(config.arm.include_pre_roll, Duration::ZERO);
     assert!(config.arm.at_start && !config.device.raw_log);
@@ -95,6 +97,7 @@ fn every_key_is_read() {
     assert_eq!(config.take.stretch, Duration::from_millis(250));
     assert_eq!(config.take.keep_free_bytes, 1_500_000_000);
     assert_eq!(config.take.max_length, Some(Duration::from_secs(5400)));
+    assert_eq!(config.take.trash_keep, Duration::from_secs(48 * 3600));
     assert_eq!(config.arm.include_pre_roll, config.arm.pre_roll);
     assert_eq!(config.http.socket, None);
     assert_eq!(config.http.allowed_hosts, ["rig.lab", "10.0.0.1"]);

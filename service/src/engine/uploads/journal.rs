@@ -41,6 +41,9 @@ pub(super) struct JournalEntry {
     /// Whether its local copy was removed.
     #[serde(default)]
     removed: bool,
+    /// Whether the take was renamed after its upload: the object keeps the name that it had.
+    #[serde(default)]
+    renamed: bool,
 }
 
 impl JournalEntry {
@@ -52,6 +55,7 @@ impl JournalEntry {
             uploaded_unix_ms,
             take_id: take.take_id.clone(),
             removed: false,
+            renamed: false,
         }
     }
 }
@@ -81,6 +85,27 @@ impl Journal {
                 && !entry.removed
                 && entry.url == url.to_string()
         })
+    }
+
+    /// The object of a take in the folder, if it has not changed since its upload: `url`, or another one in the same
+    /// folder if the take was renamed.
+    pub(super) fn object(&self, take: &TakeSummary, url: &ObjectUrl) -> Option<ObjectUrl> {
+        if self.entry(take, url).is_some() {
+            return Some(url.clone());
+        }
+        let entry = self.0.get(&take.name).filter(|entry| entry.renamed)?;
+        let uploaded = ObjectUrl::parse(&entry.url).ok()?;
+        let folder = |key: &str| key.rsplit_once('/').map(|(folder, _)| folder.to_owned());
+        let is_there = uploaded.root() == url.root() && folder(uploaded.key()) == folder(url.key());
+        (is_there && self.entry(take, &uploaded).is_some()).then_some(uploaded)
+    }
+
+    /// A take was renamed: its object keeps its name. Returns its URL, if it was uploaded.
+    pub(super) fn rename(&mut self, from: &str, to: &str) -> Option<String> {
+        let entry = self.0.remove(from)?;
+        let url = entry.url.clone();
+        self.0.insert(to.to_owned(), JournalEntry { renamed: true, ..entry });
+        Some(url)
     }
 
     pub(super) fn insert(&mut self, name: &str, entry: JournalEntry) {

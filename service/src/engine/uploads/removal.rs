@@ -15,6 +15,7 @@ use crate::{
     config::ArchiveConfig,
     engine::{Inner, status::unix_ms},
     status::{ServiceEventKind, TakeSummary, UploadState},
+    take_files::notes,
 };
 
 /// The end of the hidden name that a take has while it is removed.
@@ -38,6 +39,8 @@ impl Uploader {
         let now = unix_ms();
         let due = takes.iter().rev().find_map(|take| {
             let object = url.join(&format!("{}.take", take.name));
+            // A take that was renamed keeps its object.
+            let object = self.journal.object(take, &object)?;
             let entry = self.journal.entry(take, &object)?;
             let waits = self.take_retries.get(&take.name).is_some_and(|r| r.at > Instant::now());
             let is_due = entry.uploaded_unix_ms.saturating_add(after_ms) <= now;
@@ -46,6 +49,9 @@ impl Uploader {
         let Some((take, object)) = due else { return false };
         let name = &take.name;
         let Some(directory) = self.of.as_ref().map(|(directory, _)| directory.clone()) else {
+            return false;
+        };
+        let Some(_claim) = inner.claims.claim(name, "removed, as the archive has it") else {
             return false;
         };
         match remove_verified(inner, name, (&directory, &object), config) {
@@ -134,6 +140,8 @@ fn remove_verified(
     if !store.has_content(object, &mut file, &mut |n| pace.wait(n, false))? {
         return Ok(false);
     }
+    // With their take, the notes leave the folder as well.
+    let notes = upload_notes(&path, object, &store)?;
     let stamp = |file: &Metadata| (FileId::of(file), file.len(), file.modified().ok());
     let now = fs::symlink_metadata(&path).map_err(failed)?;
     if stamp(&now) != stamp(&before) {
@@ -141,7 +149,31 @@ fn remove_verified(
     }
     check_apart(&path, object)?;
     remove_if_kept(&path, || Ok(store.len_bytes(object)? == before.len()))?;
+    // Those that somebody has changed meanwhile stay, and are reported when the service starts.
+    let notes_path = notes::notes_path(&path);
+    if notes.is_some_and(|archived| fs::read(&notes_path).is_ok_and(|now| now == archived)) {
+        fs::remove_file(&notes_path).map_err(failed)?;
+    }
     Ok(true)
+}
+
+/// Uploads the notes of a take beside its object, as `NAME.notes.json`, and returns them; `None` if it has none.
+fn upload_notes(
+    take: &Path,
+    object: &ObjectUrl,
+    store: &Store,
+) -> Result<Option<Vec<u8>>, StoreError> {
+    let path = notes::notes_path(take);
+    if path.symlink_metadata().is_err() {
+        return Ok(None);
+    }
+    let unreadable = |error: anyhow::Error| StoreError::Source(format!("its notes: {error:#}"));
+    let archived = notes::read_file(&path).map_err(unreadable)?;
+    let key = object.key();
+    let stem = key.strip_suffix(".take").unwrap_or(key);
+    let beside = object.with_key(format!("{stem}{}", notes::NOTES_SUFFIX));
+    store.upload(&beside, &mut io::Cursor::new(&archived), &mut |_| Ok(()))?;
+    Ok(Some(archived))
 }
 
 /// Removes a file if its object `is_kept` also once the file has lost its name: a server may store its objects in the

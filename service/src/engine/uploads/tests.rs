@@ -9,6 +9,7 @@ use crate::{
     config::{Config, Environment, Overrides},
     control::Control,
     engine::{Engine, EngineOptions, folder::summary_of},
+    finished::{EditNotes, Rename, Restore, Trash},
 };
 
 /// A finished take.
@@ -329,4 +330,88 @@ fn a_removal_that_was_interrupted_is_undone() {
     rig.wait(&[("a", uploaded), ("b", uploaded), ("b-2", failed)]);
     assert_eq!(fs::read(rig.path("takes/b.take")).unwrap(), TAKE);
     assert_eq!(fs::read(rig.path("takes/b-2.take")).unwrap(), b"another");
+}
+
+#[test]
+fn a_renamed_take_keeps_its_object_and_is_removed_by_it() {
+    let mut rig = Rig::new();
+    rig.add("a");
+    rig.add("b");
+    rig.start("");
+    rig.wait(&[("a", UploadState::Uploaded), ("b", UploadState::Uploaded)]);
+    let rename = |to: &str| Rename { to: to.to_owned(), ..Rename::default() };
+    let moved = rig.engine().rename("a", &rename("c")).unwrap();
+    assert!(moved.remarks[0].contains("archive/a.take"), "{moved:?}");
+    rig.wait(&[("b", UploadState::Uploaded), ("c", UploadState::Uploaded)]);
+    // A take that gets the old name is another one, and twice in a row is as once.
+    rig.engine().rename("c", &rename("e")).unwrap();
+    rig.engine().rename("b", &rename("c")).unwrap();
+    let takes = rig.engine().takes(9).unwrap();
+    let url = |name: &str| {
+        let take = takes.iter().find(|take| take.name == name).unwrap();
+        take.upload.clone().unwrap().url
+    };
+    assert!(url("e").ends_with("/a.take") && url("c").ends_with("/b.take"), "{takes:?}");
+    rig.engine().rename("c", &rename("b")).unwrap();
+    rig.engine().rename("e", &rename("c")).unwrap();
+    // Also after a restart before the uploads have looked.
+    rig.start("");
+    rig.wait(&[("b", UploadState::Uploaded), ("c", UploadState::Uploaded)]);
+    rig.engine().rename("c", &rename("d")).unwrap();
+    rig.wait(&[("b", UploadState::Uploaded), ("d", UploadState::Uploaded)]);
+    let takes = rig.engine().takes(9).unwrap();
+    let upload = takes.iter().find(|take| take.name == "d").unwrap().upload.clone().unwrap();
+    assert!(upload.url.ends_with("/a.take"), "{upload:?}");
+    let archived = || fs::read_dir(rig.path("archive")).unwrap().count();
+    assert_eq!(archived(), 2, "nothing was uploaded twice");
+    // The local copy is compared with that object.
+    rig.engine().reload(rig.options("remove_local_after = '0s'"));
+    rig.wait(&[]);
+    assert_eq!(archived(), 2);
+}
+
+#[test]
+fn a_trashed_take_is_not_uploaded_until_it_is_restored() {
+    let mut rig = Rig::new();
+    rig.add("a");
+    rig.start("rate_max = '1KiB'");
+    rig.wait(&[("a", UploadState::Uploading)]);
+    // Not while it is being uploaded.
+    let refused = rig.engine().trash("a", &Trash::default()).unwrap_err();
+    assert!(refused.message.contains("uploaded"), "{refused}");
+    rig.engine().rename("a", &Rename { to: "b".to_owned(), ..Rename::default() }).unwrap_err();
+    rig.engine().reload(rig.options(""));
+    rig.wait(&[("a", UploadState::Uploaded)]);
+    rig.engine().trash("a", &Trash::default()).unwrap();
+    rig.wait(&[]);
+    rig.add("b");
+    rig.wait(&[("b", UploadState::Uploaded)]);
+    rig.engine().restore("a", &Restore::default()).unwrap();
+    rig.wait(&[("a", UploadState::Uploaded), ("b", UploadState::Uploaded)]);
+    assert_eq!(fs::read_dir(rig.path("archive")).unwrap().count(), 2);
+}
+
+#[test]
+fn notes_go_to_the_archive_with_the_local_copy() {
+    let mut rig = Rig::new();
+    rig.add("a");
+    rig.add("b");
+    rig.start("");
+    rig.wait(&[("a", UploadState::Uploaded), ("b", UploadState::Uploaded)]);
+    let rate = |name: &str, text: &str| {
+        let edit = EditNotes { text: Some(text.to_owned()), ..EditNotes::default() };
+        rig.engine().edit_notes(name, &edit).unwrap();
+    };
+    rate("a", "left shoe");
+    rate("b", "right shoe");
+    let notes = fs::read(rig.path("takes/a.notes.json")).unwrap();
+    // Other notes of that name are in the archive: nothing is replaced, and the take stays.
+    fs::write(rig.path("archive/b.notes.json"), "others").unwrap();
+    rig.engine().reload(rig.options("remove_local_after = '0s'"));
+    rig.wait(&[("b", UploadState::Uploaded)]);
+    assert_eq!(fs::read(rig.path("archive/a.notes.json")).unwrap(), notes);
+    assert!(!rig.path("takes/a.notes.json").exists());
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(rig.path("takes/b.take").exists() && rig.path("takes/b.notes.json").exists());
+    assert_eq!(fs::read(rig.path("archive/b.notes.json")).unwrap(), b"others");
 }
