@@ -12,6 +12,7 @@ use crate::{
         Stopped,
     },
     engine::summarise,
+    finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     http::new_secret,
     live::LiveFeed,
     status::{MarkerQuality, Status, TakeStatus, TakeSummary},
@@ -73,6 +74,11 @@ fn refuse<T>() -> Result<T, Refusal> {
     Err(Refusal::new(RefusalKind::Conflict, message))
 }
 
+fn refuse_change<T>() -> Result<T, Refusal> {
+    let message = "this viewer only shows takes: rename or remove their files yourself";
+    Err(Refusal::new(RefusalKind::Conflict, message))
+}
+
 impl Control for TakeViewer {
     fn status(&self) -> Status {
         Status { software: SOFTWARE.to_owned(), ..Status::default() }
@@ -124,6 +130,26 @@ impl Control for TakeViewer {
         found.map(|take| take.path.clone()).ok_or_else(|| {
             Refusal::new(RefusalKind::NotFound, "no take has this name: see /v1/takes")
         })
+    }
+
+    fn edit_notes(&self, _: &str, _: &EditNotes) -> Result<TakeNotes, Refusal> {
+        refuse_change()
+    }
+
+    fn rename(&self, _: &str, _: &Rename) -> Result<MovedTake, Refusal> {
+        refuse_change()
+    }
+
+    fn trash(&self, _: &str, _: &Trash) -> Result<TrashedTake, Refusal> {
+        refuse_change()
+    }
+
+    fn trashed(&self, _: usize) -> Vec<TrashedTake> {
+        Vec::new()
+    }
+
+    fn restore(&self, _: &str, _: &Restore) -> Result<MovedTake, Refusal> {
+        refuse_change()
     }
 
     fn live_take(&self, _: FileId) -> Option<TakeStatus> {
