@@ -3,9 +3,9 @@
 use super::{
     axis::FrameAxis,
     command::{VERSIONS, WELCOME},
-    host::{Fence, HostState, QtmHost},
+    host::{Fence, QtmHost, SessionState, Step},
     labels::UNLABELLED_MAX,
-    packet::{Event, Packet, PacketKind},
+    packet::{Event, Packet, PacketKind, printable},
     settings::Settings,
 };
 use crate::device::Hello;
@@ -13,31 +13,12 @@ use crate::device::Hello;
 /// Frame rates that QTM's cameras have, in Hz: 1 Hz, to more than the fastest at a reduced image.
 const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=100_000.0;
 
-/// Longest text of QTM's that a message repeats.
-const TEXT_CHARS_MAX: usize = 160;
-
-/// What the driver waits for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Step {
-    Welcome,
-    /// Whether QTM speaks version `1.n`.
-    Version(u32),
-    QtmVersion,
-    ByteOrder,
-    State,
-    General,
-    Markers,
-    Bodies,
-    Analog,
-    Force,
-}
-
 impl QtmHost {
     /// Waits for QTM's greeting.
     pub(super) fn begin_bring_up(&mut self) {
         self.request_ns = self.line.now_ns();
         self.remarks.clear();
-        self.state = HostState::BringUp(Step::Welcome);
+        self.state = SessionState::BringUp(Step::Welcome);
     }
 
     /// Asks again for what may have changed.
@@ -49,7 +30,7 @@ impl QtmHost {
     }
 
     fn ask(&mut self, step: Step) {
-        self.state = HostState::BringUp(step);
+        self.state = SessionState::BringUp(step);
         match step {
             Step::Welcome => {}
             Step::Version(minor) => self.send(&format!("Version 1.{minor}")),
@@ -112,7 +93,7 @@ impl QtmHost {
     /// An event arrived while a step waits for one.
     pub(super) fn on_state_reply(&mut self, event: Option<Event>) {
         self.plays_file = event == Some(Event::RtFromFileStarted);
-        if self.state == HostState::BringUp(Step::State) {
+        if self.state == SessionState::BringUp(Step::State) {
             self.ask(Step::General);
         }
     }
@@ -199,7 +180,7 @@ impl QtmHost {
         };
         self.axis = FrameAxis::new(rate_millihertz);
         self.fence = None::<Fence>;
-        self.state = HostState::Ready;
+        self.state = SessionState::Ready;
     }
 
     pub(super) fn on_bring_up_timeout(&mut self, step: Step) {
@@ -213,10 +194,4 @@ impl QtmHost {
             _ => self.fail("QTM does not answer: it may be busy with another task; try again, or restart it"),
         }
     }
-}
-
-/// A text of QTM's as a message repeats it: one line, not too long.
-pub(super) fn printable(text: &str) -> String {
-    let one_line = text.trim().chars().map(|c| if c.is_control() { ' ' } else { c });
-    one_line.take(TEXT_CHARS_MAX).collect::<String>().trim_end_matches('.').to_owned()
 }

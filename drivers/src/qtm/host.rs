@@ -2,11 +2,10 @@
 
 use super::{
     axis::FrameAxis,
-    bring_up::Step,
     command::VERSIONS,
     labels::{LabelTable, UnlabelledIds},
-    packet::{OutOfStep, Packet, PacketKind, PacketReader, put_text},
-    run::StreamRun,
+    packet::{OutOfStep, Packet, PacketKind, PacketReader, printable, put_text},
+    stream_run::StreamRun,
 };
 use crate::{
     device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerSample, Pong, Protocol},
@@ -20,7 +19,7 @@ use crate::{
 pub(super) const MS: u64 = 1_000_000;
 
 /// Receiver of the decoded events.
-pub(super) type OnEvent<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
+pub(super) type EventSink<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
 
 /// Time that QTM has for a reply. It replies in milliseconds; settings of many cameras take some tens of them. Below the
 /// 5 s after which the recorder gives up with a message that knows less.
@@ -32,9 +31,25 @@ const CHECK_AFTER_NS: u64 = 2_000 * MS;
 /// How long frames that were sent before the end may still arrive in datagrams, which overtake the stream and each other.
 const STRAGGLERS_NS: u64 = 250 * MS;
 
+/// What the driver waits for while it is set up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Step {
+    Welcome,
+    /// Whether QTM speaks version `1.n`.
+    Version(u32),
+    QtmVersion,
+    ByteOrder,
+    State,
+    General,
+    Markers,
+    Bodies,
+    Analog,
+    Force,
+}
+
 /// Connection of the driver to its QTM.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum HostState {
+pub(super) enum SessionState {
     /// Not begun, or failed.
     Off,
     /// Asking for what has to be known.
@@ -60,7 +75,7 @@ pub(super) enum Fence {
 
 /// Commands of the recorder that are not completed yet.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct PendingCommands {
+pub(super) struct UnfinishedCommands {
     hello: bool,
     start: bool,
     stop: bool,
@@ -76,8 +91,8 @@ pub struct QtmHost {
     pub(super) name: String,
     /// The UDP port to which frames go; `None` for TCP.
     pub(super) datagram_port: Option<u16>,
-    pub(super) state: HostState,
-    todo: PendingCommands,
+    pub(super) state: SessionState,
+    todo: UnfinishedCommands,
     pub(super) fence: Option<Fence>,
     /// When the last request was written, and when the last bytes arrived.
     pub(super) request_ns: u64,
@@ -98,6 +113,8 @@ pub struct QtmHost {
     pub(super) remarks: Vec<String>,
     /// QTM plays a file: when that is over, so is the stream.
     pub(super) plays_file: bool,
+    /// The end of the connection, until the line has taken it.
+    unsent_end: Option<LineCommand>,
 }
 
 impl QtmHost {
@@ -114,8 +131,8 @@ impl QtmHost {
             line,
             name: Location::Network(address).to_string(),
             datagram_port,
-            state: HostState::Off,
-            todo: PendingCommands::default(),
+            state: SessionState::Off,
+            todo: UnfinishedCommands::default(),
             fence: None,
             request_ns: 0,
             last_bytes_ns: 0,
@@ -131,6 +148,7 @@ impl QtmHost {
             run: StreamRun::default(),
             remarks: Vec::new(),
             plays_file: false,
+            unsent_end: None,
         }
     }
 
@@ -153,23 +171,29 @@ impl QtmHost {
 
     /// Ends the session with a message: trying again is of no use.
     pub(super) fn fail(&mut self, message: &str) {
-        self.state = HostState::Off;
-        self.line.send(LineCommand::Fail(format!("{}: {message}", self.name)));
+        self.end_connection(LineCommand::Fail(format!("{}: {message}", self.name)));
     }
 
     /// Ends the connection; the recorder waits for QTM to come back.
     pub(super) fn lose(&mut self, cause: String) {
-        self.state = HostState::Off;
-        self.line.send(LineCommand::Lost(cause));
+        self.end_connection(LineCommand::Lost(cause));
+    }
+
+    /// Nothing is decoded from here on. If the queue is full of requests, the end waits for the next read.
+    fn end_connection(&mut self, command: LineCommand) {
+        self.state = SessionState::Off;
+        if !self.line.send(command.clone()) {
+            self.unsent_end = Some(command);
+        }
     }
 
     /// Begins to end the stream: its last frames are waited for.
     pub(super) fn begin_end(&mut self) {
         let stragglers_ns = if self.datagram_port.is_some() { STRAGGLERS_NS } else { 0 };
-        self.state = HostState::Ending(Some(self.line.now_ns().saturating_add(stragglers_ns)));
+        self.state = SessionState::Ending(Some(self.line.now_ns().saturating_add(stragglers_ns)));
     }
 
-    fn receive(&mut self, bytes: &[u8], on_event: OnEvent<'_>) {
+    fn receive(&mut self, bytes: &[u8], on_event: EventSink<'_>) {
         if self.line.is_datagram() {
             match Packet::of(bytes) {
                 Some(packet) => self.on_packet(&packet, on_event),
@@ -183,7 +207,7 @@ impl QtmHost {
         // Taken out while its packets are handled.
         let mut reader = std::mem::take(&mut self.reader);
         reader.extend(bytes);
-        while self.state != HostState::Off {
+        while self.state != SessionState::Off {
             match reader.next_packet() {
                 Ok(Some(packet)) => self.on_packet(&packet, on_event),
                 Ok(None) => break,
@@ -200,7 +224,7 @@ impl QtmHost {
 
     /// What arrives is no packet, and nothing marks where the next one begins.
     fn out_of_step(&mut self, problem: OutOfStep) {
-        if !matches!(self.state, HostState::BringUp(_)) {
+        if !matches!(self.state, SessionState::BringUp(_)) {
             self.lose("what it sends is no packet of the QTM RT protocol".to_owned());
             return;
         }
@@ -220,15 +244,17 @@ impl QtmHost {
         });
     }
 
-    fn on_packet(&mut self, packet: &Packet<'_>, on_event: OnEvent<'_>) {
+    fn on_packet(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
         self.counters.messages += 1;
         match (packet.kind, self.state) {
             (None, _) => self.counters.messages_unknown += 1,
             (Some(PacketKind::Event), _) => self.on_state_change(packet, on_event),
-            (Some(PacketKind::Data), HostState::Streaming | HostState::Ending(_)) => {
+            (Some(PacketKind::Data), SessionState::Streaming | SessionState::Ending(_)) => {
                 self.on_data(packet.body, on_event);
             }
-            (Some(PacketKind::NoMoreData), HostState::Streaming) => self.on_no_more_data(on_event),
+            (Some(PacketKind::NoMoreData), SessionState::Streaming) => {
+                self.on_no_more_data(on_event)
+            }
             (Some(PacketKind::Error | PacketKind::Command | PacketKind::Xml), _) => {
                 self.on_reply(packet, on_event);
             }
@@ -237,14 +263,14 @@ impl QtmHost {
         }
     }
 
-    fn on_reply(&mut self, packet: &Packet<'_>, on_event: OnEvent<'_>) {
+    fn on_reply(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
         match self.state {
-            HostState::BringUp(step) => self.on_bring_up_reply(step, packet),
+            SessionState::BringUp(step) => self.on_bring_up_reply(step, packet),
             _ if self.awaits_labels && packet.kind == Some(PacketKind::Xml) => {
                 self.on_new_labels(packet, on_event);
             }
-            HostState::Streaming if packet.kind == Some(PacketKind::Error) => {
-                let text = super::bring_up::printable(&packet.text());
+            SessionState::Streaming if packet.kind == Some(PacketKind::Error) => {
+                let text = printable(&packet.text());
                 self.fail(&format!("QTM does not send frames ({text}): check its version"));
             }
             _ if packet.kind == Some(PacketKind::Command) => self.on_fence(on_event),
@@ -252,7 +278,7 @@ impl QtmHost {
         }
     }
 
-    fn on_fence(&mut self, on_event: OnEvent<'_>) {
+    fn on_fence(&mut self, on_event: EventSink<'_>) {
         match self.fence.take() {
             Some(Fence::Started) => self.report_started(on_event),
             Some(Fence::Stopped) => self.begin_end(),
@@ -263,16 +289,19 @@ impl QtmHost {
     }
 
     /// What is due by the clock.
-    fn tick(&mut self, on_event: OnEvent<'_>) {
+    fn tick(&mut self, on_event: EventSink<'_>) {
+        if let Some(command) = self.unsent_end.take() {
+            self.end_connection(command);
+        }
         let now_ns = self.line.now_ns();
         let since_request_ns = now_ns.saturating_sub(self.request_ns);
         let silent_ns = now_ns.saturating_sub(self.last_bytes_ns);
         match self.state {
-            HostState::BringUp(step) if since_request_ns > REPLY_TIMEOUT_NS => {
+            SessionState::BringUp(step) if since_request_ns > REPLY_TIMEOUT_NS => {
                 self.on_bring_up_timeout(step);
             }
-            HostState::Ending(Some(until_ns)) if now_ns >= until_ns => self.end(on_event),
-            HostState::Streaming if silent_ns > CHECK_AFTER_NS => match self.fence {
+            SessionState::Ending(Some(until_ns)) if now_ns >= until_ns => self.end(on_event),
+            SessionState::Streaming if silent_ns > CHECK_AFTER_NS => match self.fence {
                 None => self.send_fence(Fence::Alive),
                 Some(_) if since_request_ns > REPLY_TIMEOUT_NS => {
                     let seconds = silent_ns / (1_000 * MS);
@@ -285,8 +314,8 @@ impl QtmHost {
     }
 
     /// Completes pending commands as soon as the state permits.
-    fn complete_commands(&mut self, on_event: OnEvent<'_>) {
-        if self.state != HostState::Ready {
+    fn complete_commands(&mut self, on_event: EventSink<'_>) {
+        if self.state != SessionState::Ready {
             return;
         }
         if std::mem::take(&mut self.todo.hello) {
@@ -301,7 +330,7 @@ impl QtmHost {
         }
         if let Some(host_ns) = self.todo.ping_ns.take() {
             // QTM has no request for its time: the pong only says that it is there.
-            on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks: self.run.last_us() }));
+            on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks: self.run.last_us }));
         }
         if std::mem::take(&mut self.todo.start) {
             self.start_stream();
@@ -326,12 +355,13 @@ impl Protocol for QtmHost {
         let (sender, receiver) = line_command_channel();
         self.line = sender;
         self.datagram_port = line.datagram_port();
-        self.state = HostState::Off;
-        self.todo = PendingCommands::default();
+        self.state = SessionState::Off;
+        self.todo = UnfinishedCommands::default();
         self.fence = None;
         self.awaits_labels = false;
         self.last_bytes_ns = 0;
         self.reader.clear();
+        self.unsent_end = None;
         self.run = StreamRun::default();
         Box::new(PolledTransport::new(line, receiver))
     }
@@ -354,32 +384,32 @@ impl Protocol for QtmHost {
             Command::Identify => {
                 self.todo.hello = true;
                 match self.state {
-                    HostState::Off => self.begin_bring_up(),
+                    SessionState::Off => self.begin_bring_up(),
                     // By contract a device is stopped after its Hello, which has what is true then.
-                    HostState::Ready => self.ask_again(),
-                    HostState::Streaming => {
+                    SessionState::Ready => self.ask_again(),
+                    SessionState::Streaming => {
                         self.send("StreamFrames Stop");
                         self.ask_again();
                     }
-                    HostState::BringUp(_) | HostState::Ending(_) => {}
+                    SessionState::BringUp(_) | SessionState::Ending(_) => {}
                 }
             }
             Command::Start { .. } => self.todo.start = true,
             Command::Stop => {
                 self.todo.start = false;
                 match self.state {
-                    HostState::Streaming => {
-                        self.state = HostState::Ending(None);
+                    SessionState::Streaming => {
+                        self.state = SessionState::Ending(None);
                         self.send("StreamFrames Stop");
                         self.send_fence(Fence::Stopped);
                     }
-                    HostState::Ready => self.todo.stop = true,
-                    HostState::Off | HostState::BringUp(_) | HostState::Ending(_) => {}
+                    SessionState::Ready => self.todo.stop = true,
+                    SessionState::Off | SessionState::BringUp(_) | SessionState::Ending(_) => {}
                 }
             }
             Command::SetRate(rate_millihertz) => self.todo.set_rate = Some(rate_millihertz),
             // Frames show that QTM is there.
-            Command::Ping { .. } if self.state == HostState::Streaming => {}
+            Command::Ping { .. } if self.state == SessionState::Streaming => {}
             Command::Ping { host_ns } => self.todo.ping_ns = Some(host_ns),
         }
     }

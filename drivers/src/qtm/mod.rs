@@ -13,6 +13,7 @@ mod packet;
 mod run;
 mod server;
 mod settings;
+mod stream_run;
 
 pub use self::{
     command::{

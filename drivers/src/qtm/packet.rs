@@ -227,6 +227,15 @@ fn out_of_step(header: &[u8; HEADER_BYTES]) -> OutOfStep {
     OutOfStep::Size(u32::from_le_bytes([a, b, c, d]))
 }
 
+/// Longest text of QTM's that a message repeats.
+const TEXT_CHARS_MAX: usize = 160;
+
+/// A text of QTM's as a message repeats it: one line, not too long.
+pub(super) fn printable(text: &str) -> String {
+    let one_line = text.trim().chars().map(|c| if c.is_control() { ' ' } else { c });
+    one_line.take(TEXT_CHARS_MAX).collect::<String>().trim_end_matches('.').to_owned()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,14 +1,14 @@
 //! A stream from its start to its end: frames, changes of state, and QTM's own account of loss.
 
 use super::{
-    bring_up::printable,
     command::{Components, DatagramTarget, StreamRate, StreamRequest},
     frame::{FrameHeader, MarkerComponent, MarkerComponentKind, read_frame},
-    host::{Fence, HostState, OnEvent, QtmHost},
-    packet::{Event, Packet},
+    host::{EventSink, Fence, QtmHost, SessionState},
+    packet::{Event, Packet, printable},
     settings::Settings,
+    stream_run::{OpenFrame, StreamRun, VendorLoss},
 };
-use crate::device::{DeviceEvent, Frame, LinkBudget, MarkerSample, Status};
+use crate::device::{DeviceEvent, Frame, LinkBudget, MarkerSample};
 
 /// Components of a frame that the driver requests.
 const REQUESTED: [MarkerComponentKind; 2] =
@@ -20,55 +20,6 @@ const NOTES_MAX: u32 = 64;
 /// Ids of labelled markers without a channel: above all that QTM gives to unlabelled ones, which have 32 bits.
 const NO_CHANNEL: u64 = 1 << 32;
 
-/// The frame that is put together: over UDP its components may arrive in several datagrams.
-#[derive(Debug, Clone, Copy)]
-struct OpenFrame {
-    header: FrameHeader,
-    has_labelled: bool,
-    has_unlabelled: bool,
-}
-
-/// QTM's account of what it lost between cameras and computer: 2D frames, per thousand, over the last second.
-#[derive(Debug, Clone, Copy, Default)]
-struct VendorLoss {
-    /// Highest rates of lost 2D frames, and of those out of step.
-    worst: [u16; 2],
-    /// Frames that stated a rate above 0.
-    frames: [u64; 2],
-}
-
-/// The state of a stream.
-#[derive(Debug, Default)]
-pub(super) struct StreamRun {
-    is_reported: bool,
-    open: Option<OpenFrame>,
-    first: Option<u32>,
-    last: u32,
-    last_us: u64,
-    frames: u64,
-    notes: u32,
-    vendor: VendorLoss,
-    is_idle_noted: bool,
-    /// Unlabelled markers without a channel.
-    excess: u64,
-}
-
-impl StreamRun {
-    /// The final counters. QTM does not state how many frames it made: these are frames by their numbers.
-    pub(super) fn status(&self) -> Status {
-        let produced = self.first.map_or(0, |first| u64::from(self.last.wrapping_sub(first)) + 1);
-        // A count that began again tells nothing.
-        let frames_produced =
-            if produced > u64::from(u32::MAX / 2) { self.frames } else { produced };
-        Status { frames_produced, frames_dropped: 0, temperature_c_100: i16::MIN }
-    }
-
-    /// Time stamp of the last frame.
-    pub(super) fn last_us(&self) -> u64 {
-        self.last_us
-    }
-}
-
 impl QtmHost {
     /// Requests frames.
     pub(super) fn start_stream(&mut self) {
@@ -78,13 +29,13 @@ impl QtmHost {
             components: Components::of(&REQUESTED),
         };
         self.run = StreamRun::default();
-        self.state = HostState::Streaming;
+        self.state = SessionState::Streaming;
         self.send(&request.to_string());
         self.send_fence(Fence::Started);
     }
 
     /// The request for frames was accepted.
-    pub(super) fn report_started(&mut self, on_event: OnEvent<'_>) {
+    pub(super) fn report_started(&mut self, on_event: EventSink<'_>) {
         if std::mem::replace(&mut self.run.is_reported, true) {
             return;
         }
@@ -98,14 +49,14 @@ impl QtmHost {
         }
     }
 
-    fn note(&mut self, text: &str, on_event: OnEvent<'_>) {
+    fn note(&mut self, text: &str, on_event: EventSink<'_>) {
         if self.run.notes < NOTES_MAX {
             self.run.notes += 1;
             on_event(DeviceEvent::Note(text));
         }
     }
 
-    pub(super) fn on_data(&mut self, body: &[u8], on_event: OnEvent<'_>) {
+    pub(super) fn on_data(&mut self, body: &[u8], on_event: EventSink<'_>) {
         self.report_started(on_event);
         let mut n_components = 0;
         let read = read_frame(body, &mut |header, component| {
@@ -129,7 +80,7 @@ impl QtmHost {
     }
 
     /// Begins the frame, unless it is the open one.
-    fn open_frame(&mut self, header: FrameHeader, on_event: OnEvent<'_>) {
+    fn open_frame(&mut self, header: FrameHeader, on_event: EventSink<'_>) {
         if self.run.open.is_some_and(|open| open.header == header) {
             return;
         }
@@ -143,7 +94,7 @@ impl QtmHost {
         &mut self,
         header: FrameHeader,
         component: &MarkerComponent<'_>,
-        on_event: OnEvent<'_>,
+        on_event: EventSink<'_>,
     ) {
         let is_labelled = component.kind.is_labelled();
         let is_there =
@@ -199,7 +150,7 @@ impl QtmHost {
     }
 
     /// Passes the open frame on.
-    pub(super) fn flush_frame(&mut self, on_event: OnEvent<'_>) {
+    pub(super) fn flush_frame(&mut self, on_event: EventSink<'_>) {
         let Some(OpenFrame { header, .. }) = self.run.open.take() else { return };
         let seq = self.axis.counter(header.number, header.time_us);
         let run = &mut self.run;
@@ -218,7 +169,7 @@ impl QtmHost {
     }
 
     /// The labels that were requested because frames have another number of markers.
-    pub(super) fn on_new_labels(&mut self, packet: &Packet<'_>, on_event: OnEvent<'_>) {
+    pub(super) fn on_new_labels(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
         self.awaits_labels = false;
         match Settings::parse(&packet.text()) {
             Ok(Settings { labels: Some(labels), .. }) => {
@@ -236,12 +187,12 @@ impl QtmHost {
         }
     }
 
-    pub(super) fn on_state_change(&mut self, packet: &Packet<'_>, on_event: OnEvent<'_>) {
+    pub(super) fn on_state_change(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
         let event = packet.body.first().and_then(|code| Event::of(*code));
         self.counters.messages_unknown += u64::from(event.is_none());
         match self.state {
-            HostState::BringUp(_) => self.on_state_reply(event),
-            HostState::Streaming => {
+            SessionState::BringUp(_) => self.on_state_reply(event),
+            SessionState::Streaming => {
                 let Some(event) = event else { return };
                 self.note(&format!("QTM: {}", event.name()), on_event);
                 let has_frames = self.run.frames > 0;
@@ -255,16 +206,16 @@ impl QtmHost {
                 }
             }
             // A datagram may have told of the end before this did.
-            HostState::Ending(_) => {
+            SessionState::Ending(_) => {
                 if let Some(event) = event {
                     self.note(&format!("QTM: {}", event.name()), on_event);
                 }
             }
-            HostState::Off | HostState::Ready => {}
+            SessionState::Off | SessionState::Ready => {}
         }
     }
 
-    pub(super) fn on_no_more_data(&mut self, on_event: OnEvent<'_>) {
+    pub(super) fn on_no_more_data(&mut self, on_event: EventSink<'_>) {
         self.report_started(on_event);
         if self.run.frames == 0 {
             self.note_idle(on_event);
@@ -276,7 +227,7 @@ impl QtmHost {
     }
 
     /// Explains, once, why QTM answers and no frame has come.
-    pub(super) fn note_idle(&mut self, on_event: OnEvent<'_>) {
+    pub(super) fn note_idle(&mut self, on_event: EventSink<'_>) {
         if self.run.frames > 0 || std::mem::replace(&mut self.run.is_idle_noted, true) {
             return;
         }
@@ -297,9 +248,9 @@ impl QtmHost {
     }
 
     /// The stream has ended, and all that belongs to it has arrived.
-    pub(super) fn end(&mut self, on_event: OnEvent<'_>) {
+    pub(super) fn end(&mut self, on_event: EventSink<'_>) {
         self.flush_frame(on_event);
-        self.state = HostState::Ready;
+        self.state = SessionState::Ready;
         self.fence = None;
         let VendorLoss { worst, frames } = self.run.vendor;
         let texts = [

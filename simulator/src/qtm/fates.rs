@@ -11,7 +11,7 @@ use crate::faults::{Kind, Kinds};
 const OPEN_MAX: usize = 1 << 18;
 
 #[derive(Debug)]
-struct Entry {
+struct LoggedFrame {
     fate: FrameFate,
     /// The client, and the bytes ever queued for it with this frame, while they wait.
     waits_for: Option<(ClientId, u64)>,
@@ -20,7 +20,7 @@ struct Entry {
 /// Follows frames to the connections that take them.
 #[derive(Debug, Default)]
 pub(super) struct DeliveryLog {
-    open: VecDeque<Entry>,
+    open: VecDeque<LoggedFrame>,
     closed: Vec<FrameFate>,
     keeps_frames: bool,
     totals: FaultTotals,
@@ -50,7 +50,7 @@ impl DeliveryLog {
     fn add(&mut self, frame: SentFrame, fate: Fate, waits_for: Option<(ClientId, u64)>) {
         self.last_ns = Some(frame.host_ns);
         let fate = FrameFate { frame, frames: 1, fate, again: 0, faults: Kinds::default() };
-        self.open.push_back(Entry { fate, waits_for });
+        self.open.push_back(LoggedFrame { fate, waits_for });
         while self.open.len() > OPEN_MAX {
             self.close_first();
         }
@@ -71,7 +71,7 @@ impl DeliveryLog {
             Delivery::Queued { client, end } => self.add(frame, Fate::Waiting, Some((client, end))),
             Delivery::Datagrams(_) => self.add(frame, Fate::Whole, None),
             Delivery::Dropped => {
-                self.add(SentFrame { dropped: true, ..frame }, Fate::Dropped, None)
+                self.add(SentFrame { dropped: true, ..frame }, Fate::Dropped, None);
             }
             Delivery::NotRequested | Delivery::NoStream => {
                 self.add(SentFrame { unasked: true, ..frame }, Fate::Unasked, None);
@@ -144,7 +144,7 @@ impl DeliveryLog {
     }
 
     fn close_first(&mut self) {
-        let Some(Entry { fate, .. }) = self.open.pop_front() else { return };
+        let Some(LoggedFrame { fate, .. }) = self.open.pop_front() else { return };
         self.totals.add(&fate);
         self.frames_sent += u64::from(matches!(fate.fate, Fate::Whole | Fate::Late));
         if self.keeps_frames {

@@ -143,7 +143,7 @@ impl QtmListener {
         connections: &mut Vec<Connection>,
     ) -> Result<(), ServeError> {
         if !device.is_reachable() {
-            connections.drain(..).for_each(|connection| connection.close());
+            connections.drain(..).for_each(Connection::close);
             self.listener = None;
         } else if self.listener.is_none() {
             let port = self.address.port();

@@ -98,16 +98,37 @@ fn ip_of(address: &SockaddrStorage) -> Option<IpAddr> {
     Some(v4.or_else(v6)?.to_canonical())
 }
 
+/// Time within which the two clocks are read; a thread that was interrupted in between reads them again.
+const BOTH_CLOCKS_NS: i64 = 20_000;
+
+/// Attempts at that, on a machine that interrupts again and again.
+const ATTEMPTS_MAX: usize = 4;
+
 /// Converts a stamp of the wall clock to the monotonic clock; `None` when the wall clock was set in between.
 fn monotonic_ns(stamp: TimeSpec) -> Option<u64> {
     let in_ns = |seconds: i64, ns: i64| seconds.checked_mul(1_000_000_000)?.checked_add(ns);
-    let wall = clock_gettime(ClockId::Realtime);
-    let now = clock_gettime(ClockId::Monotonic);
-    let age_ns = in_ns(wall.tv_sec, wall.tv_nsec)? - in_ns(stamp.tv_sec(), stamp.tv_nsec())?;
-    if !(0..STAMP_AGE_MAX_NS).contains(&age_ns) {
-        return None;
+    let read = |clock| {
+        let now = clock_gettime(clock);
+        in_ns(now.tv_sec, now.tv_nsec)
+    };
+    let stamp_ns = in_ns(stamp.tv_sec(), stamp.tv_nsec())?;
+    let mut best: Option<(i64, i64)> = None;
+    for _ in 0..ATTEMPTS_MAX {
+        let (before_ns, wall_ns) = (read(ClockId::Monotonic)?, read(ClockId::Realtime)?);
+        let took_ns = read(ClockId::Monotonic)? - before_ns;
+        if best.is_none_or(|(took, _)| took_ns < took) {
+            best = Some((took_ns, before_ns + took_ns / 2 - wall_ns));
+        }
+        if took_ns <= BOTH_CLOCKS_NS {
+            break;
+        }
     }
-    u64::try_from(in_ns(now.tv_sec, now.tv_nsec)? - age_ns).ok()
+    let (_, offset_ns) = best?;
+    let host_ns = stamp_ns.checked_add(offset_ns)?;
+    let age_ns = read(ClockId::Monotonic)? - host_ns;
+    // As much may a stamp of just now lie in the future.
+    let ages = -BOTH_CLOCKS_NS..STAMP_AGE_MAX_NS;
+    ages.contains(&age_ns).then(|| u64::try_from(host_ns).ok()).flatten()
 }
 
 #[cfg(test)]
@@ -126,21 +147,25 @@ mod tests {
         let local = IpAddr::V4(Ipv4Addr::LOCALHOST);
         let mut socket = DatagramSocket::open(local, local).unwrap();
         let sender = UdpSocket::bind((local, 0)).unwrap();
-        let before_ns = now_ns();
-        sender.send_to(b"first", (local, socket.port())).unwrap();
-        sender.send_to(b"second!", (local, socket.port())).unwrap();
-        let sent_ns = now_ns();
-        sleep(Duration::from_millis(50));
-        let mut buf = [0; 64];
-        let (n, first_ns) = socket.receive(&mut buf).unwrap();
-        assert_eq!(&buf[..n], b"first", "one datagram a read");
-        let (n, second_ns) = socket.receive(&mut buf).unwrap();
-        assert_eq!(&buf[..n], b"second!");
-        let (first_ns, second_ns) = (first_ns.unwrap(), second_ns.unwrap());
-        // The two clocks are read one after the other: a millisecond of tolerance for a busy machine.
-        assert!(first_ns + 1_000_000 > before_ns && second_ns < sent_ns + 1_000_000);
-        assert!(first_ns <= second_ns);
-        assert_eq!(socket.receive(&mut buf).unwrap_err().kind(), io::ErrorKind::WouldBlock);
+        // The kernel begins to stamp a moment after the first socket asks for it; until then a read stamps.
+        let is_stamped = (0..50).any(|_| {
+            let before_ns = now_ns();
+            sender.send_to(b"first", (local, socket.port())).unwrap();
+            sender.send_to(b"second!", (local, socket.port())).unwrap();
+            let sent_ns = now_ns();
+            sleep(Duration::from_millis(50));
+            let mut buf = [0; 64];
+            let (n, first_ns) = socket.receive(&mut buf).unwrap();
+            assert_eq!(&buf[..n], b"first", "one datagram a read");
+            let (n, second_ns) = socket.receive(&mut buf).unwrap();
+            assert_eq!(&buf[..n], b"second!");
+            let (first_ns, second_ns) = (first_ns.unwrap(), second_ns.unwrap());
+            assert_eq!(socket.receive(&mut buf).unwrap_err().kind(), io::ErrorKind::WouldBlock);
+            assert!(first_ns + 5_000_000 > before_ns && first_ns <= second_ns);
+            // A tenth of the wait before the read, because two clocks are compared.
+            second_ns < sent_ns + 5_000_000
+        });
+        assert!(is_stamped);
     }
 
     #[test]
