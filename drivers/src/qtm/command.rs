@@ -13,9 +13,6 @@ pub const WELCOME: &str = "QTM RT Interface connected";
 /// Lowest UDP port that a stream may be sent to: "Valid port numbers are 1023 - 65535".
 const UDP_PORT_MIN: u16 = 1023;
 
-/// Longest command that is read: a path of a file, and some words.
-pub const COMMAND_BYTES_MAX: usize = 8 << 10;
-
 /// Components that a command names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Components {

@@ -106,6 +106,10 @@ pub struct QtmHost {
     pub(super) unlabelled: UnlabelledIds,
     /// Whether the labels were requested again, because frames have another number of them.
     pub(super) awaits_labels: bool,
+    /// When they were requested last.
+    pub(super) labels_request_ns: u64,
+    /// Whether frames came on this connection.
+    pub(super) had_frames: bool,
     pub(super) samples: Vec<MarkerSample>,
     pub(super) axis: FrameAxis,
     pub(super) run: StreamRun,
@@ -143,6 +147,8 @@ impl QtmHost {
             labels: LabelTable::default(),
             unlabelled: UnlabelledIds::default(),
             awaits_labels: false,
+            labels_request_ns: 0,
+            had_frames: false,
             samples: Vec::new(),
             axis: FrameAxis::default(),
             run: StreamRun::default(),
@@ -169,8 +175,11 @@ impl QtmHost {
         self.send("ByteOrder");
     }
 
-    /// Ends the session with a message: trying again is of no use.
+    /// Ends the session with a message: trying again is of no use. But where frames came before, the recorder waits.
     pub(super) fn fail(&mut self, message: &str) {
+        if self.had_frames {
+            return self.lose(message.to_owned());
+        }
         self.end_connection(LineCommand::Fail(format!("{}: {message}", self.name)));
     }
 
@@ -253,7 +262,7 @@ impl QtmHost {
                 self.on_data(packet.body, on_event);
             }
             (Some(PacketKind::NoMoreData), SessionState::Streaming) => {
-                self.on_no_more_data(on_event)
+                self.on_no_more_data(on_event);
             }
             (Some(PacketKind::Error | PacketKind::Command | PacketKind::Xml), _) => {
                 self.on_reply(packet, on_event);
@@ -269,12 +278,24 @@ impl QtmHost {
             _ if self.awaits_labels && packet.kind == Some(PacketKind::Xml) => {
                 self.on_new_labels(packet, on_event);
             }
-            SessionState::Streaming if packet.kind == Some(PacketKind::Error) => {
-                let text = printable(&packet.text());
-                self.fail(&format!("QTM does not send frames ({text}): check its version"));
-            }
+            _ if packet.kind == Some(PacketKind::Error) => self.on_error(packet, on_event),
             _ if packet.kind == Some(PacketKind::Command) => self.on_fence(on_event),
             _ => {}
+        }
+    }
+
+    /// QTM refused a request during the stream.
+    fn on_error(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
+        let text = printable(&packet.text());
+        match (self.state, self.fence) {
+            // Replies come in order: what was sent before the fence is the request for frames.
+            (SessionState::Streaming, Some(Fence::Started)) => {
+                self.fail(&format!("QTM does not send frames ({text}): check its version"));
+            }
+            _ => {
+                self.awaits_labels = false;
+                self.note(&format!("QTM refuses a request: {text}"), on_event);
+            }
         }
     }
 
@@ -359,6 +380,7 @@ impl Protocol for QtmHost {
         self.todo = UnfinishedCommands::default();
         self.fence = None;
         self.awaits_labels = false;
+        (self.labels_request_ns, self.had_frames) = (0, false);
         self.last_bytes_ns = 0;
         self.reader.clear();
         self.unsent_end = None;

@@ -17,8 +17,8 @@ mod stream_run;
 
 pub use self::{
     command::{
-        COMMAND_BYTES_MAX, ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate,
-        StreamRequest, VERSIONS, WELCOME,
+        ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate, StreamRequest,
+        VERSIONS, WELCOME,
     },
     frame::{
         ComponentToSend, FrameHeader, MISSING, MarkerComponent, MarkerComponentKind, WireMarker,

@@ -3,7 +3,7 @@
 use super::{
     command::{Components, DatagramTarget, StreamRate, StreamRequest},
     frame::{FrameHeader, MarkerComponent, MarkerComponentKind, read_frame},
-    host::{EventSink, Fence, QtmHost, SessionState},
+    host::{EventSink, Fence, MS, QtmHost, SessionState},
     packet::{Event, Packet, printable},
     settings::Settings,
     stream_run::{OpenFrame, StreamRun, VendorLoss},
@@ -16,6 +16,9 @@ const REQUESTED: [MarkerComponentKind; 2] =
 
 /// Notes of one stream; a QTM whose state changes again and again must fill neither the take nor the screen.
 const NOTES_MAX: u32 = 64;
+
+/// Least time between two requests for the labels of one stream.
+const LABELS_INTERVAL_NS: u64 = 1_000 * MS;
 
 /// Ids of labelled markers without a channel: above all that QTM gives to unlabelled ones, which have 32 bits.
 const NO_CHANNEL: u64 = 1 << 32;
@@ -49,7 +52,7 @@ impl QtmHost {
         }
     }
 
-    fn note(&mut self, text: &str, on_event: EventSink<'_>) {
+    pub(super) fn note(&mut self, text: &str, on_event: EventSink<'_>) {
         if self.run.notes < NOTES_MAX {
             self.run.notes += 1;
             on_event(DeviceEvent::Note(text));
@@ -115,9 +118,8 @@ impl QtmHost {
             *frames += u64::from(rate > 0 && is_labelled);
         }
         let fits = component.n_markers() == self.labels.n_labels();
-        if is_labelled && !fits && !self.awaits_labels {
-            self.awaits_labels = true;
-            self.send("GetParameters 3D");
+        if is_labelled && !fits {
+            self.request_labels();
         }
         for (index, marker) in component.markers().enumerate() {
             let is_missing = marker.position_mm.iter().any(|value| value.is_nan());
@@ -149,6 +151,18 @@ impl QtmHost {
         }
     }
 
+    /// Requests the labels again; not for every frame, if QTM keeps sending another number of markers than it states.
+    fn request_labels(&mut self) {
+        let now_ns = self.line.now_ns();
+        let is_due = self.labels_request_ns == 0
+            || now_ns.saturating_sub(self.labels_request_ns) > LABELS_INTERVAL_NS;
+        if !self.awaits_labels && is_due {
+            self.awaits_labels = true;
+            self.labels_request_ns = now_ns.max(1);
+            self.send("GetParameters 3D");
+        }
+    }
+
     /// Passes the open frame on.
     pub(super) fn flush_frame(&mut self, on_event: EventSink<'_>) {
         let Some(OpenFrame { header, .. }) = self.run.open.take() else { return };
@@ -158,6 +172,7 @@ impl QtmHost {
         if seq.wrapping_sub(run.last).cast_signed() > 0 || run.frames == 0 {
             run.last = seq;
         }
+        self.had_frames = true;
         run.last_us = header.time_us;
         run.frames += 1;
         on_event(DeviceEvent::Frame(Frame {

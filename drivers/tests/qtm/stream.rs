@@ -353,3 +353,75 @@ fn an_identify_during_the_stream_stops_it_and_it_can_be_started_again() {
     pair.step();
     assert_eq!(pair.driver.reported.frames.len(), 2);
 }
+
+#[test]
+fn labels_that_qtm_does_not_state_cost_no_frame_and_few_requests() {
+    let mut pair = Pair::new(None);
+    pair.start();
+    let four = [marker(1, 0); 4];
+    let mut refusal = Vec::new();
+    put_text(PacketKind::Error, "Parameters not available", &mut refusal);
+    for number in 0..300 {
+        let both = [(LABELLED, [0; 2], &four[..]), (UNLABELLED, [0; 2], &[])];
+        pair.driver.push(&packet(header(number), &both), false);
+        if !pair.driver.written().is_empty() {
+            pair.driver.push(&refusal, false);
+        }
+        pair.driver.now_ns += 10 * MS;
+    }
+    assert_eq!((pair.driver.reported.frames.len(), &pair.driver.failed), (300, &None));
+    let n = pair.driver.sent.iter().filter(|sent| *sent == "GetParameters 3D").count();
+    assert!((3..6).contains(&n), "{n}: one for the start, and one a second");
+    assert!(
+        pair.driver.reported.notes.iter().any(|note| note.contains("Parameters not available"))
+    );
+}
+
+#[test]
+fn a_request_for_frames_that_is_refused_is_an_error() {
+    let mut pair = Pair::new(None);
+    pair.driver.command(Command::Identify);
+    pair.steps(30);
+    pair.driver.command(Command::Start { line_bytes_per_s: 0 });
+    pair.driver.push(&[], false);
+    let mut refusal = Vec::new();
+    put_text(PacketKind::Error, "Parse error", &mut refusal);
+    pair.driver.push(&refusal, false);
+    pair.driver.written();
+    assert!(pair.driver.failed.unwrap().contains("does not send frames (Parse error)"));
+}
+
+#[test]
+fn a_qtm_that_has_closed_its_measurement_when_it_is_asked_again_is_waited_for() {
+    let mut pair = Pair::new(None);
+    pair.start();
+    pair.frame(0, 0, &[]);
+    pair.step();
+    pair.driver.command(Command::Identify);
+    // Stop and ByteOrder are answered; the settings are gone.
+    pair.driver.written();
+    let mut bytes = Vec::new();
+    put_text(PacketKind::Command, "Byte order is little endian", &mut bytes);
+    put_event(Event::ConnectionClosed, &mut bytes);
+    put_text(PacketKind::Error, "Parameters not available", &mut bytes);
+    pair.driver.push(&bytes, false);
+    pair.driver.written();
+    assert_eq!(pair.driver.failed, None);
+    assert!(pair.driver.lost.unwrap().contains("no measurement"));
+}
+
+#[test]
+fn labels_that_arrive_when_the_driver_asks_again_are_not_taken_for_a_byte_order() {
+    let mut pair = Pair::new(None);
+    pair.start();
+    let both = [(LABELLED, [0; 2], &[marker(1, 0); 4][..]), (UNLABELLED, [0; 2], &[])];
+    pair.driver.push(&packet(header(1), &both), false);
+    pair.driver.command(Command::Identify);
+    let xml = "<Q><The_3D><Labels>1</Labels><Label><Name>big toe</Name></Label></The_3D></Q>";
+    let mut bytes = Vec::new();
+    put_text(PacketKind::Xml, xml, &mut bytes);
+    pair.driver.push(&bytes, false);
+    pair.steps(20);
+    assert_eq!((pair.driver.failed, pair.driver.lost), (None, None));
+    assert!(pair.driver.reported.hello.is_some());
+}
