@@ -4,7 +4,7 @@ use super::{
     axis::FrameAxis,
     command::VERSIONS,
     labels::{LabelTable, UnlabelledIds},
-    packet::{OutOfStep, Packet, PacketKind, PacketReader, printable, put_text},
+    packet::{OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader, printable, put_text},
     stream_run::StreamRun,
 };
 use crate::{
@@ -50,8 +50,10 @@ pub(super) enum Step {
 /// Connection of the driver to its QTM.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum SessionState {
-    /// Not begun, or failed.
+    /// Not begun.
     Off,
+    /// Failed: nothing that arrives is decoded.
+    Over,
     /// Asking for what has to be known.
     BringUp(Step),
     /// Set up; no frames requested.
@@ -190,7 +192,7 @@ impl QtmHost {
 
     /// Nothing is decoded from here on. If the queue is full of requests, the end waits for the next read.
     fn end_connection(&mut self, command: LineCommand) {
-        self.state = SessionState::Off;
+        self.state = SessionState::Over;
         if !self.line.send(command.clone()) {
             self.unsent_end = Some(command);
         }
@@ -216,17 +218,21 @@ impl QtmHost {
         // Taken out while its packets are handled.
         let mut reader = std::mem::take(&mut self.reader);
         reader.extend(bytes);
-        while self.state != SessionState::Off {
+        // Before it begins, packets wait.
+        while !matches!(self.state, SessionState::Off | SessionState::Over) {
             match reader.next_packet() {
                 Ok(Some(packet)) => self.on_packet(&packet, on_event),
                 Ok(None) => break,
                 Err(problem) => {
                     self.counters.messages_damaged += 1;
-                    self.counters.bytes_skipped += reader.waiting() as u64;
-                    reader.clear();
                     self.out_of_step(problem);
                 }
             }
+        }
+        let is_too_much = reader.waiting() > PACKET_BYTES_MAX;
+        if self.state == SessionState::Over || (self.state == SessionState::Off && is_too_much) {
+            self.counters.bytes_skipped += reader.waiting() as u64;
+            reader.clear();
         }
         self.reader = reader;
     }
@@ -406,7 +412,7 @@ impl Protocol for QtmHost {
             Command::Identify => {
                 self.todo.hello = true;
                 match self.state {
-                    SessionState::Off => self.begin_bring_up(),
+                    SessionState::Off | SessionState::Over => self.begin_bring_up(),
                     // By contract a device is stopped after its Hello, which has what is true then.
                     SessionState::Ready => self.ask_again(),
                     SessionState::Streaming => {
@@ -426,7 +432,10 @@ impl Protocol for QtmHost {
                         self.send_fence(Fence::Stopped);
                     }
                     SessionState::Ready => self.todo.stop = true,
-                    SessionState::Off | SessionState::BringUp(_) | SessionState::Ending(_) => {}
+                    SessionState::Off
+                    | SessionState::Over
+                    | SessionState::BringUp(_)
+                    | SessionState::Ending(_) => {}
                 }
             }
             Command::SetRate(rate_millihertz) => self.todo.set_rate = Some(rate_millihertz),

@@ -226,7 +226,7 @@ impl QtmHost {
                     self.note(&format!("QTM: {}", event.name()), on_event);
                 }
             }
-            SessionState::Off | SessionState::Ready => {}
+            SessionState::Off | SessionState::Over | SessionState::Ready => {}
         }
     }
 

@@ -179,7 +179,7 @@ impl Bench {
                 LineCommand::Baud(baud) => self.host_baud = baud,
                 LineCommand::Goodbye(farewell) => self.farewell = farewell,
                 LineCommand::Fail(message) | LineCommand::Lost(message) => {
-                    self.failed = Some(message)
+                    self.failed = Some(message);
                 }
             }
         }
