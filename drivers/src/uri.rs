@@ -51,7 +51,7 @@ impl NetworkAddress {
 }
 
 /// A host as URIs write it.
-fn bracketed(host: &str) -> String {
+pub(crate) fn bracketed(host: &str) -> String {
     if host.contains(':') { format!("[{host}]") } else { host.to_owned() }
 }
 

@@ -263,6 +263,25 @@ fn a_timed_recording_stops_and_the_next_one_goes_on() {
     assert_eq!(sent.starts, 2);
 }
 
+/// Longer than the ten seconds after which a recorder asks other devices who they are, and so restarts them.
+#[test]
+fn a_pause_of_frames_restarts_nothing() {
+    let folder = Folder::new();
+    let script =
+        "seed = 1\n[[fault]]\nkind = \"lost-frames\"\nrate = 1.0\nfrom_s = 0.5\nto_s = 12.0\n";
+    let faults = Some(Arc::new(Script::parse("pause", script).unwrap()));
+    let served =
+        Served::new(motion(), QtmSettings { looping: true, faults, ..QtmSettings::default() });
+    let ran = record(&folder, &served.uri, "a.take", &["--seconds", "12500ms"]).with_code(3);
+    let ledger = &ran.json()["ledger"];
+    assert_eq!((&ledger["recorded"], &ledger["lost_on_link"]), (&240.into(), &2760.into()));
+    let info = folder.run(&["info", "a.take", "--json"]).json();
+    let events = info["events"].to_string();
+    assert!(!events.contains("restarted") && events.contains("no frame came for"), "{events}");
+    let (sent, _) = served.stop();
+    assert_eq!(sent.starts, 1);
+}
+
 #[test]
 fn what_cannot_be_opened_is_explained_in_one_line() {
     let folder = Folder::new();
@@ -277,10 +296,14 @@ fn what_cannot_be_opened_is_explained_in_one_line() {
         ),
         ("serial:/dev/null?driver=qtm", vec!["qtm", "qtm:HOST"]),
         ("qtm:127.0.0.1?driver=ndi", vec!["ndi", "serial:PATH"]),
+        ("qtm:[fe80::1]:9", vec!["interface", "%eth0"]),
     ] {
         let line = folder.refuses(&["record", "-d", uri, "-o", "a.take"], 1);
         assert_mentions(&line, &facts);
     }
+    let raw =
+        ["record", "-d", "qtm:127.0.0.1:9?transport=udp", "-o", "a.take", "--raw", "a.rawlog"];
+    assert_mentions(&folder.refuses(&raw, 1), &["raw log", "datagrams", "transport=udp"]);
     // A machine that accepts the connection and is silent, as another program's port is.
     let silent = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let uri = format!("qtm:{}", silent.local_addr().unwrap());

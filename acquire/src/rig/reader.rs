@@ -518,7 +518,8 @@ impl Rig {
     /// up: it then answers, and is started again.
     pub(super) fn check_alive(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
         let since_ns = reader.query.map_or(last_frame_ns, |query| query.at_ns);
-        let is_due = now_ns.saturating_sub(since_ns) > IDENTIFY_INTERVAL.as_nanos() as u64;
+        let is_due = now_ns.saturating_sub(since_ns) > IDENTIFY_INTERVAL.as_nanos() as u64
+            && !self.protocol.checks_silence();
         if is_due && reader.intake.frames_seen() > 0 {
             reader.query = Some(IdentityQuery {
                 at_ns: now_ns,

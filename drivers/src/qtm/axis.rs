@@ -4,17 +4,32 @@
 //! (<https://github.com/qualisys/qualisys_python_sdk/issues/37>). The time, in whole microseconds, then tells how many frames
 //! have passed. Where the number advances, it is what counts: a time stamp may be late.
 
+/// The last frame that was not late.
+#[derive(Debug, Clone, Copy)]
+struct LastFrame {
+    number: u32,
+    time_us: u64,
+    counter: u32,
+    /// When it should have been exposed, where time counts: time stamps that jitter must not add up.
+    grid_us: f64,
+    /// Whether its number was that of the frame before it.
+    stood_still: bool,
+}
+
 /// Frames by their numbers or times, as a counter that wraps.
 #[derive(Debug, Default)]
 pub(super) struct FrameAxis {
     /// Duration of a frame.
     period_us: f64,
-    /// Number, time and counter of the last frame that was not late.
-    last: Option<(u32, u64, u32)>,
+    last: Option<LastFrame>,
 }
 
 /// A number that goes back by more is no late frame: the count began again. The recorder applies the same rule.
 const LATE_MAX: i64 = 64;
+
+/// Part of a time stamp's deviation that the grid takes over: it follows a true rate that differs from the stated one, and
+/// hardly a single stamp.
+const GRID_GAIN: f64 = 0.125;
 
 impl FrameAxis {
     /// An axis for frames at this rate.
@@ -24,27 +39,44 @@ impl FrameAxis {
 
     /// The counter of a frame. Of two equal ones, the second is a duplicate, and one below the last is late.
     pub(super) fn counter(&mut self, number: u32, time_us: u64) -> u32 {
-        let Some((last_number, last_us, last)) = self.last else {
-            self.last = Some((number, time_us, number));
+        let Some(last) = self.last else {
+            let grid_us = time_us as f64;
+            let first = LastFrame { number, time_us, counter: number, grid_us, stood_still: false };
+            self.last = Some(first);
             return number;
         };
-        let by_number = i64::from(number.wrapping_sub(last_number).cast_signed());
-        let elapsed_us = time_us.wrapping_sub(last_us).cast_signed();
-        let steps = if by_number == 0 { self.frames_in(elapsed_us) } else { by_number };
-        let counter = last.wrapping_add(steps as u32);
+        let by_number = i64::from(number.wrapping_sub(last.number).cast_signed());
+        let elapsed_us = time_us.wrapping_sub(last.time_us).cast_signed();
+        // A number that stood still may jump to where it should be: what passed meanwhile was counted by time.
+        let stands_still = by_number == 0;
+        let counts_time = stands_still || (last.stood_still && by_number > 0 && elapsed_us > 0);
+        let steps = if counts_time { self.frames_until(&last, elapsed_us) } else { by_number };
+        let counter = last.counter.wrapping_add(steps as u32);
         let is_late = (-LATE_MAX..=0).contains(&steps) && elapsed_us <= 0;
         if !is_late {
-            self.last = Some((number, time_us, counter));
+            let expected_us = last.grid_us + steps as f64 * self.period_us;
+            let deviation_us = time_us as f64 - expected_us;
+            let grid_us = if counts_time && deviation_us.abs() < self.period_us {
+                expected_us + GRID_GAIN * deviation_us
+            } else {
+                time_us as f64
+            };
+            let stood_still = stands_still;
+            self.last = Some(LastFrame { number, time_us, counter, grid_us, stood_still });
         }
         counter
     }
 
-    /// Frames in a time, at least one if it is not zero.
-    fn frames_in(&self, elapsed_us: i64) -> i64 {
-        match (elapsed_us as f64 / self.period_us).round() as i64 {
-            0 => elapsed_us.signum(),
-            // Beyond this the recorder takes it for a jump in any case.
-            frames => frames.clamp(i64::from(i32::MIN), i64::from(i32::MAX)),
+    /// Frames from the last one to one that is so much later: at least one in either direction, unless the time is the same.
+    fn frames_until(&self, last: &LastFrame, elapsed_us: i64) -> i64 {
+        let since_grid_us = last.time_us as f64 + elapsed_us as f64 - last.grid_us;
+        let frames = (since_grid_us / self.period_us).round() as i64;
+        // Beyond this the recorder takes it for a jump in any case.
+        let frames = frames.clamp(i64::from(i32::MIN), i64::from(i32::MAX));
+        match elapsed_us {
+            0 => 0,
+            1.. => frames.max(1),
+            _ => frames.min(-1),
         }
     }
 }
@@ -71,6 +103,21 @@ mod tests {
         assert_eq!(counters(&frames), [1, 2, 3, 6, 7]);
         // Two frames of 10 ms that QTM stamped 3 ms apart are still two.
         assert_eq!(counters(&[(1, 0), (1, 3_000)]), [1, 2]);
+    }
+
+    #[test]
+    fn jitter_of_time_stamps_does_not_add_up() {
+        // 3 ms late, the next one lost, and 4 ms early: intervals of 13 ms, of which none is two frames.
+        assert_eq!(counters(&[(1, 0), (1, 13_000), (1, 26_000)]), [1, 2, 4]);
+        // A true rate that is 0.1 % below the stated one.
+        let frames: Vec<_> = (0..5000).map(|k| (1, k * 10_010)).collect();
+        assert_eq!(counters(&frames), (1..=5000).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_number_that_catches_up_is_not_counted_twice() {
+        let frames = [(1, 0), (1, 10_000), (1, 20_000), (4, 30_000), (5, 40_000), (7, 60_000)];
+        assert_eq!(counters(&frames), [1, 2, 3, 4, 5, 7]);
     }
 
     #[test]

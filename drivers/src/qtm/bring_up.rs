@@ -3,9 +3,9 @@
 use super::{
     axis::FrameAxis,
     command::{VERSIONS, WELCOME},
-    host::{Fence, QtmHost, SessionState, Step},
+    host::{Fence, QtmHost, SessionState, Step, is_byte_order},
     labels::UNLABELLED_MAX,
-    packet::{Event, Packet, PacketKind, printable},
+    packet::{Packet, PacketKind, printable},
     settings::Settings,
 };
 use crate::device::Hello;
@@ -35,7 +35,10 @@ impl QtmHost {
             Step::Welcome => {}
             Step::Version(minor) => self.send(&format!("Version 1.{minor}")),
             Step::QtmVersion => self.send("QTMVersion"),
-            Step::ByteOrder => self.send("ByteOrder"),
+            Step::ByteOrder => {
+                self.fences_due += 1;
+                self.send("ByteOrder");
+            }
             // Until version 1.9 it was called GetLastEvent.
             Step::State if self.minor < 10 => self.send("GetLastEvent"),
             Step::State => self.send("GetState"),
@@ -75,12 +78,7 @@ impl QtmHost {
                 self.hello.firmware = if is_error { protocol } else { format!("{version}, {protocol}") };
                 self.ask(Step::ByteOrder);
             }
-            // The labels that were requested during a stream, which is stopped now.
-            Step::ByteOrder if packet.kind == Some(PacketKind::Xml) => self.awaits_labels = false,
-            Step::ByteOrder if text.starts_with("Byte order is big") => self.fail(
-                "QTM sends in the other byte order: give its little-endian port, the base port + 1 (22223 by default)",
-            ),
-            Step::ByteOrder => self.ask(Step::State),
+            Step::ByteOrder => self.on_byte_order(packet, &text),
             // The reply is an event; older versions reply nothing before the first change.
             Step::State => self.ask(Step::General),
             Step::General | Step::Markers => self.on_required_settings(step, packet),
@@ -92,9 +90,29 @@ impl QtmHost {
         }
     }
 
-    /// An event arrived while a step waits for one.
-    pub(super) fn on_state_reply(&mut self, event: Option<Event>) {
-        self.plays_file = event == Some(Event::RtFromFileStarted);
+    /// The reply to `ByteOrder`, or to what was requested before it during a stream that is stopped now.
+    fn on_byte_order(&mut self, packet: &Packet<'_>, text: &str) {
+        if !is_byte_order(packet) {
+            let was_requested = std::mem::take(&mut self.awaits_labels);
+            if !was_requested && packet.kind == Some(PacketKind::Error) {
+                self.ask(Step::State);
+            }
+            return;
+        }
+        self.fences_due = self.fences_due.saturating_sub(1);
+        if self.fences_due > 0 {
+            return;
+        }
+        if text.starts_with("Byte order is big") {
+            return self.fail(
+                "QTM sends in the other byte order: give its little-endian port, the base port + 1 (22223 by default)",
+            );
+        }
+        self.ask(Step::State);
+    }
+
+    /// An event arrived, which may be the one that a step waits for.
+    pub(super) fn on_state_reply(&mut self) {
         if self.state == SessionState::BringUp(Step::State) {
             self.ask(Step::General);
         }

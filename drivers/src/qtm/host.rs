@@ -96,9 +96,11 @@ pub struct QtmHost {
     pub(super) state: SessionState,
     todo: UnfinishedCommands,
     pub(super) fence: Option<Fence>,
-    /// When the last request was written, and when the last bytes arrived.
+    /// Requests for the byte order that were not replied to yet; the reply to the last of them is that of the fence.
+    pub(super) fences_due: u32,
+    /// When the last request was written, and when the last packet was complete.
     pub(super) request_ns: u64,
-    last_bytes_ns: u64,
+    last_packet_ns: u64,
     reader: PacketReader,
     pub(super) counters: LinkCounters,
     pub(super) hello: Hello,
@@ -110,7 +112,7 @@ pub struct QtmHost {
     pub(super) awaits_labels: bool,
     /// When they were requested last.
     pub(super) labels_request_ns: u64,
-    /// Whether frames came on this connection.
+    /// Whether frames came, on this connection or an earlier one.
     pub(super) had_frames: bool,
     pub(super) samples: Vec<MarkerSample>,
     pub(super) axis: FrameAxis,
@@ -140,8 +142,9 @@ impl QtmHost {
             state: SessionState::Off,
             todo: UnfinishedCommands::default(),
             fence: None,
+            fences_due: 0,
             request_ns: 0,
-            last_bytes_ns: 0,
+            last_packet_ns: 0,
             reader: PacketReader::default(),
             counters: LinkCounters::default(),
             hello: Hello::default(),
@@ -174,6 +177,7 @@ impl QtmHost {
     /// Writes a command whose reply tells that everything before it has arrived.
     pub(super) fn send_fence(&mut self, fence: Fence) {
         self.fence = Some(fence);
+        self.fences_due += 1;
         self.send("ByteOrder");
     }
 
@@ -206,8 +210,13 @@ impl QtmHost {
 
     fn receive(&mut self, bytes: &[u8], on_event: EventSink<'_>) {
         if self.line.is_datagram() {
+            // Replies and events come by the stream: a datagram's sender can be forged.
+            let is_stream = |packet: &Packet<'_>| {
+                matches!(packet.kind, Some(PacketKind::Data | PacketKind::NoMoreData))
+            };
             match Packet::of(bytes) {
-                Some(packet) => self.on_packet(&packet, on_event),
+                Some(packet) if is_stream(&packet) => self.on_packet(&packet, on_event),
+                Some(_) => self.counters.messages_unknown += 1,
                 None => {
                     self.counters.messages_damaged += 1;
                     self.counters.bytes_skipped += bytes.len() as u64;
@@ -261,6 +270,7 @@ impl QtmHost {
 
     fn on_packet(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
         self.counters.messages += 1;
+        self.last_packet_ns = self.line.now_ns();
         match (packet.kind, self.state) {
             (None, _) => self.counters.messages_unknown += 1,
             (Some(PacketKind::Event), _) => self.on_state_change(packet, on_event),
@@ -285,7 +295,7 @@ impl QtmHost {
                 self.on_new_labels(packet, on_event);
             }
             _ if packet.kind == Some(PacketKind::Error) => self.on_error(packet, on_event),
-            _ if packet.kind == Some(PacketKind::Command) => self.on_fence(on_event),
+            _ if is_byte_order(packet) => self.on_fence(on_event),
             _ => {}
         }
     }
@@ -300,12 +310,19 @@ impl QtmHost {
             }
             _ => {
                 self.awaits_labels = false;
-                self.note(&format!("QTM refuses a request: {text}"), on_event);
+                self.release_held(on_event);
+                if !std::mem::replace(&mut self.run.is_refusal_noted, true) {
+                    self.note(&format!("QTM refuses a request: {text}"), on_event);
+                }
             }
         }
     }
 
     fn on_fence(&mut self, on_event: EventSink<'_>) {
+        self.fences_due = self.fences_due.saturating_sub(1);
+        if self.fences_due > 0 {
+            return;
+        }
         match self.fence.take() {
             Some(Fence::Started) => self.report_started(on_event),
             Some(Fence::Stopped) => self.begin_end(),
@@ -321,8 +338,11 @@ impl QtmHost {
             self.end_connection(command);
         }
         let now_ns = self.line.now_ns();
+        if self.run.is_part_overdue(now_ns) {
+            self.flush_frame(on_event);
+        }
         let since_request_ns = now_ns.saturating_sub(self.request_ns);
-        let silent_ns = now_ns.saturating_sub(self.last_bytes_ns);
+        let silent_ns = now_ns.saturating_sub(self.last_packet_ns);
         match self.state {
             SessionState::BringUp(step) if since_request_ns > REPLY_TIMEOUT_NS => {
                 self.on_bring_up_timeout(step);
@@ -377,6 +397,11 @@ impl QtmHost {
     }
 }
 
+/// Whether a packet is the reply to `ByteOrder`.
+pub(super) fn is_byte_order(packet: &Packet<'_>) -> bool {
+    packet.kind == Some(PacketKind::Command) && packet.text().starts_with("Byte order is")
+}
+
 impl Protocol for QtmHost {
     fn attach(&mut self, line: Box<dyn Transport>) -> Box<dyn Transport> {
         let (sender, receiver) = line_command_channel();
@@ -384,10 +409,10 @@ impl Protocol for QtmHost {
         self.datagram_port = line.datagram_port();
         self.state = SessionState::Off;
         self.todo = UnfinishedCommands::default();
-        self.fence = None;
+        (self.fence, self.fences_due) = (None, 0);
         self.awaits_labels = false;
-        (self.labels_request_ns, self.had_frames) = (0, false);
-        self.last_bytes_ns = 0;
+        self.labels_request_ns = 0;
+        self.last_packet_ns = 0;
         self.reader.clear();
         self.unsent_end = None;
         self.run = StreamRun::default();
@@ -397,10 +422,7 @@ impl Protocol for QtmHost {
     fn push(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
         self.counters.bytes += bytes.len() as u64;
         if !bytes.is_empty() {
-            self.last_bytes_ns = self.line.now_ns();
             self.receive(bytes, on_event);
-        } else {
-            self.flush_frame(on_event);
         }
         self.tick(on_event);
         self.complete_commands(on_event);
@@ -443,6 +465,10 @@ impl Protocol for QtmHost {
             Command::Ping { .. } if self.state == SessionState::Streaming => {}
             Command::Ping { host_ns } => self.todo.ping_ns = Some(host_ns),
         }
+    }
+
+    fn checks_silence(&self) -> bool {
+        true
     }
 
     fn counters(&self) -> LinkCounters {

@@ -162,7 +162,7 @@ pub enum OutOfStep {
     Size(u32),
 }
 
-/// Divides a stream into packets. Memory is bounded by [`PACKET_BYTES_MAX`] and one read, and grows with the bytes that
+/// Divides a stream into packets. Memory is bounded by twice [`PACKET_BYTES_MAX`] and one read, and grows with the bytes that
 /// arrive, never with a size that they state.
 #[derive(Debug, Default)]
 pub struct PacketReader {

@@ -6,7 +6,7 @@ use super::{
     host::{EventSink, Fence, MS, QtmHost, SessionState},
     packet::{Event, Packet, printable},
     settings::Settings,
-    stream_run::{OpenFrame, StreamRun, VendorLoss},
+    stream_run::{FrameParts, OpenFrame, StreamRun, VendorLoss},
 };
 use crate::device::{DeviceEvent, Frame, LinkBudget, MarkerSample};
 
@@ -19,6 +19,9 @@ const NOTES_MAX: u32 = 64;
 
 /// Least time between two requests for the labels of one stream.
 const LABELS_INTERVAL_NS: u64 = 1_000 * MS;
+
+/// Frames that wait for labels: a sixteenth of a second at 1000 Hz, and many times what a request takes on a local network.
+const HELD_MAX: usize = 64;
 
 /// Ids of labelled markers without a channel: above all that QTM gives to unlabelled ones, which have 32 bits.
 const NO_CHANNEL: u64 = 1 << 32;
@@ -61,23 +64,43 @@ impl QtmHost {
 
     pub(super) fn on_data(&mut self, body: &[u8], on_event: EventSink<'_>) {
         self.report_started(on_event);
+        // First as a whole: a damaged frame is not recorded in part.
+        let Some(parts) = FrameParts::of(body) else {
+            self.counters.messages_damaged += 1;
+            return;
+        };
+        let fits = parts.n_labelled.is_none_or(|n| n == self.labels.n_labels());
+        if self.run.held.is_empty() && (fits || !self.request_labels()) {
+            self.decode(body, on_event);
+            return;
+        }
+        // Its labels are on their way.
+        self.run.held.push(body.to_vec());
+        if self.run.held.len() >= HELD_MAX {
+            self.awaits_labels = false;
+            self.release_held(on_event);
+        }
+    }
+
+    /// Decodes the frames that waited for labels.
+    pub(super) fn release_held(&mut self, on_event: EventSink<'_>) {
+        for body in std::mem::take(&mut self.run.held) {
+            self.decode(&body, on_event);
+        }
+    }
+
+    fn decode(&mut self, body: &[u8], on_event: EventSink<'_>) {
         let mut n_components = 0;
-        let read = read_frame(body, &mut |header, component| {
+        let header = read_frame(body, &mut |header, component| {
             n_components += 1;
             self.on_component(header, &component, on_event);
         });
-        match read {
-            None => self.counters.messages_damaged += 1,
-            // A frame without markers is a frame.
-            Some(header) if n_components == 0 => self.open_frame(header, on_event),
-            Some(_) => {}
+        // A frame without markers is a frame.
+        if let Some(header) = header.filter(|_| n_components == 0) {
+            self.open_frame(header, on_event);
         }
-        // On the stream a packet is a frame. A damaged one is not recorded in part.
-        let is_whole = self.datagram_port.is_none()
-            || self.run.open.is_some_and(|open| open.has_labelled && open.has_unlabelled);
-        if read.is_none() {
-            self.run.open = None;
-        } else if is_whole {
+        // On the stream a packet is a frame.
+        if self.datagram_port.is_none() || self.run.open.is_some_and(|open| open.is_whole()) {
             self.flush_frame(on_event);
         }
     }
@@ -90,7 +113,9 @@ impl QtmHost {
         self.flush_frame(on_event);
         self.samples.clear();
         self.unlabelled.begin_frame();
-        self.run.open = Some(OpenFrame { header, has_labelled: false, has_unlabelled: false });
+        let opened_ns = self.line.now_ns();
+        self.run.open =
+            Some(OpenFrame { header, opened_ns, has_labelled: false, has_unlabelled: false });
     }
 
     fn on_component(
@@ -100,16 +125,13 @@ impl QtmHost {
         on_event: EventSink<'_>,
     ) {
         let is_labelled = component.kind.is_labelled();
-        let is_there =
-            |open: &OpenFrame| if is_labelled { open.has_labelled } else { open.has_unlabelled };
-        if self.run.open.as_ref().is_some_and(|open| open.header == header && is_there(open)) {
-            // The same part again: of a frame that came twice.
-            self.flush_frame(on_event);
-        }
         self.open_frame(header, on_event);
         if let Some(open) = &mut self.run.open {
             let has = if is_labelled { &mut open.has_labelled } else { &mut open.has_unlabelled };
-            *has = true;
+            if std::mem::replace(has, true) {
+                // The same part again, of a datagram that came twice.
+                return;
+            }
         }
         let rates = [component.drop_rate, component.out_of_sync_rate];
         let VendorLoss { worst, frames } = &mut self.run.vendor;
@@ -118,9 +140,6 @@ impl QtmHost {
             *frames += u64::from(rate > 0 && is_labelled);
         }
         let fits = component.n_markers() == self.labels.n_labels();
-        if is_labelled && !fits {
-            self.request_labels();
-        }
         for (index, marker) in component.markers().enumerate() {
             let is_missing = marker.position_mm.iter().any(|value| value.is_nan());
             let is_finite = marker.position_mm.iter().all(|value| value.is_finite());
@@ -152,7 +171,8 @@ impl QtmHost {
     }
 
     /// Requests the labels again; not for every frame, if QTM keeps sending another number of markers than it states.
-    fn request_labels(&mut self) {
+    /// Returns whether they are on their way.
+    fn request_labels(&mut self) -> bool {
         let now_ns = self.line.now_ns();
         let is_due = self.labels_request_ns == 0
             || now_ns.saturating_sub(self.labels_request_ns) > LABELS_INTERVAL_NS;
@@ -161,11 +181,15 @@ impl QtmHost {
             self.labels_request_ns = now_ns.max(1);
             self.send("GetParameters 3D");
         }
+        self.awaits_labels
     }
 
     /// Passes the open frame on.
     pub(super) fn flush_frame(&mut self, on_event: EventSink<'_>) {
-        let Some(OpenFrame { header, .. }) = self.run.open.take() else { return };
+        let Some(open) = self.run.open.take() else { return };
+        let header = open.header;
+        let count = if open.is_whole() { &mut self.run.whole } else { &mut self.run.partial };
+        *count += 1;
         let seq = self.axis.counter(header.number, header.time_us);
         let run = &mut self.run;
         run.first.get_or_insert(seq);
@@ -189,10 +213,14 @@ impl QtmHost {
         match Settings::parse(&packet.text()) {
             Ok(Settings { labels: Some(labels), .. }) => {
                 self.flush_frame(on_event);
+                let before = self.labels.markers();
                 self.labels.update(&labels);
-                on_event(DeviceEvent::Markers(&self.labels.markers()));
-                let n = labels.len();
-                self.note(&format!("QTM's list of labels changed: {n} labels"), on_event);
+                let now = self.labels.markers();
+                if now != before {
+                    on_event(DeviceEvent::Markers(&now));
+                    let n = labels.len();
+                    self.note(&format!("QTM's list of labels changed: {n} labels"), on_event);
+                }
             }
             Ok(_) => {}
             Err(problem) => {
@@ -200,20 +228,24 @@ impl QtmHost {
                 self.note(&format!("QTM's new labels cannot be read: {problem}"), on_event);
             }
         }
+        self.release_held(on_event);
     }
 
     pub(super) fn on_state_change(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
         let event = packet.body.first().and_then(|code| Event::of(*code));
         self.counters.messages_unknown += u64::from(event.is_none());
+        match event {
+            Some(Event::RtFromFileStarted) => self.plays_file = true,
+            Some(Event::Connected | Event::ConnectionClosed) => self.plays_file = false,
+            _ => {}
+        }
         match self.state {
-            SessionState::BringUp(_) => self.on_state_reply(event),
+            SessionState::BringUp(_) => self.on_state_reply(),
             SessionState::Streaming => {
                 let Some(event) = event else { return };
                 self.note(&format!("QTM: {}", event.name()), on_event);
                 let has_frames = self.run.frames > 0;
                 match event {
-                    Event::RtFromFileStarted => self.plays_file = true,
-                    Event::Connected => self.plays_file = false,
                     Event::RtFromFileStopped if has_frames => self.begin_end(),
                     Event::ConnectionClosed if has_frames => self.end_measurement(event.name()),
                     Event::ShuttingDown => self.lose("QTM shuts down".to_owned()),
@@ -264,6 +296,7 @@ impl QtmHost {
 
     /// The stream has ended, and all that belongs to it has arrived.
     pub(super) fn end(&mut self, on_event: EventSink<'_>) {
+        self.release_held(on_event);
         self.flush_frame(on_event);
         self.state = SessionState::Ready;
         self.fence = None;
@@ -279,6 +312,13 @@ impl QtmHost {
                 );
                 on_event(DeviceEvent::Note(&text));
             }
+        }
+        if self.run.whole > 0 && self.run.partial > 0 && self.datagram_port.is_some() {
+            let text = format!(
+                "{} frames are incomplete: datagrams with some of their markers were lost",
+                self.run.partial
+            );
+            on_event(DeviceEvent::Note(&text));
         }
         if self.run.excess > 0 {
             let text =

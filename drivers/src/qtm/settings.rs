@@ -10,6 +10,13 @@ pub const LABELS_MAX: usize = 4096;
 /// takes 20 MB at most while it is read.
 const NODES_MAX: u32 = 200_000;
 
+/// Most attributes of a document, counted by their `=`: QTM writes ten for each of a hundred cameras, and three for each
+/// bone. All in one element, they are compared in a fraction of a second.
+const ATTRIBUTES_MAX: usize = 8192;
+
+/// Most namespaces; QTM uses none.
+const NAMESPACES_MAX: usize = 16;
+
 /// Longest label in characters; longer ones are cut off.
 const LABEL_CHARS_MAX: usize = 128;
 
@@ -36,6 +43,11 @@ impl Settings {
     /// # Errors
     /// A phrase that says what is wrong with it.
     pub fn parse(xml: &str) -> Result<Self, String> {
+        // The parser compares each attribute with the others of its element, and copies namespaces into every child.
+        let n_equals = xml.bytes().filter(|byte| *byte == b'=').count();
+        if n_equals > ATTRIBUTES_MAX || xml.matches("xmlns").count() > NAMESPACES_MAX {
+            return Err("it has more attributes than settings have".to_owned());
+        }
         let options =
             ParsingOptions { allow_dtd: false, nodes_limit: NODES_MAX, ..Default::default() };
         // An error names a place of the document; its text may quote it, so that it is not repeated.

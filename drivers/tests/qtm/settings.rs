@@ -1,5 +1,7 @@
 //! Settings: what our server states satisfies the vendor's client, and hostile documents cost nothing.
 
+use std::time::{Duration, Instant};
+
 use mocapd_drivers::qtm::{LABELS_MAX, ServedSettings, Settings};
 use roxmltree::{Document, Node};
 
@@ -145,8 +147,19 @@ fn hostile_documents_are_refused() {
         n = LABELS_MAX + 1
     );
     let lie = "<a><The_3D><Labels>18446744073709551615</Labels></The_3D></a>".to_owned();
-    for xml in [deep, wide, entities, labels, lie, String::new(), "\0".repeat(99)] {
+    // What a parser compares with one another: attributes of one element, and namespaces of its ancestors.
+    let attributes: String = (0..400_000).map(|k| format!(" a{k}=\"\"")).collect();
+    let attributes = format!("<a{attributes}/>");
+    let namespaces: String = (0..60_000).map(|k| format!("<a xmlns:n{k}=\"{k}\">")).collect();
+    let began = Instant::now();
+    for xml in
+        [deep, wide, entities, labels, lie, attributes, namespaces, String::new(), "\0".repeat(99)]
+    {
         let problem = Settings::parse(&xml).unwrap_err();
         assert!(!problem.contains('\n') && problem.len() < 200, "{problem}");
     }
+    // As many attributes as are read, in one element.
+    let most: String = (0..8192).map(|k| format!(" a{k}=\"\"")).collect();
+    assert!(Settings::parse(&format!("<a{most}/>")).is_ok());
+    assert!(began.elapsed() < Duration::from_secs(20), "{:?}", began.elapsed());
 }

@@ -1,11 +1,12 @@
 //! Streams: frames, their ends, changes of state, and a QTM that is silent or idle.
 
 use mocapd_drivers::{
-    device::{Command, MarkerSample},
+    device::{Command, MarkerSample, Protocol},
     qtm::{
         ClientId, ComponentToSend, Event, FrameHeader, MISSING, MarkerComponentKind, PacketKind,
-        WireMarker, put_event, put_frame, put_packet, put_text,
+        QtmHost, WireMarker, put_event, put_frame, put_packet, put_text,
     },
+    transport::{Transport, TransportError},
 };
 
 use crate::pair::{LABELS, MS, Pair, marker};
@@ -280,9 +281,16 @@ fn a_frame_in_several_datagrams_is_one_frame() {
     // A half that stays alone is a frame as soon as nothing follows.
     let labelled = [marker(9, 0); 3];
     pair.driver.push(&packet(header(9), &[(LABELLED, [0; 2], &labelled)]), true);
+    // A stranger's datagram, or nothing, does not hurry it.
+    pair.driver.push(&[], false);
     assert_eq!(pair.driver.reported.frames.len(), 3);
+    pair.driver.now_ns += 20 * MS;
     pair.driver.push(&[], false);
     assert_eq!(pair.driver.reported.frames.len(), 4);
+    pair.driver.command(Command::Stop);
+    pair.steps(20);
+    let notes = pair.driver.reported.notes.join("\n");
+    assert!(notes.contains("2 frames are incomplete"), "{notes}");
 }
 
 #[test]
@@ -303,7 +311,7 @@ fn datagrams_in_the_middle_of_the_stream_do_not_disturb_it() {
 }
 
 #[test]
-fn frames_with_another_number_of_labels_keep_their_samples_and_ask() {
+fn frames_with_another_number_of_labels_wait_for_the_new_list() {
     let mut pair = Pair::new(None);
     pair.start();
     let four = [0, 1, 2, 3].map(|k| WireMarker { position_mm: [k as f32; 3], ..marker(1, 0) });
@@ -311,13 +319,10 @@ fn frames_with_another_number_of_labels_keep_their_samples_and_ask() {
         let both = [(LABELLED, [0; 2], &four[..]), (UNLABELLED, [0; 2], &[])];
         pair.driver.push(&packet(header(number), &both), false);
     }
-    assert_eq!(ids(&pair.driver.reported.frames[1].2), [4096, 4097, 4098, 4099]);
+    assert_eq!(pair.driver.reported.frames.len(), 0, "they wait for their labels");
     let asked = pair.driver.written();
-    assert_eq!(
-        pair.driver.sent.iter().filter(|sent| *sent == "GetParameters 3D").count(),
-        2,
-        "{asked:?}"
-    );
+    let n = pair.driver.sent.iter().filter(|sent| *sent == "GetParameters 3D").count();
+    assert_eq!(n, 2, "{asked:?}");
     let mut xml = "<Q><The_3D><Labels>4</Labels>".to_owned();
     for label in ["new", LABELS[2], LABELS[1], LABELS[0]] {
         let label = label.replace('&', "&amp;").replace('<', "&lt;");
@@ -329,7 +334,9 @@ fn frames_with_another_number_of_labels_keep_their_samples_and_ask() {
     pair.driver.push(&bytes, false);
     let both = [(LABELLED, [0; 2], &four[..]), (UNLABELLED, [0; 2], &[])];
     pair.driver.push(&packet(header(3), &both), false);
-    assert_eq!(ids(&pair.driver.reported.frames[2].2), [3, 2, 1, 0], "a label keeps its channel");
+    let frames = &pair.driver.reported.frames;
+    assert_eq!(frames.iter().map(|frame| frame.0).collect::<Vec<_>>(), [1, 2, 3]);
+    assert!(frames.iter().all(|frame| ids(&frame.2) == [3, 2, 1, 0]), "a label keeps its channel");
     assert_eq!(pair.driver.reported.markers[0].label, "new");
 }
 
@@ -424,4 +431,177 @@ fn labels_that_arrive_when_the_driver_asks_again_are_not_taken_for_a_byte_order(
     pair.steps(20);
     assert_eq!((pair.driver.failed, pair.driver.lost), (None, None));
     assert!(pair.driver.reported.hello.is_some());
+}
+
+#[test]
+fn frames_whose_labels_never_come_are_recorded_as_unlabelled_markers() {
+    let mut pair = Pair::new(None);
+    pair.start();
+    let four = [0, 1, 2, 3].map(|k| WireMarker { position_mm: [k as f32; 3], ..marker(1, 0) });
+    for number in 0..100 {
+        let both = [(LABELLED, [0; 2], &four[..]), (UNLABELLED, [0; 2], &[])];
+        pair.driver.push(&packet(header(number), &both), false);
+    }
+    let frames = &pair.driver.reported.frames;
+    assert_eq!(frames.len(), 100);
+    assert!(frames.iter().all(|frame| ids(&frame.2) == [4096, 4097, 4098, 4099]));
+}
+
+#[test]
+fn a_part_that_comes_twice_or_is_damaged_costs_no_other() {
+    let mut pair = Pair::new(Some(5000));
+    pair.start();
+    let labelled = [marker(1, 0); 3];
+    let unlabelled = [marker(1, 70)];
+    let first = packet(header(1), &[(LABELLED, [0; 2], &labelled)]);
+    let second = packet(header(1), &[(UNLABELLED, [0; 2], &unlabelled)]);
+    let mut damaged = first.clone();
+    damaged[24] ^= 1;
+    for part in [&first, &first, &damaged, &second] {
+        pair.driver.push(part, true);
+    }
+    let frames = &pair.driver.reported.frames;
+    assert_eq!(frames.len(), 1);
+    assert_eq!(ids(&frames[0].2), [0, 1, 2, 4096]);
+    // By TCP two components of one sort in a packet are damage.
+    let mut pair = Pair::new(None);
+    pair.start();
+    let twice = packet(header(1), &[(LABELLED, [0; 2], &labelled), (LABELLED, [0; 2], &labelled)]);
+    pair.driver.push(&twice, false);
+    assert_eq!(pair.driver.host_counters().messages_damaged, 1);
+    assert_eq!(pair.driver.reported.frames.len(), 0);
+}
+
+#[test]
+fn a_datagram_is_no_reply_and_no_event() {
+    let mut pair = Pair::new(Some(5000));
+    pair.start();
+    let text = |kind, text: &str| {
+        let mut bytes = Vec::new();
+        put_text(kind, text, &mut bytes);
+        bytes
+    };
+    let mut event = Vec::new();
+    put_event(Event::ShuttingDown, &mut event);
+    pair.driver.command(Command::Stop);
+    for forged in [
+        text(PacketKind::Error, "Parse error"),
+        text(PacketKind::Command, "Byte order is little endian"),
+        text(PacketKind::Xml, "<Q/>"),
+        event,
+    ] {
+        pair.driver.push(&forged, true);
+    }
+    assert_eq!((&pair.driver.lost, &pair.driver.failed), (&None, &None));
+    assert_eq!(pair.driver.reported.ended, None);
+    assert_eq!(pair.driver.host_counters().messages_unknown, 4);
+}
+
+#[test]
+fn the_reply_to_an_earlier_check_does_not_end_the_stream() {
+    let mut pair = Pair::new(None);
+    pair.start();
+    pair.frame(0, 0, &[]);
+    pair.step();
+    // A silence of 2 s, and a check that is answered late.
+    pair.driver.now_ns += 2_100 * MS;
+    pair.driver.push(&[], false);
+    assert_eq!(pair.driver.sent.last().unwrap(), "ByteOrder");
+    pair.driver.command(Command::Stop);
+    let mut bytes = Vec::new();
+    put_text(PacketKind::Command, "Byte order is little endian", &mut bytes);
+    pair.driver.push(&bytes, false);
+    assert_eq!(pair.driver.reported.ended, None);
+    let both = [(LABELLED, [0; 2], &[marker(1, 0); 3][..]), (UNLABELLED, [0; 2], &[])];
+    pair.driver.push(&packet(header(1), &both), false);
+    pair.driver.push(&bytes, false);
+    assert_eq!(pair.driver.reported.frames.len(), 2);
+    assert_eq!(pair.driver.reported.ended.unwrap().frames_produced, 2);
+}
+
+#[test]
+fn a_packet_that_never_completes_is_silence() {
+    let mut pair = Pair::new(None);
+    pair.start();
+    pair.driver.push(&[0, 0, 16, 0, 3, 0, 0, 0], false);
+    let began_ns = pair.driver.now_ns;
+    while pair.driver.lost.is_none() {
+        pair.driver.now_ns += 500 * MS;
+        pair.driver.push(&[0], false);
+        pair.driver.written();
+        assert!(pair.driver.now_ns < began_ns + 8_000 * MS);
+    }
+}
+
+#[test]
+fn a_file_that_is_over_ends_the_stream_whatever_happened_before() {
+    let mut pair = Pair::new(None);
+    pair.driver.command(Command::Identify);
+    // While it is set up, and when it is ready, the state changes.
+    for event in [Event::RtFromFileStarted, Event::CameraSettingsChanged, Event::Trigger] {
+        pair.steps(3);
+        pair.server.send_event(event);
+    }
+    pair.steps(30);
+    pair.driver.command(Command::Start { line_bytes_per_s: 0 });
+    pair.steps(3);
+    pair.driver.push(&packet(header(1), &[(LABELLED, [0; 2], &[marker(1, 0); 3])]), false);
+    let mut end = Vec::new();
+    put_packet(PacketKind::NoMoreData, &mut end, |_| {});
+    pair.driver.push(&end, false);
+    pair.steps(3);
+    assert!(pair.driver.reported.ended.is_some());
+}
+
+/// A line from which one read returns these bytes.
+#[derive(Debug)]
+struct OneRead(Vec<u8>);
+
+impl Transport for OneRead {
+    fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
+        let bytes = std::mem::take(&mut self.0);
+        buf[..bytes.len()].copy_from_slice(&bytes);
+        Ok(bytes.len())
+    }
+
+    fn write_all(&mut self, _: &[u8]) -> Result<(), TransportError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_measurement_that_is_gone_after_a_reconnect_is_waited_for_too() {
+    let mut pair = Pair::new(None);
+    pair.start();
+    let mut replies = Vec::new();
+    for text in [
+        "QTM RT Interface connected",
+        "Version set to 1.28",
+        "QTM Version is 1",
+        "Byte order is little endian",
+    ] {
+        put_text(PacketKind::Command, text, &mut replies);
+    }
+    put_event(Event::ConnectionClosed, &mut replies);
+    put_text(PacketKind::Error, "Parameters not available", &mut replies);
+    let reconnect = |host: &mut QtmHost| {
+        let mut line = host.attach(Box::new(OneRead(replies.clone())));
+        host.command(Command::Identify, &mut Vec::new());
+        let mut buf = [0; 4096];
+        loop {
+            match line.read(&mut buf) {
+                Ok(n) => host.push(&buf[..n], &mut |_| {}),
+                Err(error) => return error,
+            }
+        }
+    };
+    // Nothing came yet: trying again is of no use.
+    let error = reconnect(&mut pair.driver.host);
+    assert!(matches!(&error, TransportError::Refused(text) if text.contains("no measurement")));
+    let mut pair = Pair::new(None);
+    pair.start();
+    pair.frame(0, 0, &[]);
+    pair.step();
+    let error = reconnect(&mut pair.driver.host);
+    assert!(error.is_gone(), "{error}");
 }

@@ -13,8 +13,19 @@ const OPEN_MAX: usize = 1 << 18;
 #[derive(Debug)]
 struct LoggedFrame {
     fate: FrameFate,
-    /// The client, and the bytes ever queued for it with this frame, while they wait.
-    waits_for: Option<(ClientId, u64)>,
+    /// What it waits for.
+    waits_for: Option<Way>,
+    /// Its fate once it has left.
+    then: Fate,
+}
+
+/// How a frame leaves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Way {
+    /// With so many bytes ever queued for a client.
+    Stream(ClientId, u64),
+    /// In datagrams, which carry the number of the frame.
+    Datagrams(u64),
 }
 
 /// Follows frames to the connections that take them.
@@ -47,10 +58,10 @@ impl DeliveryLog {
         self.last_ns
     }
 
-    fn add(&mut self, frame: SentFrame, fate: Fate, waits_for: Option<(ClientId, u64)>) {
+    fn add(&mut self, frame: SentFrame, fate: Fate, waits_for: Option<Way>) {
         self.last_ns = Some(frame.host_ns);
         let fate = FrameFate { frame, frames: 1, fate, again: 0, faults: Kinds::default() };
-        self.open.push_back(LoggedFrame { fate, waits_for });
+        self.open.push_back(LoggedFrame { fate, waits_for, then: Fate::Whole });
         while self.open.len() > OPEN_MAX {
             self.close_first();
         }
@@ -65,11 +76,15 @@ impl DeliveryLog {
         self.close_decided();
     }
 
-    /// The server sent the frame, or not.
-    pub(super) fn sent(&mut self, frame: SentFrame, delivery: Delivery) {
+    /// The server sent the frame, or not. Its datagrams carry `number`.
+    pub(super) fn sent(&mut self, frame: SentFrame, delivery: Delivery, number: u64) {
         match delivery {
-            Delivery::Queued { client, end } => self.add(frame, Fate::Waiting, Some((client, end))),
-            Delivery::Datagrams(_) => self.add(frame, Fate::Whole, None),
+            Delivery::Queued { client, end } => {
+                self.add(frame, Fate::Waiting, Some(Way::Stream(client, end)));
+            }
+            Delivery::Datagrams(_) => {
+                self.add(frame, Fate::Waiting, Some(Way::Datagrams(number)));
+            }
             Delivery::Dropped => {
                 self.add(SentFrame { dropped: true, ..frame }, Fate::Dropped, None);
             }
@@ -79,17 +94,10 @@ impl DeliveryLog {
         }
     }
 
-    /// More copies of the last frame were sent.
-    pub(super) fn again(&mut self, copies: u32) {
-        if let Some(last) = self.open.back_mut() {
-            last.fate.again += copies;
-        }
-    }
-
     /// The last frame arrives after later ones.
     pub(super) fn late(&mut self, frame: SentFrame, faults: Kinds) {
         if let Some(last) = self.open.back_mut().filter(|last| last.fate.frame == frame) {
-            last.fate.fate = Fate::Late;
+            last.then = Fate::Late;
             last.fate.faults = faults;
         }
     }
@@ -99,42 +107,61 @@ impl DeliveryLog {
         self.bytes_sent += n as u64;
         for entry in &mut self.open {
             match entry.waits_for {
-                Some((client, end)) if client == id && end <= bytes_sent => {
+                Some(Way::Stream(client, end)) if client == id && end <= bytes_sent => {
                     entry.waits_for = None;
-                    entry.fate.fate = Fate::Whole;
+                    entry.fate.fate = entry.then;
                 }
                 // They are in the order of their ends.
-                Some((client, _)) if client == id => break,
+                Some(Way::Stream(client, _)) if client == id => break,
                 _ => {}
             }
         }
         self.close_decided();
     }
 
-    /// Datagrams were sent.
-    pub(super) fn datagrams_taken(&mut self, bytes: usize) {
-        self.bytes_sent += bytes as u64;
+    /// The system took a datagram of the frame with this number, or lost it.
+    pub(super) fn datagram_taken(&mut self, number: u64, bytes: Option<usize>) {
+        self.bytes_sent += bytes.unwrap_or(0) as u64;
+        // A copy may follow when the first one has settled the frame.
+        let entry = self.open.iter_mut().find(|e| e.waits_for == Some(Way::Datagrams(number)));
+        if let Some(entry) = entry {
+            entry.waits_for = None;
+            entry.fate.fate = if bytes.is_some() { entry.then } else { Fate::Lost };
+        }
+    }
+
+    /// The copies of the last frame, which leave with it.
+    pub(super) fn again(&mut self, copies: u32) {
+        if let Some(last) = self.open.back_mut() {
+            last.fate.again += copies;
+        }
+    }
+
+    /// All datagrams were handed over.
+    pub(super) fn settle(&mut self) {
         self.close_decided();
     }
 
     /// What waits for a client does not reach it any more.
-    pub(super) fn abandon(&mut self, id: ClientId, faults: Kinds) {
+    pub(super) fn abandon(&mut self, id: ClientId) {
         for entry in &mut self.open {
-            if entry.waits_for.is_some_and(|(client, _)| client == id) {
+            if matches!(entry.waits_for, Some(Way::Stream(client, _)) if client == id) {
                 entry.waits_for = None;
-                entry.fate.fate = if faults.is_empty() { Fate::Discarded } else { Fate::Lost };
-                entry.fate.faults = faults;
+                entry.fate.fate = Fate::Discarded;
             }
         }
         self.close_decided();
     }
 
-    /// All connections were cut.
+    /// All connections were cut, and no datagram leaves any more.
     pub(super) fn cut(&mut self, kind: Kind) {
-        let clients: Vec<_> = self.open.iter().filter_map(|e| Some(e.waits_for?.0)).collect();
-        for client in clients {
-            self.abandon(client, Kinds::of(kind));
+        for entry in self.open.iter_mut().filter(|entry| entry.waits_for.is_some()) {
+            entry.waits_for = None;
+            entry.fate.fate = Fate::Lost;
+            entry.fate.again = 0;
+            entry.fate.faults = Kinds::of(kind);
         }
+        self.close_decided();
     }
 
     fn close_decided(&mut self) {

@@ -92,13 +92,25 @@ pub struct QtmDevice {
     counters: SentCounters,
     counts: FaultCounts,
     /// Datagrams that faults hold back, and frames until they are sent.
-    late: Vec<(u32, Vec<Datagram>)>,
-    out: Vec<Datagram>,
+    late: Vec<(u32, Vec<FrameDatagram>)>,
+    out: Vec<FrameDatagram>,
+    /// Bytes in `out`.
+    out_bytes: usize,
     ends: u64,
     row: Vec<Position>,
     ghosts: Vec<MarkerSample>,
     markers: [Vec<WireMarker>; 2],
 }
+
+/// A datagram, and the number of its frame among all that were produced; `None` for the end of a measurement.
+#[derive(Debug, Clone)]
+struct FrameDatagram {
+    frame: Option<u64>,
+    datagram: Datagram,
+}
+
+/// Bytes of datagrams that wait during a stall, as many as wait for a client on its connection.
+const DATAGRAM_BYTES_MAX: usize = 4 << 20;
 
 /// What the faults of a script do to one frame on its way.
 #[derive(Debug, Clone, Copy)]
@@ -165,6 +177,7 @@ impl QtmDevice {
             counts: FaultCounts::default(),
             late: Vec::new(),
             out: Vec::new(),
+            out_bytes: 0,
             ends: 0,
             row: Vec::new(),
             ghosts: Vec::new(),
@@ -192,7 +205,7 @@ impl QtmDevice {
 
     /// A client has closed its connection.
     pub fn disconnect(&mut self, id: ClientId) {
-        self.log.abandon(id, Kinds::default());
+        self.log.abandon(id);
         self.server.disconnect(id);
     }
 
@@ -231,14 +244,25 @@ impl QtmDevice {
         self.log.taken(id, self.server.bytes_sent(id), n);
     }
 
-    /// Takes the datagrams to send now.
-    pub fn take_datagrams(&mut self) -> Vec<Datagram> {
+    /// Sends the datagrams that are due: `send` returns whether the system took one.
+    pub fn send_datagrams(&mut self, mut send: impl FnMut(&Datagram) -> bool) {
         if !self.state.flows {
-            return Vec::new();
+            return;
         }
-        let out = std::mem::take(&mut self.out);
-        self.log.datagrams_taken(out.iter().map(|datagram| datagram.bytes.len()).sum());
-        out
+        self.out_bytes = 0;
+        for FrameDatagram { frame, datagram } in std::mem::take(&mut self.out) {
+            let bytes = send(&datagram).then_some(datagram.bytes.len());
+            if let Some(frame) = frame {
+                self.log.datagram_taken(frame, bytes);
+            }
+        }
+        self.log.settle();
+    }
+
+    /// Queues datagrams of a frame, or of the end of a measurement.
+    fn queue(&mut self, datagrams: Vec<FrameDatagram>) {
+        self.out_bytes += datagrams.iter().map(|d| d.datagram.bytes.len()).sum::<usize>();
+        self.out.extend(datagrams);
     }
 
     /// Does everything that is due. Returns the time of the next event; `u64::MAX` when only a client can cause one.
@@ -272,6 +296,7 @@ impl QtmDevice {
         if !self.state.plugged || !self.state.powered {
             self.late.clear();
             self.out.clear();
+            self.out_bytes = 0;
         }
         if !before.powered && self.state.powered {
             self.epoch_ns = Some(now_ns);
@@ -304,7 +329,8 @@ impl QtmDevice {
     fn end(&mut self) {
         self.release(u32::MAX);
         self.server.end_measurement();
-        self.out.append(&mut self.server.take_datagrams());
+        let last = self.server.take_datagrams().into_iter();
+        self.queue(last.map(|datagram| FrameDatagram { frame: None, datagram }).collect());
         (self.start_ns, self.played) = (None, 0);
         self.ends += 1;
     }
@@ -348,10 +374,16 @@ impl QtmDevice {
         if let Some(kind) = lost_by {
             self.log.lost(sent, kind);
         } else {
-            let delivery = self.server.frame(&frame);
+            let mut delivery = self.server.frame(&frame);
+            let datagrams = self.server.take_datagrams();
+            if matches!(delivery, Delivery::Datagrams(_)) && self.out_bytes > DATAGRAM_BYTES_MAX {
+                delivery = Delivery::Dropped;
+            }
             self.count(sent, &delivery);
-            self.log.sent(sent, delivery);
-            self.forward(sent, delivery, way);
+            self.log.sent(sent, delivery, self.counters.frames_produced);
+            if delivery != Delivery::Dropped {
+                self.forward(sent, delivery, way, &datagrams);
+            }
         }
         self.release(1);
     }
@@ -370,22 +402,29 @@ impl QtmDevice {
     }
 
     /// Sends a frame's datagrams on: twice or late, if a fault wants it.
-    fn forward(&mut self, sent: SentFrame, delivery: Delivery, way: FrameFaults) {
-        let datagrams = self.server.take_datagrams();
+    fn forward(
+        &mut self,
+        sent: SentFrame,
+        delivery: Delivery,
+        way: FrameFaults,
+        datagrams: &[Datagram],
+    ) {
         let is_datagrams = matches!(delivery, Delivery::Datagrams(_));
-        if is_datagrams && way.copies > 1 {
+        let copies = if is_datagrams { way.copies } else { 1 };
+        if copies > 1 {
             self.counts.add(Kind::DoubledFrames, 1);
-            self.log.again(way.copies as u32 - 1);
+            self.log.again(copies as u32 - 1);
         }
-        let mut all = Vec::new();
-        (0..way.copies).for_each(|_| all.extend(datagrams.iter().cloned()));
+        let frame = is_datagrams.then_some(self.counters.frames_produced);
+        let of_frame = |datagram: &Datagram| FrameDatagram { frame, datagram: datagram.clone() };
+        let all: Vec<_> = (0..copies).flat_map(|_| datagrams.iter().map(of_frame)).collect();
         match way.late_by {
             Some(by) if is_datagrams => {
                 self.log.late(sent, Kinds::of(Kind::LateFrames));
                 // One more than it is late by, because the release after this frame counts it.
                 self.late.push((by + 1, all));
             }
-            _ => self.out.append(&mut all),
+            _ => self.queue(all),
         }
     }
 
@@ -394,11 +433,10 @@ impl QtmDevice {
         for (left, _) in &mut self.late {
             *left = left.saturating_sub(frames);
         }
-        let (due, rest) =
+        let (due, rest): (Vec<_>, Vec<_>) =
             std::mem::take(&mut self.late).into_iter().partition(|(left, _)| *left == 0);
         self.late = rest;
-        let due: Vec<(u32, Vec<Datagram>)> = due;
-        due.into_iter().for_each(|(_, mut datagrams)| self.out.append(&mut datagrams));
+        due.into_iter().for_each(|(_, datagrams)| self.queue(datagrams));
     }
 
     fn faults_on_the_way(&self, since_ns: u64) -> FrameFaults {

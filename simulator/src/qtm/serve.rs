@@ -155,9 +155,20 @@ impl QtmListener {
 
     /// Accepts clients, and moves bytes and datagrams.
     fn exchange(&self, device: &mut QtmDevice, connections: &mut Vec<Connection>) {
-        while let Some(Ok((mut stream, peer))) = self.listener.as_ref().map(TcpListener::accept) {
-            let is_ready = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
-            match device.connect(peer).filter(|_| is_ready) {
+        loop {
+            let (mut stream, peer) = match self.listener.as_ref().map(TcpListener::accept) {
+                Some(Ok(accepted)) => accepted,
+                Some(Err(error)) if error.kind() != ErrorKind::WouldBlock => {
+                    // A client that is gone already, or no file descriptor left: not at once again.
+                    std::thread::sleep(SLEEP_MAX);
+                    break;
+                }
+                _ => break,
+            };
+            if stream.set_nonblocking(true).is_err() || stream.set_nodelay(true).is_err() {
+                continue;
+            }
+            match device.connect(peer) {
                 Some(id) => connections.push(Connection { id, stream, is_over: false }),
                 None => {
                     if stream.write_all(&QtmServer::refusal()).is_err() {
@@ -166,11 +177,10 @@ impl QtmListener {
                 }
             }
         }
-        for datagram in device.take_datagrams() {
-            if self.datagrams.send_to(&datagram.bytes, datagram.to).is_err() {
-                // A datagram that the system does not take is lost, as on any network.
-            }
-        }
+        // A datagram that the system does not take is lost, as on any network.
+        device.send_datagrams(|datagram| {
+            self.datagrams.send_to(&datagram.bytes, datagram.to).is_ok()
+        });
         connections.retain_mut(|connection| {
             connection.write(device);
             let is_over = connection.is_over
@@ -193,11 +203,16 @@ impl QtmListener {
         let sleep = Duration::from_nanos(wake_ns.saturating_sub(host_ns())).min(SLEEP_MAX);
         let timeout = Timespec { tv_sec: 0, tv_nsec: i64::from(sleep.subsec_nanos()) };
         let mut fds: Vec<PollFd<'_>> = Vec::with_capacity(connections.len() + 1);
-        for connection in &*connections {
+        // A connection of which nothing is wanted is left out: that its client is gone would wake this thread at once.
+        let mut waiting = Vec::with_capacity(connections.len());
+        for (index, connection) in connections.iter().enumerate() {
             let mut flags = PollFlags::empty();
             flags.set(PollFlags::IN, device.may_receive(connection.id));
             flags.set(PollFlags::OUT, !device.pending(connection.id).is_empty());
-            fds.push(PollFd::new(&connection.stream, flags));
+            if !flags.is_empty() {
+                fds.push(PollFd::new(&connection.stream, flags));
+                waiting.push(index);
+            }
         }
         fds.extend(self.listener.as_ref().map(|listener| PollFd::new(listener, PollFlags::IN)));
         match poll(&mut fds, Some(&timeout)) {
@@ -210,8 +225,10 @@ impl QtmListener {
             }
         }
         let ready: Vec<bool> = fds.iter().map(|fd| !fd.revents().is_empty()).collect();
-        for (connection, ready) in connections.iter_mut().zip(ready) {
-            if ready && device.may_receive(connection.id) {
+        for (index, _) in waiting.into_iter().zip(ready).filter(|(_, ready)| *ready) {
+            if let Some(connection) = connections.get_mut(index)
+                && device.may_receive(connection.id)
+            {
                 connection.read(device);
             }
         }

@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use mocapd_drivers::{
     device::{Command, DeviceEvent, LinkCounters, Protocol},
     qtm::{LABELS_MAX, QtmHost, QtmServer, ServedSettings, Settings},
-    transport::polled::{LineCommand, line_command_channel},
+    transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
     uri::{Location, NetworkAddress},
 };
 
@@ -22,6 +22,7 @@ pub fn read_qtm(bytes: &[u8]) {
     let whole = host(wire, wire.len().max(1), is_started);
     assert_eq!(whole, host(wire, piece, is_started), "the pieces change what a host decodes");
     assert!(whole.1.bytes_skipped <= whole.1.bytes);
+    datagrams(wire, how);
     assert_eq!(server(wire, wire.len().max(1)), server(wire, piece));
     settings(&String::from_utf8_lossy(wire));
 }
@@ -33,30 +34,8 @@ fn served() -> ServedSettings {
 
 /// The events of a host, and its counters. With `is_started` frames were requested of a server before.
 fn host(wire: &[u8], piece: usize, is_started: bool) -> (Vec<String>, LinkCounters) {
-    let (sender, commands) = line_command_channel();
-    let address =
-        NetworkAddress { family: "qtm", host: "lab".to_owned(), port: 22_223, datagrams: false };
-    let mut host = QtmHost::new(&Location::Network(address), sender, None);
+    let (mut host, commands) = new_host(is_started, None);
     let mut events = Vec::new();
-    let mut out = Vec::new();
-    host.command(Command::Identify, &mut out);
-    if is_started {
-        host.command(Command::Start { line_bytes_per_s: 0 }, &mut out);
-        let mut server = QtmServer::new(served(), "1".to_owned());
-        let client = server.connect(SocketAddr::from((Ipv4Addr::LOCALHOST, 1)));
-        let client = client.expect("the first client");
-        // Greeting, ten replies, and those to the request for frames.
-        for _ in 0..16 {
-            let bytes = server.pending(client).to_vec();
-            server.sent(client, bytes.len());
-            host.push(&bytes, &mut |_| {});
-            while let Some(command) = commands.try_recv() {
-                if let LineCommand::Write { request, .. } = command {
-                    server.receive(client, request.as_bytes());
-                }
-            }
-        }
-    }
     // At last nothing, so that what waits for the line is sent.
     for bytes in wire.chunks(piece).chain([&[][..]]) {
         host.push(bytes, &mut |event| {
@@ -86,6 +65,55 @@ fn host(wire: &[u8], piece: usize, is_started: bool) -> (Vec<String>, LinkCounte
         }
     }
     (events, host.counters())
+}
+
+/// A host that waits for its greeting, or that has requested frames.
+fn new_host(is_started: bool, datagram_port: Option<u16>) -> (QtmHost, LineCommandReceiver) {
+    let (sender, commands) = line_command_channel();
+    let address =
+        NetworkAddress { family: "qtm", host: "lab".to_owned(), port: 22_223, datagrams: false };
+    let mut host = QtmHost::new(&Location::Network(address), sender, datagram_port);
+    let mut out = Vec::new();
+    host.command(Command::Identify, &mut out);
+    if is_started {
+        host.command(Command::Start { line_bytes_per_s: 0 }, &mut out);
+        let mut server = QtmServer::new(served(), "1".to_owned());
+        let client = server.connect(SocketAddr::from((Ipv4Addr::LOCALHOST, 1)));
+        let client = client.expect("the first client");
+        // Greeting, ten replies, and those to the request for frames.
+        for _ in 0..16 {
+            let bytes = server.pending(client).to_vec();
+            server.sent(client, bytes.len());
+            host.push(&bytes, &mut |_| {});
+            while let Some(command) = commands.try_recv() {
+                if let LineCommand::Write { request, .. } = command {
+                    server.receive(client, request.as_bytes());
+                }
+            }
+        }
+    }
+    (host, commands)
+}
+
+/// Datagrams, each of the length that its first byte states, in front of a flush of what waits.
+fn datagrams(wire: &[u8], how: u8) {
+    let (mut host, commands) = new_host(how & 1 == 1, Some(5000));
+    let mut input = Input::new(wire);
+    let mut now_ns = 0;
+    while !input.is_empty() {
+        let len = 8 * usize::from(input.byte());
+        commands.set_datagram(len > 0);
+        commands.set_now_ns(now_ns);
+        let bytes = input.take(len);
+        host.push(bytes, &mut |event| {
+            if let DeviceEvent::Frame(frame) = event {
+                let seen = frame.markers.iter().filter(|marker| !marker.occluded);
+                assert!(seen.flat_map(|marker| marker.position_mm).all(f32::is_finite));
+            }
+        });
+        while commands.try_recv().is_some() {}
+        now_ns += 7_000_000;
+    }
 }
 
 /// What a server replies.

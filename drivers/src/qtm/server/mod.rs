@@ -376,7 +376,7 @@ impl QtmServer {
             self.state = event;
         }
         for client in &mut self.clients {
-            client.put(|out| put_event(event, out));
+            client.put_unasked(|out| put_event(event, out));
         }
     }
 
@@ -386,9 +386,9 @@ impl QtmServer {
         for client in &mut self.clients {
             match client.stream.map(|stream| stream.target) {
                 Some(Some(to)) => self.datagrams.push(Datagram { to, bytes: bytes.clone() }),
-                Some(None) => client.put(|out| out.extend_from_slice(&bytes)),
+                Some(None) => client.put_unasked(|out| out.extend_from_slice(&bytes)),
                 None if client.one_frame.take().is_some() => {
-                    client.put(|out| out.extend_from_slice(&bytes));
+                    client.put_unasked(|out| out.extend_from_slice(&bytes));
                 }
                 None => {}
             }
@@ -505,6 +505,17 @@ impl Client {
         let before = self.output.len();
         write(&mut self.output);
         self.queued += (self.output.len() - before) as u64;
+    }
+
+    /// Appends what the client did not ask for. One that reads nothing is disconnected, since it would miss it.
+    fn put_unasked(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
+        if self.pending().len() >= OUTPUT_BYTES_MAX {
+            self.is_out_of_step = true;
+            self.output.clear();
+            self.sent = 0;
+        } else if !self.is_out_of_step {
+            self.put(write);
+        }
     }
 
     fn pending(&self) -> &[u8] {

@@ -10,7 +10,10 @@ use std::{
 
 use rustix::io::Errno;
 
-use crate::{transport::TransportError, uri::NetworkAddress};
+use crate::{
+    transport::TransportError,
+    uri::{NetworkAddress, bracketed},
+};
 
 /// Time-out of a connection attempt: a machine on a local network answers in a millisecond; two lost packets are
 /// repeated after one second each.
@@ -51,7 +54,8 @@ fn resolve(address: &NetworkAddress) -> Result<Vec<SocketAddr>, String> {
     }
     let (sender, receiver) = sync_channel(1);
     let name = (address.host.clone(), address.port);
-    // The resolver cannot be cancelled: a thread that finds nobody waiting ends by itself.
+    // The resolver cannot be cancelled: a thread that finds nobody waiting ends by itself. It gives up after some 20 s, so
+    // that less than ten of them wait, however often a recorder tries.
     let thread = Builder::new().name("mocapd-resolve".to_owned()).spawn(move || {
         let found = name.to_socket_addrs().map(Iterator::collect::<Vec<_>>);
         sender.send(found).ok();
@@ -90,7 +94,8 @@ fn no_such_name(address: &NetworkAddress) -> String {
 
 /// What to do about a failed connection attempt.
 fn remedy(error: &io::Error, ip: IpAddr, address: &NetworkAddress) -> String {
-    let NetworkAddress { family, host, port, .. } = address;
+    let NetworkAddress { family, port, .. } = address;
+    let host = bracketed(&address.host);
     if matches!(Errno::from_io_error(error), Some(Errno::PERM | Errno::AFNOSUPPORT)) {
         return format!(
             "this system does not let mocapd reach {ip}: under systemd, add `IPAddressAllow={ip}` to the unit, and \
@@ -108,6 +113,10 @@ fn remedy(error: &io::Error, ip: IpAddr, address: &NetworkAddress) -> String {
         ),
         ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {
             format!("no route leads to {ip}: check the cable, and the addresses of both machines")
+        }
+        // A link-local address without its interface.
+        ErrorKind::InvalidInput => {
+            format!("the address lacks the interface: give it, as in {family}:[{ip}%eth0]")
         }
         _ => format!("{error}: check the address and the network"),
     }

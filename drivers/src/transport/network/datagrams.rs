@@ -36,6 +36,10 @@ pub(super) struct DatagramSocket {
     control: Vec<u8>,
     /// Arrival of the last datagram: the next one did not arrive before it.
     last_ns: u64,
+    /// The monotonic clock less the wall clock, at the last datagram.
+    offset_ns: Option<i64>,
+    /// Whether the wall clock was set while datagrams waited: their stamps are of before or after that.
+    distrusts_stamps: bool,
 }
 
 impl DatagramSocket {
@@ -43,15 +47,25 @@ impl DatagramSocket {
     ///
     /// # Errors
     /// The system's.
-    pub(super) fn open(local: IpAddr, peer: IpAddr) -> io::Result<Self> {
-        let socket = UdpSocket::bind(SocketAddr::new(local, 0))?;
+    pub(super) fn open(mut local: SocketAddr, peer: IpAddr) -> io::Result<Self> {
+        // The rest of the address stays: an IPv6 address may have a scope.
+        local.set_port(0);
+        let socket = UdpSocket::bind(local)?;
         socket.set_nonblocking(true)?;
         // What the system refuses here costs room or precision: arrival is then the time of the read.
         setsockopt(socket.as_raw_fd(), RcvBuf, &RECEIVE_BUFFER_BYTES).ok();
         setsockopt(socket.as_raw_fd(), ReceiveTimestampns, &true).ok();
         let port = socket.local_addr()?.port();
         let control = cmsg_space!(TimeSpec);
-        Ok(Self { socket, port, peer: peer.to_canonical(), control, last_ns: 0 })
+        Ok(Self {
+            socket,
+            port,
+            peer: peer.to_canonical(),
+            control,
+            last_ns: 0,
+            offset_ns: None,
+            distrusts_stamps: false,
+        })
     }
 
     /// The port to which the device sends.
@@ -65,12 +79,20 @@ impl DatagramSocket {
     /// `WouldBlock` when none waits, or the one that waited was another machine's; the system's.
     pub(super) fn receive(&mut self, buf: &mut [u8]) -> io::Result<(usize, Option<u64>)> {
         let mut slices = [IoSliceMut::new(buf)];
-        let message = recvmsg::<SockaddrStorage>(
+        let received = recvmsg::<SockaddrStorage>(
             self.socket.as_raw_fd(),
             &mut slices,
             Some(&mut self.control),
             MsgFlags::empty(),
-        )?;
+        );
+        let message = match received {
+            Ok(message) => message,
+            Err(error) => {
+                // Nothing waits: later datagrams have stamps of the clock as it is now.
+                self.distrusts_stamps = false;
+                return Err(error.into());
+            }
+        };
         let n = message.bytes;
         let sender = message.address.as_ref().and_then(ip_of);
         let stamp = message.cmsgs().find_map(|control| match control {
@@ -80,7 +102,8 @@ impl DatagramSocket {
         if sender != Some(self.peer) {
             return Err(io::ErrorKind::WouldBlock.into());
         }
-        let host_ns = stamp.and_then(monotonic_ns).map(|host_ns| host_ns.max(self.last_ns));
+        let host_ns = stamp.and_then(|stamp| self.monotonic_ns(stamp));
+        let host_ns = host_ns.map(|host_ns| host_ns.max(self.last_ns));
         self.last_ns = host_ns.unwrap_or(self.last_ns);
         Ok((n, host_ns))
     }
@@ -104,14 +127,20 @@ const BOTH_CLOCKS_NS: i64 = 20_000;
 /// Attempts at that, on a machine that interrupts again and again.
 const ATTEMPTS_MAX: usize = 4;
 
-/// Converts a stamp of the wall clock to the monotonic clock; `None` when the wall clock was set in between.
-fn monotonic_ns(stamp: TimeSpec) -> Option<u64> {
-    let in_ns = |seconds: i64, ns: i64| seconds.checked_mul(1_000_000_000)?.checked_add(ns);
-    let read = |clock| {
-        let now = clock_gettime(clock);
-        in_ns(now.tv_sec, now.tv_nsec)
-    };
-    let stamp_ns = in_ns(stamp.tv_sec(), stamp.tv_nsec())?;
+/// A wall clock that moved by more than this against the monotonic one was set. It is slewed by 0.5 ms a second at most.
+const CLOCK_SET_NS: i64 = 10_000_000;
+
+fn in_ns(seconds: i64, ns: i64) -> Option<i64> {
+    seconds.checked_mul(1_000_000_000)?.checked_add(ns)
+}
+
+fn read(clock: ClockId) -> Option<i64> {
+    let now = clock_gettime(clock);
+    in_ns(now.tv_sec, now.tv_nsec)
+}
+
+/// The monotonic clock less the wall clock.
+fn clock_offset_ns() -> Option<i64> {
     let mut best: Option<(i64, i64)> = None;
     for _ in 0..ATTEMPTS_MAX {
         let (before_ns, wall_ns) = (read(ClockId::Monotonic)?, read(ClockId::Realtime)?);
@@ -123,12 +152,23 @@ fn monotonic_ns(stamp: TimeSpec) -> Option<u64> {
             break;
         }
     }
-    let (_, offset_ns) = best?;
-    let host_ns = stamp_ns.checked_add(offset_ns)?;
-    let age_ns = read(ClockId::Monotonic)? - host_ns;
-    // As much may a stamp of just now lie in the future.
-    let ages = -BOTH_CLOCKS_NS..STAMP_AGE_MAX_NS;
-    ages.contains(&age_ns).then(|| u64::try_from(host_ns).ok()).flatten()
+    best.map(|(_, offset_ns)| offset_ns)
+}
+
+impl DatagramSocket {
+    /// Converts a stamp of the wall clock to the monotonic clock; `None` when the wall clock was set in between.
+    fn monotonic_ns(&mut self, stamp: TimeSpec) -> Option<u64> {
+        let offset_ns = clock_offset_ns()?;
+        let before_ns = self.offset_ns.replace(offset_ns);
+        self.distrusts_stamps |=
+            before_ns.is_some_and(|before_ns| (offset_ns - before_ns).abs() > CLOCK_SET_NS);
+        let host_ns = in_ns(stamp.tv_sec(), stamp.tv_nsec())?.checked_add(offset_ns)?;
+        let age_ns = read(ClockId::Monotonic)? - host_ns;
+        // As much may a stamp of just now lie in the future.
+        let ages = -BOTH_CLOCKS_NS..STAMP_AGE_MAX_NS;
+        let is_sure = ages.contains(&age_ns) && !self.distrusts_stamps;
+        is_sure.then(|| u64::try_from(host_ns).ok()).flatten()
+    }
 }
 
 #[cfg(test)]
@@ -145,7 +185,7 @@ mod tests {
     #[test]
     fn arrival_is_the_kernels_time_and_not_that_of_the_read() {
         let local = IpAddr::V4(Ipv4Addr::LOCALHOST);
-        let mut socket = DatagramSocket::open(local, local).unwrap();
+        let mut socket = DatagramSocket::open((local, 0).into(), local).unwrap();
         let sender = UdpSocket::bind((local, 0)).unwrap();
         // The kernel begins to stamp a moment after the first socket asks for it; until then a read stamps.
         let is_stamped = (0..50).any(|_| {
@@ -171,7 +211,8 @@ mod tests {
     #[test]
     fn datagrams_of_other_machines_are_not_the_devices() {
         let local = IpAddr::V4(Ipv4Addr::LOCALHOST);
-        let mut socket = DatagramSocket::open(local, "192.0.2.1".parse().unwrap()).unwrap();
+        let mut socket =
+            DatagramSocket::open((local, 0).into(), "192.0.2.1".parse().unwrap()).unwrap();
         let sender = UdpSocket::bind((local, 0)).unwrap();
         sender.send_to(b"stranger", (local, socket.port())).unwrap();
         sleep(Duration::from_millis(10));

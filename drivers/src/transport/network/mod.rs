@@ -62,7 +62,7 @@ impl NetworkTransport {
         let datagrams = if address.datagrams {
             let peer = stream.peer_addr().map_err(failed("looking up its address"))?;
             let local = stream.local_addr().map_err(failed("looking up the own address"))?;
-            let socket = DatagramSocket::open(local.ip(), peer.ip());
+            let socket = DatagramSocket::open(local, peer.ip());
             Some(socket.map_err(failed("opening a UDP socket"))?)
         } else {
             None
@@ -150,12 +150,12 @@ fn is_retry(error: &io::Error) -> bool {
 
 impl Transport for NetworkTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
+        if self.closed_at.is_some_and(|at| at.elapsed() > LAST_DATAGRAMS) {
+            return Err(self.lost(CLOSED));
+        }
         match self.wait(false) {
             Ok(Readiness { datagrams: true, stream }) if !stream || self.was_stream => {
                 self.read_datagram(buf)
-            }
-            Ok(_) if self.closed_at.is_some_and(|at| at.elapsed() > LAST_DATAGRAMS) => {
-                Err(self.lost(CLOSED))
             }
             Ok(Readiness { stream: true, .. }) => self.read_stream(buf),
             Ok(_) => Ok(0),
