@@ -1,5 +1,5 @@
 //! A simulated QTM that plays a motion as a file in real time. Sans-io: connections, their bytes and the time go in, bytes
-//! and datagrams come out; [`serve`] puts it on the network.
+//! and datagrams come out; [`QtmListener`] puts it on the network.
 //!
 //! Labelled markers are sent with their labels, all others as unlabelled markers with ids. The file is played from its first
 //! frame when the first client requests frames.
