@@ -79,13 +79,25 @@ fn every_error_of_a_device_names_it_and_the_remedy() {
     let device = "/dev/ttyUSB7".to_owned();
     let holder = Some("motive (process 71)".to_owned());
     let remedy = "sudo usermod -aG dialout me".to_owned();
-    let errors: [(TransportError, &[&str]); 8] = [
+    let host = "lab:22223".to_owned();
+    let errors: [(TransportError, &[&str]); 10] = [
         (TransportError::NotFound { device: device.clone() }, &["ttyUSB7", "mocapd devices"]),
         (TransportError::Busy { device: device.clone(), holder }, &["ttyUSB7", "process 71"]),
         (TransportError::Busy { device: device.clone(), holder: None }, &["ttyUSB7"]),
         (TransportError::PermissionDenied { device: device.clone(), remedy }, &["sudo usermod"]),
         (TransportError::Disconnected { device: device.clone() }, &["ttyUSB7"]),
         (TransportError::Refused("the rate is refused".to_owned()), &["refused"]),
+        (
+            TransportError::Unreachable {
+                device: host.clone(),
+                remedy: "check its name".to_owned(),
+            },
+            &["lab:22223", "check its name"],
+        ),
+        (
+            TransportError::ConnectionLost { device: host, cause: "it was reset".to_owned() },
+            &["lab:22223", "it was reset"],
+        ),
         (TransportError::Stuck { device: device.clone() }, &["ttyUSB7"]),
         (
             TransportError::Io { device, action: "reading", source: io::Error::other("EIO") },

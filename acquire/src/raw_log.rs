@@ -303,7 +303,7 @@ impl TappedTransport {
     }
 
     fn note_closed<T>(&mut self, outcome: Result<T, TransportError>) -> Result<T, TransportError> {
-        if let Err(TransportError::Disconnected { .. }) = outcome {
+        if outcome.as_ref().is_err_and(TransportError::is_gone) {
             self.close();
         }
         outcome

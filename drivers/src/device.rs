@@ -206,6 +206,12 @@ pub trait Protocol: Send + std::fmt::Debug {
     /// Appends the encoded `command` to `out`.
     fn command(&mut self, command: Command, out: &mut Vec<u8>);
 
+    /// Whether the protocol itself checks a connection on which nothing arrives, and reports its loss. Otherwise the
+    /// reader asks a silent device to identify itself, which stops and restarts it.
+    fn checks_silence(&self) -> bool {
+        false
+    }
+
     /// The counters so far.
     fn counters(&self) -> LinkCounters;
 }

@@ -1,8 +1,9 @@
-//! Drivers for motion-capture devices: device families, the link protocol, and serial and USB transports.
+//! Drivers for motion-capture devices: device families, the link protocol, and serial, USB and
+//! network transports.
 //!
 //! A [`device::Protocol`] is sans-io: it turns received bytes into events and commands into bytes. A
 //! [`transport::Transport`] moves those bytes. [`registry`] pairs the two for a device URI, and
-//! [`ndi`] and [`link`] are the families so far.
+//! [`link`], [`ndi`] and [`qtm`] are the families so far.
 //!
 //! One frame, encoded at the device's end of a link and decoded at the host's:
 //!
@@ -37,6 +38,7 @@ pub mod device;
 pub mod link;
 pub mod ndi;
 pub mod plain_file;
+pub mod qtm;
 pub mod raw_log;
 pub mod registry;
 pub mod transport;

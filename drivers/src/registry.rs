@@ -7,17 +7,18 @@ use serialport::SerialPortType;
 pub use crate::device::{Candidate, Claim, Family};
 use crate::{
     device::Protocol,
-    link, ndi,
+    link, ndi, qtm,
     transport::{
         Access, Transport, TransportError, access,
+        network::NetworkTransport,
         serial::SerialTransport,
         usb::{self, UsbDevice, UsbTransport},
     },
-    uri::{DeviceUri, Location},
+    uri::{DeviceUri, Location, NETWORK_FAMILIES},
 };
 
 /// All device families. Register a new one here.
-pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY];
+pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY, qtm::FAMILY];
 
 /// Returns the family with the highest claim on a device; of two equal claims, the first in [`FAMILIES`].
 #[must_use]
@@ -54,7 +55,7 @@ pub fn devices() -> Result<Vec<AttachedDevice>, TransportError> {
     let ports = serial.into_iter().map(|candidate| {
         let access = match &candidate.location {
             Location::Serial { path, .. } => access(path),
-            Location::Usb { .. } => Access::Accessible,
+            Location::Usb { .. } | Location::Network(_) => Access::Accessible,
         };
         list_device(candidate, access)
     });
@@ -139,6 +140,14 @@ pub enum OpenError {
         /// Location of the device.
         location: String,
     },
+    /// The family named by `?driver=NAME` does not use such a line.
+    #[error("the driver {name} cannot use {location}: {}", line_of(name))]
+    WrongLine {
+        /// Name in the URI.
+        name: &'static str,
+        /// Location of the device.
+        location: String,
+    },
     /// The transport could not be opened.
     #[error(transparent)]
     Transport(#[from] TransportError),
@@ -162,6 +171,10 @@ pub fn open_with_wrapper(
     wrap: &mut dyn FnMut(&'static str, Box<dyn Transport>) -> Box<dyn Transport>,
 ) -> Result<OpenedDevice, OpenError> {
     let named = uri.driver.as_deref().map(family_named).transpose()?;
+    if let Some(family) = named.filter(|family| !uses(family.name, &uri.location)) {
+        let location = uri.location.to_string();
+        return Err(OpenError::WrongLine { name: family.name, location });
+    }
     let transport = open_transport(&uri.location)?;
     let identity = candidate_at(&uri.location);
     let unclaimed = || OpenError::Unclaimed { location: uri.location.to_string() };
@@ -172,6 +185,26 @@ pub fn open_with_wrapper(
     let mut protocol = (family.protocol)(&uri.location);
     let transport = protocol.attach(wrap(family.name, transport));
     Ok(OpenedDevice { transport, protocol, family: family.name, identity })
+}
+
+/// Whether a family can be at a location: one on the network has a scheme of its own.
+fn uses(family: &str, location: &Location) -> bool {
+    match location {
+        Location::Network(address) => address.family == family,
+        Location::Serial { .. } | Location::Usb { .. } => !is_on_network(family),
+    }
+}
+
+fn is_on_network(family: &str) -> bool {
+    NETWORK_FAMILIES.iter().any(|(name, _)| *name == family)
+}
+
+/// The form of a family's URIs, for an error.
+fn line_of(family: &str) -> String {
+    if is_on_network(family) {
+        return format!("give {family}:HOST[:PORT]");
+    }
+    "it needs serial:PATH or usb:VID:PID".to_owned()
 }
 
 /// Reopens a device after a disconnect, also when a replug gave its port another name.
@@ -203,7 +236,7 @@ fn current_location(location: &Location, identity: &Candidate) -> Location {
                 _ => location.clone(),
             }
         }
-        Location::Serial { .. } => location.clone(),
+        Location::Serial { .. } | Location::Network(_) => location.clone(),
     }
 }
 
@@ -226,6 +259,7 @@ fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportEr
         Location::Usb { vid, pid, serial } => {
             Ok(Box::new(UsbTransport::open(*vid, *pid, serial.as_deref())?))
         }
+        Location::Network(address) => Ok(Box::new(NetworkTransport::open(address)?)),
     }
 }
 
@@ -241,6 +275,7 @@ fn candidate_at(location: &Location) -> Candidate {
             });
             return same.as_ref().map_or_else(unknown, usb_candidate);
         }
+        Location::Network(_) => return unknown(),
     };
     let Ok(real_path) = path.canonicalize() else { return unknown() };
     let ports = serial_candidates().unwrap_or_default();

@@ -1,8 +1,9 @@
-//! Device URIs: `serial:PATH[@BAUD]` or `usb:VID:PID[:SERIAL]`, with an optional `?driver=NAME`.
+//! Device URIs: `serial:PATH[@BAUD]`, `usb:VID:PID[:SERIAL]` or `qtm:HOST[:PORT][?transport=udp]`, with an optional
+//! `?driver=NAME`.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
-/// The port or USB address of a device.
+/// The port, USB address or network address of a device.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Location {
     /// A serial port.
@@ -21,12 +22,43 @@ pub enum Location {
         /// Serial number, needed where several devices share the ids.
         serial: Option<String>,
     },
+    /// A device on the network.
+    Network(NetworkAddress),
+}
+
+/// Families whose devices are on the network, each with the port that a URI may omit. A family's name is the scheme.
+pub const NETWORK_FAMILIES: &[(&str, u16)] = &[("qtm", 22_223)];
+
+/// The network address of a device, and how its frames travel.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct NetworkAddress {
+    /// Name of the family, one of [`NETWORK_FAMILIES`].
+    pub family: &'static str,
+    /// Name of the machine, or its IP address without brackets.
+    pub host: String,
+    /// TCP port.
+    pub port: u16,
+    /// Whether frames are to arrive as UDP datagrams; commands always use TCP.
+    pub datagrams: bool,
+}
+
+impl NetworkAddress {
+    /// `HOST:PORT`, with brackets around an IPv6 address.
+    #[must_use]
+    pub fn host_and_port(&self) -> String {
+        format!("{}:{}", bracketed(&self.host), self.port)
+    }
+}
+
+/// A host as URIs write it.
+pub(crate) fn bracketed(host: &str) -> String {
+    if host.contains(':') { format!("[{host}]") } else { host.to_owned() }
 }
 
 /// Location of a device, and optionally the family whose protocol it speaks.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct DeviceUri {
-    /// Serial port or USB address.
+    /// Serial port, USB address or network address.
     pub location: Location,
     /// Name of the family; `None` selects the family that claims the device.
     pub driver: Option<String>,
@@ -35,7 +67,8 @@ pub struct DeviceUri {
 /// Error of parsing a device URI.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "invalid device URI '{text}': {reason}: write serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME where needed"
+    "invalid device URI '{text}': {reason}: write serial:PATH[@BAUD], usb:VID:PID[:SERIAL] or qtm:HOST[:PORT][?transport=udp], with \
+     ?driver=NAME where needed"
 )]
 pub struct UriError {
     text: String,
@@ -52,22 +85,64 @@ impl FromStr for DeviceUri {
 
 fn parse(text: &str) -> Result<DeviceUri, String> {
     let (base, query) = text.split_once('?').map_or((text, None), |(base, q)| (base, Some(q)));
-    let driver = query.map(parse_query).transpose()?;
+    let network = base.split_once(':').and_then(|(scheme, rest)| {
+        let (family, port) = NETWORK_FAMILIES.iter().find(|(family, _)| *family == scheme)?;
+        Some((*family, *port, rest))
+    });
+    let (driver, datagrams) = parse_query(query, network.is_some())?;
+    if let Some((family, port, rest)) = network {
+        let (host, port) = parse_host(rest, port)?;
+        let address = NetworkAddress { family, host, port, datagrams };
+        return Ok(DeviceUri { location: Location::Network(address), driver });
+    }
     let location = match base.split_once(':') {
         Some(("serial", rest)) => parse_serial(rest),
         Some(("usb", rest)) => parse_usb(rest),
         _ if base.starts_with('/') => Err(format!("a path needs a scheme: serial:{base}")),
-        Some((scheme, _)) => Err(format!("unknown scheme '{scheme}', expected serial or usb")),
+        Some((scheme, _)) => Err(format!("unknown scheme '{scheme}', expected serial, usb or qtm")),
         None => Err("the scheme is missing".to_owned()),
     };
     Ok(DeviceUri { location: location?, driver })
 }
 
-fn parse_query(query: &str) -> Result<String, String> {
-    match query.split_once('=') {
-        Some(("driver", name)) if !name.is_empty() => Ok(name.to_owned()),
-        _ => Err(format!("expected driver=NAME after '?', found '{query}'")),
+/// Parses what follows the `?`: the driver's name, and whether frames travel by UDP.
+fn parse_query(query: Option<&str>, is_network: bool) -> Result<(Option<String>, bool), String> {
+    let (mut driver, mut datagrams) = (None, false);
+    for part in query.into_iter().flat_map(|query| query.split('&')) {
+        match part.split_once('=') {
+            Some(("driver", name)) if !name.is_empty() => driver = Some(name.to_owned()),
+            Some(("transport", "udp")) if is_network => datagrams = true,
+            Some(("transport", "tcp")) if is_network => datagrams = false,
+            Some(("transport", _)) if is_network => {
+                return Err(format!("expected transport=tcp or transport=udp, found '{part}'"));
+            }
+            _ => return Err(format!("expected driver=NAME after '?', found '{part}'")),
+        }
     }
+    Ok((driver, datagrams))
+}
+
+/// Parses `HOST[:PORT]`; an IPv6 address needs brackets if a port follows.
+fn parse_host(rest: &str, default_port: u16) -> Result<(String, u16), String> {
+    let (host, port) = match rest.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        Some((host, after)) => match after.strip_prefix(':') {
+            Some(port) => (host, Some(port)),
+            None if after.is_empty() => (host, None),
+            None => return Err(format!("expected ':PORT' after ']', found '{after}'")),
+        },
+        None if rest.matches(':').count() > 1 => (rest, None),
+        None => rest.split_once(':').map_or((rest, None), |(host, port)| (host, Some(port))),
+    };
+    let is_host_char = |c: char| c.is_alphanumeric() || "-._:%".contains(c);
+    if host.is_empty() || !host.chars().all(is_host_char) {
+        return Err(format!("'{host}' is not the name or address of a machine"));
+    }
+    let port = match port.map(|port| (port, port.parse())) {
+        None => default_port,
+        Some((_, Ok(port @ 1..))) => port,
+        Some((port, _)) => return Err(format!("'{port}' is not a port, 1 to 65535")),
+    };
+    Ok((host.to_owned(), port))
 }
 
 fn parse_serial(rest: &str) -> Result<Location, String> {
@@ -116,14 +191,23 @@ impl fmt::Display for Location {
                 write!(f, "usb:{vid:04x}:{pid:04x}")?;
                 serial.as_ref().map_or(Ok(()), |serial| write!(f, ":{serial}"))
             }
+            Self::Network(NetworkAddress { family, host, port, datagrams }) => {
+                write!(f, "{family}:{}", bracketed(host))?;
+                if !NETWORK_FAMILIES.contains(&(family, *port)) {
+                    write!(f, ":{port}")?;
+                }
+                if *datagrams { write!(f, "?transport=udp") } else { Ok(()) }
+            }
         }
     }
 }
 
 impl fmt::Display for DeviceUri {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.location)?;
-        self.driver.as_ref().map_or(Ok(()), |driver| write!(f, "?driver={driver}"))
+        let location = self.location.to_string();
+        let joint = if location.contains("?transport=") { '&' } else { '?' };
+        write!(f, "{location}")?;
+        self.driver.as_ref().map_or(Ok(()), |driver| write!(f, "{joint}driver={driver}"))
     }
 }
 
@@ -142,6 +226,14 @@ mod tests {
             pid: 0x6abc,
             serial: serial.map(str::to_owned),
         };
+        let qtm = |host: &str, port, datagrams| {
+            Location::Network(NetworkAddress {
+                family: "qtm",
+                host: host.to_owned(),
+                port,
+                datagrams,
+            })
+        };
         for (text, location, driver) in [
             ("serial:/dev/ttyUSB0", serial("/dev/ttyUSB0", None), None),
             ("serial:/dev/ttyUSB0@921600", serial("/dev/ttyUSB0", Some(921_600)), None),
@@ -149,6 +241,10 @@ mod tests {
             ("serial:rel/pty@9600?driver=dvmc", serial("rel/pty", Some(9600)), Some("dvmc")),
             ("usb:0403:6abc", usb(None), None),
             ("usb:0403:6abc:A:1?driver=dvmc", usb(Some("A:1")), Some("dvmc")),
+            ("qtm:lab-pc", qtm("lab-pc", 22_223, false), None),
+            ("qtm:192.168.0.7:22300?driver=qtm", qtm("192.168.0.7", 22_300, false), Some("qtm")),
+            ("qtm:[::1]:9?transport=udp", qtm("::1", 9, true), None),
+            ("qtm:[fe80::1]?transport=udp&driver=qtm", qtm("fe80::1", 22_223, true), Some("qtm")),
         ] {
             let uri: DeviceUri = text.parse().unwrap();
             assert_eq!(uri.location, location, "{text}");
@@ -171,11 +267,20 @@ mod tests {
             ("usb:0403:6abc:", "':'"),
             ("serial:/dev/ttyUSB0?baud=1", "'baud=1'"),
             ("serial:/dev/ttyUSB0?driver=", "'driver='"),
+            ("serial:/dev/ttyUSB0?transport=udp", "'transport=udp'"),
+            ("qtm:lab?transport=ip", "'transport=ip'"),
+            ("qtm:", "''"),
+            ("qtm:lab pc", "'lab pc'"),
+            ("qtm:lab:0", "'0'"),
+            ("qtm:lab:65536", "'65536'"),
+            ("qtm:[::1]22223", "'22223'"),
         ] {
             let error = text.parse::<DeviceUri>().unwrap_err();
             assert!(error.reason.contains(reason), "{text}: {error}");
             let message = error.to_string();
-            for form in ["serial:PATH[@BAUD]", "usb:VID:PID[:SERIAL]", "?driver=NAME"] {
+            for form in
+                ["serial:PATH[@BAUD]", "usb:VID:PID[:SERIAL]", "qtm:HOST[:PORT]", "?driver=NAME"]
+            {
                 assert!(message.contains(form), "{message}");
             }
         }

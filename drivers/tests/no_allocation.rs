@@ -17,7 +17,9 @@ mod no_allocation {
         },
         link::{DeviceLink, FrameForm, HostLink},
         ndi::{NdiHost, crc16},
+        qtm::{ClientId, FrameHeader, QtmHost, QtmServer, ServedFrame, ServedSettings, WireMarker},
         transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
+        uri::DeviceUri,
     };
 
     thread_local! {
@@ -201,5 +203,67 @@ mod no_allocation {
         }
         assert!(n_markers > 500 * 256, "{n_markers}");
         assert_eq!(ALLOCATIONS.get(), before);
+    }
+
+    /// Delivers what a server sends, and executes what the driver sends. Returns the number of markers received.
+    fn qtm_read(
+        host: &mut QtmHost,
+        commands: &LineCommandReceiver,
+        server: &mut QtmServer,
+        client: ClientId,
+    ) -> usize {
+        while let Some(command) = commands.try_recv() {
+            if let LineCommand::Write { request, .. } = command {
+                server.receive(client, request.as_bytes());
+            }
+        }
+        let mut n_markers = 0;
+        let pending = server.pending(client);
+        let n = pending.len();
+        for piece in pending.chunks(1000) {
+            host.push(piece, &mut |event| {
+                if let DeviceEvent::Frame(frame) = event {
+                    n_markers += frame.markers.len();
+                }
+                black_box(event);
+            });
+        }
+        server.sent(client, n);
+        n_markers
+    }
+
+    #[test]
+    fn a_qtm_host_decodes_without_allocating() {
+        let (sender, commands) = line_command_channel();
+        let uri: DeviceUri = "qtm:lab".parse().unwrap();
+        let mut host = QtmHost::new(&uri.location, sender, None);
+        let labels = (0..100).map(|k| format!("m{k}")).collect();
+        let settings = ServedSettings { frequency_hz: 1000.0, up_axis: "+Z", labels };
+        let mut server = QtmServer::new(settings, "1".to_owned());
+        let client = server.connect(([127, 0, 0, 1], 1).into()).unwrap();
+        host.command(Command::Identify, &mut Vec::new());
+        host.command(Command::Start { line_bytes_per_s: 0 }, &mut Vec::new());
+        for _ in 0..20 {
+            qtm_read(&mut host, &commands, &mut server, client);
+        }
+        // Unlabelled markers come and go.
+        let marker = |id| WireMarker { position_mm: [1.0; 3], id, residual_mm: 0.1 };
+        let markers: Vec<WireMarker> = (0..100).map(marker).collect();
+        let mut allocated = 0;
+        for number in 0..1_100_u32 {
+            server.frame(&ServedFrame {
+                header: FrameHeader { time_us: u64::from(number) * 1000, number },
+                rates: [1, 0],
+                labelled: &markers,
+                unlabelled: &markers[(number % 40) as usize..60],
+            });
+            let before = ALLOCATIONS.get();
+            let n_markers = qtm_read(&mut host, &commands, &mut server, client);
+            if number >= 100 {
+                allocated += ALLOCATIONS.get() - before;
+            }
+            assert_eq!(n_markers, 160 - (number % 40) as usize);
+        }
+        assert_eq!(allocated, 0);
     }
 }

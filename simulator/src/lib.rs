@@ -1,7 +1,7 @@
 //! Simulated motion-capture devices that play recorded or generated motion to a real host.
 //!
 //! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate. [`device`] plays
-//! it over the link protocol, [`ndi`] over NDI's. [`faults`] injects faults by a script, and [`log_device`] replays a raw
+//! it over the link protocol, [`ndi`] over NDI's, and [`qtm`] on the network over that of QTM. [`faults`] injects faults by a script, and [`log_device`] replays a raw
 //! log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
 //! controller. None of them starts a thread, and only a line reads a clock.
 
@@ -14,5 +14,6 @@ pub mod line;
 pub mod log_device;
 pub mod ndi;
 pub mod pty;
+pub mod qtm;
 pub mod replay;
 pub mod source;

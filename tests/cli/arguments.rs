@@ -193,11 +193,18 @@ fn invalid_devices() {
         ("serial:/dev/ttyUSB0?baud=9600", "'baud=9600'"),
         ("usb:1:2", "'1'"),
     ] {
-        let facts = [device, part, "serial:PATH[@BAUD]", "usb:VID:PID[:SERIAL]", "?driver=NAME"];
+        let facts = [
+            device,
+            part,
+            "serial:PATH[@BAUD]",
+            "usb:VID:PID[:SERIAL]",
+            "qtm:HOST[:PORT]",
+            "?driver=NAME",
+        ];
         refused_with(&folder, &["record", "-d", device, "-o", "new.take"], &facts);
     }
     let unknown = ["record", "-d", "serial:/dev/null?driver=vicon", "-o", "new.take"];
-    refused_with(&folder, &unknown, &["vicon", "dvmc", "ndi"]);
+    refused_with(&folder, &unknown, &["vicon", "dvmc", "ndi", "qtm"]);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Every shipped fault script, recorded over a pty: the ledger must equal the device's own log.
 
-mod expected;
+pub(super) mod expected;
 pub(super) mod played;
 
 use std::fs;

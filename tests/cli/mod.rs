@@ -25,6 +25,7 @@ mod ndi;
 mod outputs;
 mod plots;
 mod preparing;
+mod qtm;
 mod raw_logs;
 mod recording;
 mod recoveries;

@@ -11,7 +11,7 @@ use mocapd_drivers::{
     device::{Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol},
     registry::{self, Candidate, OpenedDevice},
     transport::{Transport, TransportError},
-    uri::DeviceUri,
+    uri::{DeviceUri, Location},
 };
 use mocapd_take::{
     motion::UpAxis,
@@ -98,6 +98,11 @@ impl Rig {
     /// # Errors
     /// When the device cannot be opened or does not answer.
     pub fn open_logged(uri: &DeviceUri, raw_log: Option<RawLogTap>) -> anyhow::Result<Self> {
+        if raw_log.is_some() && matches!(&uri.location, Location::Network(at) if at.datagrams) {
+            bail!(
+                "a raw log holds one stream of bytes, and no datagrams: log {uri} without transport=udp"
+            );
+        }
         let opened = registry::open_with_wrapper(uri, &mut |family, line| match &raw_log {
             Some(tap) => tap.wrap(family, line),
             None => line,

@@ -101,6 +101,7 @@ impl Rig {
             outages: 0,
             notes: Vec::new(),
             due_until_ns: None,
+            lost_connection: None,
         };
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
@@ -148,7 +149,10 @@ impl Rig {
             if ending != EndingKind::DeviceGone {
                 return Ok(ending);
             }
-            reader.intake.event(host_event("the device was disconnected"));
+            reader.intake.event(host_event(&match &reader.lost_connection {
+                Some(cause) => format!("the connection was lost: {cause}"),
+                None => "the device was disconnected".to_owned(),
+            }));
             reader.intake.set_away(true);
             if !self.reconnect(reader, options, &is_over) {
                 return Ok(or_end(EndingKind::DeviceGone, reader.intake));
@@ -172,7 +176,13 @@ impl Rig {
             let frames_before = reader.intake.frames_seen();
             match self.read_once(reader) {
                 Ok(()) => {}
-                Err(TransportError::Disconnected { .. }) => return Ok(EndingKind::DeviceGone),
+                Err(error) if error.is_gone() => {
+                    reader.lost_connection = match error {
+                        TransportError::ConnectionLost { cause, .. } => Some(cause),
+                        _ => None,
+                    };
+                    return Ok(EndingKind::DeviceGone);
+                }
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
             }
             reader.notes.drain(..).for_each(|note| (options.notify)(&note));
@@ -191,9 +201,8 @@ impl Rig {
                 if let Some(now) = reader.new_hello.take() {
                     match self.handle_hello(reader, &now, options) {
                         Ok(true) => {}
-                        Ok(false) | Err(TransportError::Disconnected { .. }) => {
-                            return Ok(EndingKind::DeviceGone);
-                        }
+                        Ok(false) => return Ok(EndingKind::DeviceGone),
+                        Err(error) if error.is_gone() => return Ok(EndingKind::DeviceGone),
                         Err(error) => {
                             return Err(anyhow!(error).context("restarting the device"));
                         }
@@ -234,7 +243,7 @@ impl Rig {
     ) -> Option<EndingKind> {
         match self.send(Command::Stop) {
             Ok(()) => {}
-            Err(TransportError::Disconnected { .. }) => return Some(EndingKind::DeviceGone),
+            Err(error) if error.is_gone() => return Some(EndingKind::DeviceGone),
             // The device takes no commands: the take ends with its last frame.
             Err(error) => {
                 (options.notify)(&error.to_string());
@@ -301,12 +310,15 @@ impl Rig {
     /// One read, and all messages that it completes.
     fn read_once(&mut self, reader: &mut Reader<'_>) -> Result<(), TransportError> {
         let n = self.transport.read(&mut self.buffer)?;
-        let arrival_ns = monotonic_ns();
+        let now_ns = monotonic_ns();
+        // The kernel's time of a datagram is free of the delay until this read.
+        let received_ns = self.transport.arrival().host_ns.filter(|_| n > 0);
+        let arrival_ns = received_ns.map_or(now_ns, |received_ns| received_ns.min(now_ns));
         self.protocol.push(&self.buffer[..n], &mut |event| reader.event(event, arrival_ns));
         if n > 0 {
             reader.intake.set_link_counters(self.link_counters());
         }
-        reader.intake.tick(arrival_ns);
+        reader.intake.tick(now_ns);
         Ok(())
     }
 }
@@ -399,6 +411,8 @@ pub(super) struct Reader<'a> {
     notes: Vec<String>,
     /// When the time is up, by the host's monotonic clock.
     due_until_ns: Option<u64>,
+    /// How the connection to a device on the network ended.
+    pub(super) lost_connection: Option<String>,
 }
 
 impl Reader<'_> {
@@ -504,7 +518,8 @@ impl Rig {
     /// up: it then answers, and is started again.
     pub(super) fn check_alive(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
         let since_ns = reader.query.map_or(last_frame_ns, |query| query.at_ns);
-        let is_due = now_ns.saturating_sub(since_ns) > IDENTIFY_INTERVAL.as_nanos() as u64;
+        let is_due = now_ns.saturating_sub(since_ns) > IDENTIFY_INTERVAL.as_nanos() as u64
+            && !self.protocol.checks_silence();
         if is_due && reader.intake.frames_seen() > 0 {
             reader.query = Some(IdentityQuery {
                 at_ns: now_ns,

@@ -69,9 +69,12 @@ impl Rig {
             return false;
         }
         let lost_ns = monotonic_ns();
+        let what = match reader.lost_connection.take() {
+            Some(cause) => format!("{}: {cause}: start it again", self.uri),
+            None => format!("{} is gone: plug it in again", self.uri),
+        };
         (options.notify)(&format!(
-            "{} is gone: plug it in again within {} s to continue {}{}",
-            self.uri,
+            "{what} within {} s to continue {}{}",
             (self.replug_timeout.as_secs_f64() * 10.0).round() / 10.0,
             if options.single_take { "the take" } else { "recording" },
             options.how_to_end

@@ -1,6 +1,7 @@
-//! Transports: byte streams to devices over serial lines and USB bulk endpoints.
+//! Transports: byte streams to devices over serial lines, USB bulk endpoints and the network.
 
 mod access;
+pub mod network;
 pub mod polled;
 pub mod serial;
 mod tty;
@@ -25,13 +26,13 @@ pub trait Transport: Send + Debug {
     /// `Ok(0)` means that none arrived in that time.
     ///
     /// # Errors
-    /// `Disconnected` when the device is gone; `Io`.
+    /// `Disconnected` or `ConnectionLost` when the device is gone; `Io`.
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError>;
 
     /// Writes all of `bytes`.
     ///
     /// # Errors
-    /// `Disconnected` when the device is gone; `Stuck` when it accepted no bytes for [`WRITE_TIMEOUT`]; `Io`.
+    /// `Disconnected` or `ConnectionLost` when the device is gone; `Stuck` when it accepted no bytes for [`WRITE_TIMEOUT`]; `Io`.
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), TransportError>;
 
     /// Sends a break, which resets some devices. Returns `false`, and does nothing, on a line without break
@@ -61,6 +62,16 @@ pub trait Transport: Send + Debug {
         self.inner()?.line_bytes_per_s()
     }
 
+    /// How the bytes of the last read arrived.
+    fn arrival(&self) -> Arrival {
+        self.inner().map_or_else(Arrival::default, Transport::arrival)
+    }
+
+    /// The local UDP port at which the device's datagrams arrive, on a line that receives datagrams.
+    fn datagram_port(&self) -> Option<u16> {
+        self.inner()?.datagram_port()
+    }
+
     /// Describes the device and the line's settings in one phrase for users.
     fn describe(&self) -> String {
         self.inner().map_or_else(|| "nothing".to_owned(), Transport::describe)
@@ -75,6 +86,15 @@ pub trait Transport: Send + Debug {
     fn stalls_cleared(&self) -> u64 {
         self.inner().map_or(0, Transport::stalls_cleared)
     }
+}
+
+/// How the bytes of a read arrived.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Arrival {
+    /// Whether they are one datagram, whole, and no part of the stream.
+    pub is_datagram: bool,
+    /// The host's monotonic time in nanoseconds at which the kernel received them, where the kernel states it.
+    pub host_ns: Option<u64>,
 }
 
 /// Errors of opening, reading and writing a device. Each message is one line that says what to do.
@@ -111,6 +131,22 @@ pub enum TransportError {
         /// Path, or USB ids and serial number.
         device: String,
     },
+    /// No connection to a device on the network could be made.
+    #[error("cannot connect to {device}: {remedy}")]
+    Unreachable {
+        /// Host and port.
+        device: String,
+        /// What was found, and what the user can do.
+        remedy: String,
+    },
+    /// An open connection to a device on the network ended.
+    #[error("lost the connection to {device}: {cause}; it is used again as soon as it is back")]
+    ConnectionLost {
+        /// Host and port.
+        device: String,
+        /// How it ended.
+        cause: String,
+    },
     /// The device answered that it cannot do what the host requested.
     #[error("{0}")]
     Refused(String),
@@ -135,4 +171,12 @@ pub enum TransportError {
         /// Error of the operating system.
         source: io::Error,
     },
+}
+
+impl TransportError {
+    /// Whether the device was there and is gone, and may come back.
+    #[must_use]
+    pub fn is_gone(&self) -> bool {
+        matches!(self, Self::Disconnected { .. } | Self::ConnectionLost { .. })
+    }
 }

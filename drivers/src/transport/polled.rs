@@ -12,7 +12,7 @@
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicU64, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc::{Receiver, SyncSender, sync_channel},
     },
     thread,
@@ -79,6 +79,8 @@ pub enum LineCommand {
     Goodbye(Vec<Request>),
     /// End the session: the next read fails with this message.
     Fail(String),
+    /// End the connection because of this cause: the next read fails, and the host waits for the device to come back.
+    Lost(String),
 }
 
 /// The sender of line commands, held by the protocol.
@@ -86,9 +88,16 @@ pub enum LineCommand {
 pub struct LineCommandSender {
     commands: SyncSender<LineCommand>,
     now_ns: Arc<AtomicU64>,
+    is_datagram: Arc<AtomicBool>,
 }
 
 impl LineCommandSender {
+    /// Whether the bytes of the last read are one datagram, and no part of the stream.
+    #[must_use]
+    pub fn is_datagram(&self) -> bool {
+        self.is_datagram.load(Ordering::Relaxed)
+    }
+
     /// Time of the last read, in nanoseconds since the line was opened.
     #[must_use]
     pub fn now_ns(&self) -> u64 {
@@ -106,9 +115,15 @@ impl LineCommandSender {
 pub struct LineCommandReceiver {
     commands: Receiver<LineCommand>,
     now_ns: Arc<AtomicU64>,
+    is_datagram: Arc<AtomicBool>,
 }
 
 impl LineCommandReceiver {
+    /// Publishes to the protocol whether it gets a datagram next.
+    pub fn set_datagram(&self, is_datagram: bool) {
+        self.is_datagram.store(is_datagram, Ordering::Relaxed);
+    }
+
     /// Takes the next command, if there is one.
     pub fn try_recv(&self) -> Option<LineCommand> {
         self.commands.try_recv().ok()
@@ -125,9 +140,14 @@ impl LineCommandReceiver {
 pub fn line_command_channel() -> (LineCommandSender, LineCommandReceiver) {
     let (sender, receiver) = sync_channel(LINE_COMMANDS_MAX);
     let now_ns = Arc::new(AtomicU64::new(0));
+    let is_datagram = Arc::new(AtomicBool::new(false));
     (
-        LineCommandSender { commands: sender, now_ns: Arc::clone(&now_ns) },
-        LineCommandReceiver { commands: receiver, now_ns },
+        LineCommandSender {
+            commands: sender,
+            now_ns: Arc::clone(&now_ns),
+            is_datagram: Arc::clone(&is_datagram),
+        },
+        LineCommandReceiver { commands: receiver, now_ns, is_datagram },
     )
 }
 
@@ -179,6 +199,10 @@ impl PolledTransport {
                 },
                 LineCommand::Goodbye(goodbye) => self.goodbye = goodbye,
                 LineCommand::Fail(message) => return Err(TransportError::Refused(message)),
+                LineCommand::Lost(cause) => {
+                    let device = self.line.describe();
+                    return Err(TransportError::ConnectionLost { device, cause });
+                }
             }
         }
         Ok(true)
@@ -206,6 +230,7 @@ impl Transport for PolledTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         let may_read = self.execute()?;
         let n = if may_read { self.line.read(buf)? } else { 0 };
+        self.queue.set_datagram(n > 0 && self.line.arrival().is_datagram);
         self.publish_time();
         Ok(n)
     }

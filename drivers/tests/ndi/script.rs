@@ -71,7 +71,9 @@ impl Script {
                     LineCommand::Break => self.sent.push("(break)".to_owned()),
                     LineCommand::Baud(baud) => self.bauds.push(baud),
                     LineCommand::Goodbye(_) => {}
-                    LineCommand::Fail(message) => self.failed = Some(message),
+                    LineCommand::Fail(message) | LineCommand::Lost(message) => {
+                        self.failed = Some(message);
+                    }
                 }
             }
             self.now_ns += if bytes.is_empty() { 20 * MS } else { MS / 10 };

@@ -308,5 +308,7 @@ fn is_attached(uri: &DeviceUri) -> bool {
                     && (serial.is_none() || device.candidate.serial == *serial)
             })
         }),
+        // Only a connection attempt shows.
+        Location::Network(_) => true,
     }
 }

@@ -196,13 +196,13 @@ impl LineDevice for FaultyDevice {
 
 /// The state of the connection at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct ConnectionState {
+pub(crate) struct ConnectionState {
     /// Whether the cable is plugged in.
-    pub(super) plugged: bool,
+    pub(crate) plugged: bool,
     /// Whether the device is switched on.
-    pub(super) powered: bool,
+    pub(crate) powered: bool,
     /// Whether the line delivers bytes.
-    pub(super) flows: bool,
+    pub(crate) flows: bool,
 }
 
 /// A stall, unplugged cable or loss of power, from its start to its end.
@@ -224,14 +224,14 @@ struct Burst {
 
 /// The faults of a script that act on the connection. Times are nanoseconds since the first Start.
 #[derive(Debug)]
-pub(super) struct ConnectionFaults {
+pub(crate) struct ConnectionFaults {
     outages: Vec<Outage>,
     bursts: Vec<Burst>,
     timer: Option<LatencyTimer>,
 }
 
 impl ConnectionFaults {
-    pub(super) fn new(script: &Script) -> Self {
+    pub(crate) fn new(script: &Script) -> Self {
         let mut outages = Vec::new();
         let mut bursts = Vec::new();
         for &ScheduledFault { ref fault, from_ns, to_ns } in &script.faults {
@@ -254,7 +254,7 @@ impl ConnectionFaults {
     }
 
     /// The state at `since_ns` after the first Start.
-    pub(super) fn state(&self, since_ns: u64) -> ConnectionState {
+    pub(crate) fn state(&self, since_ns: u64) -> ConnectionState {
         let mut state = ConnectionState { plugged: true, powered: true, flows: true };
         for outage in &self.outages {
             if (outage.from_ns..outage.to_ns).contains(&since_ns) {
@@ -267,14 +267,14 @@ impl ConnectionFaults {
     }
 
     /// The time of the next change; `u64::MAX` when none is left.
-    pub(super) fn next_ns(&self, since_ns: u64) -> u64 {
+    pub(crate) fn next_ns(&self, since_ns: u64) -> u64 {
         let edges = self.outages.iter().flat_map(|outage| [outage.from_ns, outage.to_ns]);
         let edge = edges.filter(|at| *at > since_ns).min().unwrap_or(u64::MAX);
         edge.min(self.timer.as_ref().map_or(u64::MAX, |timer| timer.next_ns))
     }
 
     /// How many outages of each kind have begun.
-    pub(super) fn counts(&self, since_ns: u64) -> FaultCounts {
+    pub(crate) fn counts(&self, since_ns: u64) -> FaultCounts {
         let mut counts = FaultCounts::default();
         for outage in self.outages.iter().filter(|outage| outage.from_ns <= since_ns) {
             counts.add(outage.kind, 1);

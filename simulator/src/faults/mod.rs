@@ -16,9 +16,10 @@ mod tests;
 
 pub use crate::device::{Fate, FaultCounts, FaultTotals, FrameFate};
 pub use device::FaultyDevice;
+pub(crate) use device::{ConnectionFaults, ConnectionState};
 pub use kinds::{Fault, KINDS, KeySpec, Kind, KindSpec, Kinds, TIME_MAX_S, WINDOW};
 pub use script::{
     ExpectedRecording, FAULTS_MAX, LedgerMatch, SCRIPT_BYTES_MAX, ScheduledFault, Script,
     ScriptError,
 };
-pub(crate) use source::SourceFaults;
+pub(crate) use source::{SourceFaults, stream};

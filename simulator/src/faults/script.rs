@@ -113,7 +113,7 @@ impl Script {
     }
 
     /// The faults that are on, with their indices.
-    pub(super) fn active(&self, since_ns: u64) -> impl Iterator<Item = (usize, &ScheduledFault)> {
+    pub(crate) fn active(&self, since_ns: u64) -> impl Iterator<Item = (usize, &ScheduledFault)> {
         self.faults.iter().enumerate().filter(move |(_, scheduled)| scheduled.is_on(since_ns))
     }
 

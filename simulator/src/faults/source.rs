@@ -174,6 +174,6 @@ impl SourceFaults {
 }
 
 /// The random numbers of one fault for one frame, message or time slot.
-pub(super) fn stream(script: &Script, fault: usize, index: u64) -> Rng {
+pub(crate) fn stream(script: &Script, fault: usize, index: u64) -> Rng {
     Rng::stream(script.seed.wrapping_add((fault as u64 + 1) << 32), index)
 }

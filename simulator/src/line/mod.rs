@@ -7,6 +7,7 @@ use std::{io, time::Duration};
 
 use crate::device::{SentFrame, SentLog};
 
+pub(crate) use serve::host_ns;
 pub use serve::{ServeOptions, serve};
 
 /// A byte stream to a host that may come and go.

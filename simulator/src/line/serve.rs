@@ -86,7 +86,7 @@ pub fn serve(
 }
 
 /// The system's monotonic clock, which a host on the same machine also reads; nanoseconds.
-fn host_ns() -> u64 {
+pub(crate) fn host_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }

@@ -178,7 +178,9 @@ impl Bench {
                 }
                 LineCommand::Baud(baud) => self.host_baud = baud,
                 LineCommand::Goodbye(farewell) => self.farewell = farewell,
-                LineCommand::Fail(message) => self.failed = Some(message),
+                LineCommand::Fail(message) | LineCommand::Lost(message) => {
+                    self.failed = Some(message);
+                }
             }
         }
         true

@@ -104,7 +104,9 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
             "" => String::new(),
             firmware => format!(", firmware {firmware}"),
         };
-        let from = format!("{} {}{firmware}, at {}", device.model, device.serial, device.uri);
+        // QTM has no serial number.
+        let name = format!("{} {}", device.model, device.serial);
+        let from = format!("{}{firmware}, at {}", name.trim_end(), device.uri);
         line("from", &from);
     }
     if let Some(source) = &report.source {

@@ -4,17 +4,17 @@ use mocapd_simulator::faults::{Fate, FrameFate};
 
 /// The counts of a ledger.
 #[derive(Debug, Default)]
-pub(super) struct Expected {
-    pub(super) recorded: u64,
-    pub(super) duplicates: u64,
-    pub(super) dropped: u64,
-    pub(super) lost_on_link: u64,
-    pub(super) unknown: u64,
+pub(crate) struct Expected {
+    pub(crate) recorded: u64,
+    pub(crate) duplicates: u64,
+    pub(crate) dropped: u64,
+    pub(crate) lost_on_link: u64,
+    pub(crate) unknown: u64,
     /// Time from the last frame before each outage to the first one after it, by the device's log.
-    pub(super) away_s: f64,
+    pub(crate) away_s: f64,
 }
 
-pub(super) fn expected(fates: &[FrameFate]) -> Expected {
+pub(crate) fn expected(fates: &[FrameFate]) -> Expected {
     let mut expected = Expected::default();
     let is_whole = |fate: &&FrameFate| fate.fate == Fate::Whole;
     let mut from = 0;

@@ -73,9 +73,15 @@ fn settings(script: &Arc<Script>) -> DeviceSettings {
 
 /// A log file that the test reads when the device is done.
 #[derive(Clone, Default)]
-struct Shared(Arc<Mutex<Vec<u8>>>);
+pub(crate) struct SharedLog(Arc<Mutex<Vec<u8>>>);
 
-impl Write for Shared {
+impl SharedLog {
+    pub(crate) fn text(&self) -> String {
+        String::from_utf8(self.0.lock().unwrap().clone()).unwrap()
+    }
+}
+
+impl Write for SharedLog {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         self.0.lock().unwrap().write(bytes)
     }
@@ -90,16 +96,16 @@ pub(super) fn play(folder: &Folder, script: &Script) -> Played {
     let script = Arc::new(script.clone());
     let device = Device::new(motion(), settings(&script)).unwrap();
     let device = FaultyDevice::new(device, &script);
-    let log = Shared::default();
+    let log = SharedLog::default();
     let (ran, sent) = record_from(folder, device, Some(Box::new(log.clone())), &["-o", "a.take"]);
-    let log = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
+    let log = log.text();
     let report = ran.json();
     let info = folder.run(&["info", "a.take", "--json"]).json();
     Played { ran, report, info, sent, fates: fates(&log) }
 }
 
 /// Reads the log file back.
-fn fates(log: &str) -> Vec<FrameFate> {
+pub(crate) fn fates(log: &str) -> Vec<FrameFate> {
     let mut lines = log.lines();
     assert_eq!(lines.next(), Some(FrameFate::CSV_HEADER));
     lines.map(|line| fate_of(line).unwrap_or_else(|| panic!("{line}"))).collect()

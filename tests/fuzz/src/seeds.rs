@@ -2,6 +2,7 @@
 
 mod faces;
 mod meshes;
+mod network;
 
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_drivers::{
@@ -46,6 +47,7 @@ pub fn targets() -> Vec<Target> {
         target("recover_take", crate::recover_take, damaged_takes()),
         target("read_file", crate::read_file, files()),
         target("hear", crate::hear, wires()),
+        target("read_qtm", crate::read_qtm, network::packets()),
         target("config", crate::config, configs()),
         target("read_mesh", crate::read_mesh, meshes::files()),
         target("read_skeleton", crate::read_skeleton, meshes::skeletons()),

@@ -16,7 +16,7 @@ pub(super) struct LineArgs {
     ///
     /// `--pty PATH` and `--pty=PATH` are the same. A file that can be played is never taken for the link:
     /// `--pty jump.c3d` plays jump.c3d on a pty without a link.
-    #[arg(long, value_name = "PATH", num_args = 0..=1, required_unless_present_any = ["usb_gadget", "usb_serial"])]
+    #[arg(long, value_name = "PATH", num_args = 0..=1, required_unless_present_any = ["usb_gadget", "usb_serial", "tcp"])]
     pub(super) pty: Option<Option<PathBuf>>,
     /// Act as a USB device with bulk endpoints; needs root and a USB device controller
     #[arg(long, conflicts_with_all = ["pty", "baud"])]
@@ -24,6 +24,9 @@ pub(super) struct LineArgs {
     /// Act as a USB serial port (CDC-ACM); needs root and a USB device controller
     #[arg(long, conflicts_with_all = ["pty", "usb_gadget"])]
     usb_serial: bool,
+    /// With --protocol qtm: listen on this TCP port of this machine only, by default on any free one
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, conflicts_with_all = ["pty", "usb_gadget", "usb_serial", "udc", "baud"])]
+    pub(super) tcp: Option<Option<u16>>,
     /// Name of the USB device controller in /sys/class/udc [default: the first free one]
     #[arg(long, value_name = "NAME", conflicts_with = "pty")]
     udc: Option<String>,
@@ -39,7 +42,7 @@ impl LineArgs {
 
     /// Whether a host finds the device again after its cable was pulled and plugged in.
     pub(super) fn has_stable_name(&self) -> bool {
-        matches!(self.pty, Some(Some(_)))
+        matches!(self.pty, Some(Some(_))) || self.tcp.is_some()
     }
 
     /// Opens the line; returns it with the path or URI that a host opens.

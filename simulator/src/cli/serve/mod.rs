@@ -23,13 +23,16 @@ use report::{LineReport, SentReport};
 
 mod input;
 mod line;
+mod network;
 mod report;
 
 pub(super) const EXAMPLES: &str = "\
 Examples:
   mocapd-sim serve jump.c3d --pty /tmp/rig
   mocapd-sim serve --generate jump --rate 240Hz --loop --pty /tmp/rig
-  mocapd record --device serial:/tmp/rig --output jump.take     in another terminal";
+  mocapd record --device serial:/tmp/rig --output jump.take     in another terminal
+  mocapd-sim serve jump.c3d --protocol qtm --tcp=22223
+  mocapd record --device qtm:127.0.0.1 --output jump.take       in another terminal";
 
 #[derive(Debug, Args)]
 pub(super) struct ServeArgs {
@@ -178,6 +181,8 @@ enum DeviceProtocol {
     Dvmc,
     /// The Combined API of NDI Polaris and Vega systems.
     Ndi,
+    /// The RT protocol of Qualisys Track Manager, with --tcp.
+    Qtm,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -194,6 +199,9 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     args.find_take()?;
     args.check_generated()?;
     let args = &args;
+    if args.protocol == DeviceProtocol::Qtm || args.line.tcp.is_some() {
+        return network::run(args);
+    }
     let log = input::log(args)?;
     let (mut device, description): (Box<dyn LineDevice>, String) = match &log {
         Some(log) => input::log_device(args, log)?,
@@ -264,6 +272,8 @@ fn device(
                 "--drift-ppm needs the link protocol: the NDI system keeps the host's time",
             );
         }
+        // It is on no line.
+        DeviceProtocol::Qtm => return usage("--protocol qtm needs --tcp"),
         DeviceProtocol::Ndi => {
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));

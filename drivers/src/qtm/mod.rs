@@ -1,0 +1,52 @@
+//! Qualisys Track Manager (QTM) over its RT protocol, both ends: `docs/qtm.md`.
+//!
+//! [`QtmHost`] is the client's end, sans-io; it sends [line commands](crate::transport::polled). What a server says and
+//! understands is in the same modules, so that both ends have one description of every message.
+
+mod axis;
+mod bring_up;
+mod command;
+mod frame;
+mod host;
+mod labels;
+mod packet;
+mod run;
+mod server;
+mod settings;
+mod stream_run;
+
+pub use self::{
+    command::{
+        ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate, StreamRequest,
+        VERSIONS, WELCOME,
+    },
+    frame::{
+        ComponentToSend, FrameHeader, MISSING, MarkerComponent, MarkerComponentKind, WireMarker,
+        put_frame, read_frame,
+    },
+    host::QtmHost,
+    packet::{
+        Event, HEADER_BYTES, OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader,
+        put_event, put_packet, put_text,
+    },
+    server::{CLIENTS_MAX, ClientId, Datagram, Delivery, QtmServer, ServedFrame},
+    settings::{LABELS_MAX, ServedSettings, Settings},
+};
+use crate::{
+    device::{Claim, Family},
+    transport::polled::line_command_channel,
+    uri::{Location, NetworkAddress},
+};
+
+pub(crate) const FAMILY: Family = Family {
+    name: "qtm",
+    claims: |candidate| match candidate.location {
+        Location::Network(NetworkAddress { family: "qtm", .. }) => Claim::Certain,
+        _ => Claim::No,
+    },
+    protocol: |location| {
+        // A sender without a receiver, until `attach` connects the protocol to a line.
+        let (sender, _) = line_command_channel();
+        Box::new(QtmHost::new(location, sender, None))
+    },
+};

@@ -1,0 +1,330 @@
+//! A stream from its start to its end: frames, changes of state, and QTM's own account of loss.
+
+use super::{
+    command::{Components, DatagramTarget, StreamRate, StreamRequest},
+    frame::{FrameHeader, MarkerComponent, MarkerComponentKind, read_frame},
+    host::{EventSink, Fence, MS, QtmHost, SessionState},
+    packet::{Event, Packet, printable},
+    settings::Settings,
+    stream_run::{FrameParts, OpenFrame, StreamRun, VendorLoss},
+};
+use crate::device::{DeviceEvent, Frame, LinkBudget, MarkerSample};
+
+/// Components of a frame that the driver requests.
+const REQUESTED: [MarkerComponentKind; 2] =
+    [MarkerComponentKind::LabelledWithResiduals, MarkerComponentKind::UnlabelledWithResiduals];
+
+/// Notes of one stream; a QTM whose state changes again and again must fill neither the take nor the screen.
+const NOTES_MAX: u32 = 64;
+
+/// Least time between two requests for the labels of one stream.
+const LABELS_INTERVAL_NS: u64 = 1_000 * MS;
+
+/// Frames that wait for labels: a sixteenth of a second at 1000 Hz, and many times what a request takes on a local network.
+const HELD_MAX: usize = 64;
+
+/// Ids of labelled markers without a channel: above all that QTM gives to unlabelled ones, which have 32 bits.
+const NO_CHANNEL: u64 = 1 << 32;
+
+impl QtmHost {
+    /// Requests frames.
+    pub(super) fn start_stream(&mut self) {
+        let request = StreamRequest {
+            rate: StreamRate::All,
+            datagrams: self.datagram_port.map(|port| DatagramTarget { address: None, port }),
+            components: Components::of(&REQUESTED),
+        };
+        self.run = StreamRun::default();
+        self.state = SessionState::Streaming;
+        self.send(&request.to_string());
+        self.send_fence(Fence::Started);
+    }
+
+    /// The request for frames was accepted.
+    pub(super) fn report_started(&mut self, on_event: EventSink<'_>) {
+        if std::mem::replace(&mut self.run.is_reported, true) {
+            return;
+        }
+        on_event(DeviceEvent::Started(LinkBudget {
+            needed_bytes_per_s: 0,
+            available_bytes_per_s: u64::MAX,
+            rate_fits_millihertz: self.hello.rate_millihertz,
+        }));
+        for remark in std::mem::take(&mut self.remarks) {
+            self.note(&remark, on_event);
+        }
+    }
+
+    pub(super) fn note(&mut self, text: &str, on_event: EventSink<'_>) {
+        if self.run.notes < NOTES_MAX {
+            self.run.notes += 1;
+            on_event(DeviceEvent::Note(text));
+        }
+    }
+
+    pub(super) fn on_data(&mut self, body: &[u8], on_event: EventSink<'_>) {
+        self.report_started(on_event);
+        // First as a whole: a damaged frame is not recorded in part.
+        let Some(parts) = FrameParts::of(body) else {
+            self.counters.messages_damaged += 1;
+            return;
+        };
+        let fits = parts.n_labelled.is_none_or(|n| n == self.labels.n_labels());
+        if self.run.held.is_empty() && (fits || !self.request_labels()) {
+            self.decode(body, on_event);
+            return;
+        }
+        // Its labels are on their way.
+        self.run.held.push(body.to_vec());
+        if self.run.held.len() >= HELD_MAX {
+            self.awaits_labels = false;
+            self.release_held(on_event);
+        }
+    }
+
+    /// Decodes the frames that waited for labels.
+    pub(super) fn release_held(&mut self, on_event: EventSink<'_>) {
+        for body in std::mem::take(&mut self.run.held) {
+            self.decode(&body, on_event);
+        }
+    }
+
+    fn decode(&mut self, body: &[u8], on_event: EventSink<'_>) {
+        let mut n_components = 0;
+        let header = read_frame(body, &mut |header, component| {
+            n_components += 1;
+            self.on_component(header, &component, on_event);
+        });
+        // A frame without markers is a frame.
+        if let Some(header) = header.filter(|_| n_components == 0) {
+            self.open_frame(header, on_event);
+        }
+        // On the stream a packet is a frame.
+        if self.datagram_port.is_none() || self.run.open.is_some_and(|open| open.is_whole()) {
+            self.flush_frame(on_event);
+        }
+    }
+
+    /// Begins the frame, unless it is the open one.
+    fn open_frame(&mut self, header: FrameHeader, on_event: EventSink<'_>) {
+        if self.run.open.is_some_and(|open| open.header == header) {
+            return;
+        }
+        self.flush_frame(on_event);
+        self.samples.clear();
+        self.unlabelled.begin_frame();
+        let opened_ns = self.line.now_ns();
+        self.run.open =
+            Some(OpenFrame { header, opened_ns, has_labelled: false, has_unlabelled: false });
+    }
+
+    fn on_component(
+        &mut self,
+        header: FrameHeader,
+        component: &MarkerComponent<'_>,
+        on_event: EventSink<'_>,
+    ) {
+        let is_labelled = component.kind.is_labelled();
+        self.open_frame(header, on_event);
+        if let Some(open) = &mut self.run.open {
+            let has = if is_labelled { &mut open.has_labelled } else { &mut open.has_unlabelled };
+            if std::mem::replace(has, true) {
+                // The same part again, of a datagram that came twice.
+                return;
+            }
+        }
+        let rates = [component.drop_rate, component.out_of_sync_rate];
+        let VendorLoss { worst, frames } = &mut self.run.vendor;
+        for ((rate, worst), frames) in rates.into_iter().zip(worst).zip(frames) {
+            *worst = rate.max(*worst);
+            *frames += u64::from(rate > 0 && is_labelled);
+        }
+        let fits = component.n_markers() == self.labels.n_labels();
+        for (index, marker) in component.markers().enumerate() {
+            let is_missing = marker.position_mm.iter().any(|value| value.is_nan());
+            let is_finite = marker.position_mm.iter().all(|value| value.is_finite());
+            self.counters.samples_not_finite += u64::from(!is_missing && !is_finite);
+            let id = if !is_labelled {
+                Some(u64::from(marker.id))
+            } else if fits && self.labels.id(index).is_some() {
+                None
+            } else {
+                Some(NO_CHANNEL + index as u64)
+            };
+            let id = match id {
+                None => self.labels.id(index),
+                Some(_) if !is_finite => continue,
+                Some(vendor_id) => self.unlabelled.channel(vendor_id),
+            };
+            let Some(id) = id else {
+                self.run.excess += 1;
+                continue;
+            };
+            self.samples.push(MarkerSample {
+                id,
+                occluded: !is_finite,
+                // 0 means that no residual is reported; a negative one and NaN become 0.
+                residual_10um: (marker.residual_mm * 100.0).round().clamp(0.0, 255.0) as u8,
+                position_mm: if is_finite { marker.position_mm } else { [0.0; 3] },
+            });
+        }
+    }
+
+    /// Requests the labels again; not for every frame, if QTM keeps sending another number of markers than it states.
+    /// Returns whether they are on their way.
+    fn request_labels(&mut self) -> bool {
+        let now_ns = self.line.now_ns();
+        let is_due = self.labels_request_ns == 0
+            || now_ns.saturating_sub(self.labels_request_ns) > LABELS_INTERVAL_NS;
+        if !self.awaits_labels && is_due {
+            self.awaits_labels = true;
+            self.labels_request_ns = now_ns.max(1);
+            self.send("GetParameters 3D");
+        }
+        self.awaits_labels
+    }
+
+    /// Passes the open frame on.
+    pub(super) fn flush_frame(&mut self, on_event: EventSink<'_>) {
+        let Some(open) = self.run.open.take() else { return };
+        let header = open.header;
+        let count = if open.is_whole() { &mut self.run.whole } else { &mut self.run.partial };
+        *count += 1;
+        let seq = self.axis.counter(header.number, header.time_us);
+        let run = &mut self.run;
+        run.first.get_or_insert(seq);
+        if seq.wrapping_sub(run.last).cast_signed() > 0 || run.frames == 0 {
+            run.last = seq;
+        }
+        self.had_frames = true;
+        run.last_us = header.time_us;
+        run.frames += 1;
+        on_event(DeviceEvent::Frame(Frame {
+            seq,
+            device_ticks: header.time_us,
+            timecode: None,
+            markers: &self.samples,
+        }));
+    }
+
+    /// The labels that were requested because frames have another number of markers.
+    pub(super) fn on_new_labels(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
+        self.awaits_labels = false;
+        match Settings::parse(&packet.text()) {
+            Ok(Settings { labels: Some(labels), .. }) => {
+                self.flush_frame(on_event);
+                let before = self.labels.markers();
+                self.labels.update(&labels);
+                let now = self.labels.markers();
+                if now != before {
+                    on_event(DeviceEvent::Markers(&now));
+                    let n = labels.len();
+                    self.note(&format!("QTM's list of labels changed: {n} labels"), on_event);
+                }
+            }
+            Ok(_) => {}
+            Err(problem) => {
+                let problem = printable(&problem);
+                self.note(&format!("QTM's new labels cannot be read: {problem}"), on_event);
+            }
+        }
+        self.release_held(on_event);
+    }
+
+    pub(super) fn on_state_change(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
+        let event = packet.body.first().and_then(|code| Event::of(*code));
+        self.counters.messages_unknown += u64::from(event.is_none());
+        match event {
+            Some(Event::RtFromFileStarted) => self.plays_file = true,
+            Some(Event::Connected | Event::ConnectionClosed) => self.plays_file = false,
+            _ => {}
+        }
+        match self.state {
+            SessionState::BringUp(_) => self.on_state_reply(),
+            SessionState::Streaming => {
+                let Some(event) = event else { return };
+                self.note(&format!("QTM: {}", event.name()), on_event);
+                let has_frames = self.run.frames > 0;
+                match event {
+                    Event::RtFromFileStopped if has_frames => self.begin_end(),
+                    Event::ConnectionClosed if has_frames => self.end_measurement(event.name()),
+                    Event::ShuttingDown => self.lose("QTM shuts down".to_owned()),
+                    _ => {}
+                }
+            }
+            // A datagram may have told of the end before this did.
+            SessionState::Ending(_) => {
+                if let Some(event) = event {
+                    self.note(&format!("QTM: {}", event.name()), on_event);
+                }
+            }
+            SessionState::Off | SessionState::Over | SessionState::Ready => {}
+        }
+    }
+
+    pub(super) fn on_no_more_data(&mut self, on_event: EventSink<'_>) {
+        self.report_started(on_event);
+        if self.run.frames == 0 {
+            self.note_idle(on_event);
+        } else if self.plays_file {
+            self.begin_end();
+        } else {
+            self.end_measurement("no more data");
+        }
+    }
+
+    /// Explains, once, why QTM answers and no frame has come.
+    pub(super) fn note_idle(&mut self, on_event: EventSink<'_>) {
+        if self.run.frames > 0 || std::mem::replace(&mut self.run.is_idle_noted, true) {
+            return;
+        }
+        let text = match self.datagram_port {
+            None => "QTM answers, but no measurement is running: frames come as soon as one starts"
+                .to_owned(),
+            Some(port) => format!(
+                "QTM answers, but no datagram has come: either no measurement is running, or a firewall blocks UDP \
+                 port {port}; without ?transport=udp frames come by TCP"
+            ),
+        };
+        self.note(&text, on_event);
+    }
+
+    /// A live measurement is over. The recorder waits for the next, as for a device that was switched off.
+    fn end_measurement(&mut self, how: &str) {
+        self.lose(format!("QTM's measurement is over ({how})"));
+    }
+
+    /// The stream has ended, and all that belongs to it has arrived.
+    pub(super) fn end(&mut self, on_event: EventSink<'_>) {
+        self.release_held(on_event);
+        self.flush_frame(on_event);
+        self.state = SessionState::Ready;
+        self.fence = None;
+        let VendorLoss { worst, frames } = self.run.vendor;
+        let texts = [
+            "2D frames lost between cameras and QTM",
+            "2D frames out of step with those of other cameras",
+        ];
+        for ((worst, frames), what) in worst.into_iter().zip(frames).zip(texts) {
+            if worst > 0 {
+                let text = format!(
+                    "QTM's own account: up to {worst} per thousand {what}, in {frames} frames"
+                );
+                on_event(DeviceEvent::Note(&text));
+            }
+        }
+        if self.run.whole > 0 && self.run.partial > 0 && self.datagram_port.is_some() {
+            let text = format!(
+                "{} frames are incomplete: datagrams with some of their markers were lost",
+                self.run.partial
+            );
+            on_event(DeviceEvent::Note(&text));
+        }
+        if self.run.excess > 0 {
+            let text =
+                format!("{} unlabelled samples were left out: too many at once", self.run.excess);
+            on_event(DeviceEvent::Note(&text));
+        }
+        on_event(DeviceEvent::EndOfStream(self.run.status()));
+    }
+}

@@ -1,0 +1,99 @@
+//! What is known of a stream from its start to its end.
+
+use super::frame::{FrameHeader, read_frame};
+use crate::device::Status;
+
+/// The frame that is put together: over UDP its components may arrive in several datagrams.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct OpenFrame {
+    pub(super) header: FrameHeader,
+    /// When its first part arrived.
+    pub(super) opened_ns: u64,
+    pub(super) has_labelled: bool,
+    pub(super) has_unlabelled: bool,
+}
+
+impl OpenFrame {
+    /// Whether all parts are there that were requested.
+    pub(super) fn is_whole(&self) -> bool {
+        self.has_labelled && self.has_unlabelled
+    }
+}
+
+/// The content of a data packet, which is read before any of it is recorded.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct FrameParts {
+    /// Number of labelled markers, if there is such a component.
+    pub(super) n_labelled: Option<usize>,
+}
+
+impl FrameParts {
+    /// Reads a data packet; `None` when it is damaged, or has two components of markers of one sort.
+    pub(super) fn of(body: &[u8]) -> Option<Self> {
+        let mut parts = Self::default();
+        let (mut n_labelled, mut n_unlabelled) = (0, 0);
+        read_frame(body, &mut |_, component| {
+            if component.kind.is_labelled() {
+                n_labelled += 1;
+                parts.n_labelled = Some(component.n_markers());
+            } else {
+                n_unlabelled += 1;
+            }
+        })?;
+        (n_labelled <= 1 && n_unlabelled <= 1).then_some(parts)
+    }
+}
+
+/// QTM's account of what it lost between cameras and computer: 2D frames, per thousand, over the last second.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct VendorLoss {
+    /// Highest rates of lost 2D frames, and of those out of step.
+    pub(super) worst: [u16; 2],
+    /// Frames that stated a rate above 0.
+    pub(super) frames: [u64; 2],
+}
+
+/// The state of a stream.
+#[derive(Debug, Default)]
+pub(super) struct StreamRun {
+    /// Whether the start was reported.
+    pub(super) is_reported: bool,
+    /// The frame that is put together.
+    pub(super) open: Option<OpenFrame>,
+    /// Counter of the first frame.
+    pub(super) first: Option<u32>,
+    /// Counter and time stamp of the last frame that was not late.
+    pub(super) last: u32,
+    pub(super) last_us: u64,
+    pub(super) frames: u64,
+    pub(super) notes: u32,
+    pub(super) vendor: VendorLoss,
+    pub(super) is_idle_noted: bool,
+    pub(super) is_refusal_noted: bool,
+    /// Frames that wait for labels.
+    pub(super) held: Vec<Vec<u8>>,
+    /// Frames with and without all of their parts.
+    pub(super) whole: u64,
+    pub(super) partial: u64,
+    /// Unlabelled markers without a channel.
+    pub(super) excess: u64,
+}
+
+/// How long a frame waits for its other datagram, which was sent at the same time.
+const PART_WAIT_NS: u64 = 20_000_000;
+
+impl StreamRun {
+    /// Whether the rest of the open frame is lost.
+    pub(super) fn is_part_overdue(&self, now_ns: u64) -> bool {
+        self.open.is_some_and(|open| now_ns.saturating_sub(open.opened_ns) >= PART_WAIT_NS)
+    }
+
+    /// The final counters. QTM does not state how many frames it made: these are frames by their numbers.
+    pub(super) fn status(&self) -> Status {
+        let produced = self.first.map_or(0, |first| u64::from(self.last.wrapping_sub(first)) + 1);
+        // A count that began again tells nothing.
+        let frames_produced =
+            if produced > u64::from(u32::MAX / 2) { self.frames } else { produced };
+        Status { frames_produced, frames_dropped: 0, temperature_c_100: i16::MIN }
+    }
+}

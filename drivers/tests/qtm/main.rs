@@ -1,0 +1,9 @@
+//! QTM: the driver against our server, with time and bytes in the hands of the test.
+
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod bring_up;
+mod hostile;
+mod pair;
+mod settings;
+mod stream;

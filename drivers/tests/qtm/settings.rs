@@ -1,0 +1,165 @@
+//! Settings: what our server states satisfies the vendor's client, and hostile documents cost nothing.
+
+use std::time::{Duration, Instant};
+
+use mocapd_drivers::qtm::{LABELS_MAX, ServedSettings, Settings};
+use roxmltree::{Document, Node};
+
+fn served() -> ServedSettings {
+    let labels = ["head", "a <b> & \"c\"", "", "\u{1F9CD}", "tab\tand\u{1}"];
+    ServedSettings {
+        frequency_hz: 240.0,
+        up_axis: "+Z",
+        labels: labels.map(str::to_owned).to_vec(),
+    }
+}
+
+fn child<'a, 'i>(node: Node<'a, 'i>, name: &str) -> Option<Node<'a, 'i>> {
+    node.children().find(|child| child.has_tag_name(name))
+}
+
+fn text<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
+    child(node, name).map(|child| child.text().unwrap_or_default())
+}
+
+/// What `SettingsDeserializer::Deserialize3DSettings` of the C++ SDK requires.
+fn markers_satisfy_the_sdk(root: Node<'_, '_>) -> Option<usize> {
+    let markers = root.children().find(|child| child.has_tag_name("The_3D"))?;
+    let axis = text(markers, "AxisUpwards")?.to_ascii_lowercase();
+    ["+x", "-x", "+y", "-y", "+z", "-z"].contains(&axis.as_str()).then_some(())?;
+    text(markers, "CalibrationTime")?;
+    let stated: usize = text(markers, "Labels")?.parse().ok()?;
+    let found = markers.children().filter(|child| child.has_tag_name("Label")).count();
+    (stated == found).then_some(found)
+}
+
+/// What `DeserializeGeneralSettings` requires of a system without cameras.
+fn general_satisfies_the_sdk(root: Node<'_, '_>, minor: u32) -> Option<()> {
+    fn is_bool(node: Node<'_, '_>, name: &str) -> Option<()> {
+        text(node, name).filter(|t| ["true", "false"].contains(t)).map(drop)
+    }
+    let general = root.children().find(|child| child.has_tag_name("General"))?;
+    text(general, "Frequency")?.parse::<f64>().ok()?;
+    text(general, "Capture_Time")?.parse::<f32>().ok()?;
+    is_bool(general, "Start_On_External_Trigger")?;
+    if minor > 14 {
+        for name in ["NO", "NC", "Software"] {
+            is_bool(general, &format!("Start_On_Trigger_{name}"))?;
+        }
+    }
+    let time_base = child(general, "External_Time_Base")?;
+    is_bool(time_base, "Enabled")?;
+    let one_of = |name, values: &[&str]| {
+        values.contains(&text(time_base, name)?.to_ascii_lowercase().as_str()).then_some(())
+    };
+    one_of("Signal_Source", &["control port", "ir receiver", "smpte", "irig", "video sync"])?;
+    one_of("Signal_Mode", &["periodic", "non-periodic"])?;
+    one_of("Signal_Edge", &["negative", "positive"])?;
+    for name in
+        ["Frequency_Multiplier", "Frequency_Divisor", "Frequency_Tolerance", "Signal_Shutter_Delay"]
+    {
+        text(time_base, name)?.parse::<u32>().ok()?;
+    }
+    text(time_base, "Nominal_Frequency").filter(|t| *t == "None" || t.parse::<f32>().is_ok())?;
+    text(time_base, "Non_Periodic_Timeout")?.parse::<f32>().ok()?;
+    let all = ["Processing_Actions", "RealTime_Processing_Actions", "Reprocessing_Actions"];
+    for (index, name) in all.into_iter().enumerate().take(if minor > 13 { 3 } else { 1 }) {
+        let actions = child(general, name)?;
+        text(actions, "Tracking")?;
+        let mut required = vec!["AIM", "Track6DOF", "ForceData"];
+        if minor > 13 {
+            required.push("PreProcessing2D");
+        }
+        if minor > 11 {
+            required.push("GazeVector");
+        }
+        if index != 1 {
+            required.extend([
+                "TwinSystemMerge",
+                "SplineFill",
+                "ExportTSV",
+                "ExportC3D",
+                "ExportMatlabFile",
+            ]);
+        }
+        if index != 1 && minor > 11 {
+            required.push("ExportAviFile");
+        }
+        required.into_iter().try_for_each(|name| is_bool(actions, name))?;
+    }
+    Some(())
+}
+
+#[test]
+fn our_settings_satisfy_the_rules_of_the_cpp_sdk() {
+    for minor in 8..=28 {
+        let xml = served().to_xml(minor, true, true);
+        let document = Document::parse(&xml).unwrap();
+        let root = document.root_element();
+        assert!(root.has_tag_name(format!("QTM_Parameters_Ver_1.{minor}").as_str()), "{xml}");
+        assert_eq!(markers_satisfy_the_sdk(root), Some(5), "{xml}");
+        assert_eq!(general_satisfies_the_sdk(root, minor), Some(()), "1.{minor}: {xml}");
+    }
+}
+
+/// The example of the documents, with their colours in hexadecimal.
+#[test]
+fn the_documents_example_of_markers_is_read() {
+    let xml = "<QTM_Parameters_Ver_1.20>\n    <The_3D>\n        <AxisUpwards>+Z</AxisUpwards>\n        \
+               <CalibrationTime>2011.09.23 11:23:11</CalibrationTime>\n        <Labels>2</Labels>\n        \
+               <Label>\n             <Name>th12</Name>\n             <RGBColor>ff00ff</RGBColor>\n        </Label>\n        \
+               <Label>\n             <Name>r_asis</Name>\n             <RGBColor>00ffff</RGBColor>\n        </Label>\n        \
+               <Bones>\n             <Bone From=\"fromName\" To=\"toName\" Color=\"ffff00\" />\n        </Bones>\n    \
+               </The_3D>\n</QTM_Parameters_Ver_1.20>";
+    let settings = Settings::parse(xml).unwrap();
+    assert_eq!(settings.up_axis.as_deref(), Some("+Z"));
+    assert_eq!(settings.labels.unwrap(), ["th12", "r_asis"]);
+}
+
+#[test]
+fn settings_read_back() {
+    let settings = Settings::parse(&served().to_xml(25, true, true)).unwrap();
+    assert_eq!(settings.frequency_hz, Some(240.0));
+    let labels = settings.labels.unwrap();
+    assert_eq!(labels, ["head", "a <b> & \"c\"", "", "\u{1F9CD}", "tab_and_"]);
+    assert_eq!(Settings::parse(&served().to_xml(25, false, false)).unwrap(), Settings::default());
+}
+
+#[test]
+fn other_parts_are_counted() {
+    let xml = "<Q><The_6D><Bodies>2</Bodies><Body/><Body/></The_6D>\
+               <Analog><Device><Channels>16</Channels></Device><Device><Channels>8</Channels></Device></Analog>\
+               <Force><Plate/><Plate/></Force></Q>";
+    let settings = Settings::parse(xml).unwrap();
+    let counts = (settings.n_bodies, settings.n_analog_channels, settings.n_force_plates);
+    assert_eq!(counts, (2, 24, 2));
+    assert_eq!(settings.labels, None);
+}
+
+#[test]
+fn hostile_documents_are_refused() {
+    let deep = "<a>".repeat(100_000);
+    let wide = format!("<a>{}</a>", "<b/>".repeat(300_000));
+    let entities = "<!DOCTYPE a [<!ENTITY b \"bbbbbbbb\">]><a>&b;</a>".to_owned();
+    let labels = format!(
+        "<a><The_3D><Labels>{n}</Labels>{}</The_3D></a>",
+        "<Label/>".repeat(LABELS_MAX + 1),
+        n = LABELS_MAX + 1
+    );
+    let lie = "<a><The_3D><Labels>18446744073709551615</Labels></The_3D></a>".to_owned();
+    // What a parser compares with one another: attributes of one element, and namespaces of its ancestors.
+    let attributes: String = (0..400_000).map(|k| format!(" a{k}=\"\"")).collect();
+    let attributes = format!("<a{attributes}/>");
+    let namespaces: String = (0..60_000).map(|k| format!("<a xmlns:n{k}=\"{k}\">")).collect();
+    let began = Instant::now();
+    for xml in
+        [deep, wide, entities, labels, lie, attributes, namespaces, String::new(), "\0".repeat(99)]
+    {
+        let problem = Settings::parse(&xml).unwrap_err();
+        assert!(!problem.contains('\n') && problem.len() < 200, "{problem}");
+    }
+    // As many attributes as are read, in one element.
+    let most: String = (0..8192).map(|k| format!(" a{k}=\"\"")).collect();
+    assert!(Settings::parse(&format!("<a{most}/>")).is_ok());
+    assert!(began.elapsed() < Duration::from_secs(20), "{:?}", began.elapsed());
+}

@@ -1,0 +1,77 @@
+//! `mocapd-sim serve --protocol qtm`: a simulated QTM on the network.
+
+use std::io::BufWriter;
+
+use mocapd_cli::{numbers::count, stop::stop_on_signal};
+use mocapd_simulator::qtm::{
+    NetworkOptions, QtmDevice, QtmError, QtmListener, QtmSettings, ServeError,
+};
+
+use super::report::{LineReport, SentReport};
+use super::{DeviceProtocol, ServeArgs, input, refused};
+use crate::cli::output::{notify, print, print_json_line};
+use crate::cli::{Failure, files};
+
+/// Serves a QTM until it is stopped.
+pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
+    let port = check(args)?;
+    let motion = input::motion(args)?;
+    let n_markers = motion.info.markers.len();
+    let settings = QtmSettings {
+        rate_hz: args.rate,
+        speed: args.speed,
+        looping: args.looping,
+        faults: input::script(args)?,
+    };
+    let mut device = QtmDevice::new(motion, settings).map_err(|error| match error {
+        QtmError::Device(error) => refused(error),
+        _ => Failure::usage(error),
+    })?;
+    let stop = stop_on_signal()?;
+    let listener = QtmListener::open(port).map_err(|error| match error {
+        ServeError::Listen { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    })?;
+    let mut options = NetworkOptions { once: args.once, log: None };
+    if let Some(path) = &args.log {
+        // Recordings are checked against a log: never overwrite one.
+        options.log = Some(Box::new(BufWriter::new(files::create(path)?)));
+    }
+    let hz = f64::from(device.rate_millihertz()) / 1000.0;
+    notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
+    let uri = listener.uri();
+    if args.json {
+        print_json_line(&LineReport { path: &uri })?;
+    } else {
+        print(&format!("{uri}\n"))?;
+    }
+    let sent = listener.serve(&mut device, options, &stop)?;
+    let report = SentReport::new(&sent, true);
+    if args.json {
+        print_json_line(&report)?;
+    } else {
+        report.text(args.protocol).lines().for_each(notify);
+    }
+    Ok(())
+}
+
+/// Refuses options that a QTM does not have. Returns the port; 0 for any.
+fn check(args: &ServeArgs) -> Result<u16, Failure> {
+    let usage = |message: String| Err(Failure::usage_message(message));
+    let Some(port) = args.line.tcp.filter(|_| args.protocol == DeviceProtocol::Qtm) else {
+        return usage(
+            "a QTM is on the network: give both --protocol qtm and --tcp[=PORT]".to_owned(),
+        );
+    };
+    let options = [
+        ("--wire", args.wire.is_some()),
+        ("--tool", !args.tool.is_empty()),
+        ("--no-bx2", args.no_bx2),
+        ("--batch", args.batch().is_some()),
+        ("--drift-ppm", args.drift_ppm != 0.0),
+    ];
+    match options.iter().find(|(_, is_set)| *is_set) {
+        Some((option, _)) => usage(format!("{option} does not apply to a QTM: remove it")),
+        None => Ok(port.unwrap_or(0)),
+    }
+}

@@ -1,0 +1,315 @@
+//! A QTM on the network: recorded by TCP and UDP, with and without faults, and compared with what it sent.
+
+use std::{
+    io::Write,
+    net::{Ipv4Addr, TcpListener},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{Builder, JoinHandle},
+};
+
+use mocapd_simulator::{
+    device::SentLog,
+    faults::{Fate, FrameFate, Script},
+    qtm::{NetworkOptions, QtmDevice, QtmListener, QtmSettings},
+};
+use mocapd_take::motion::{Motion, Position, is_gap};
+use serde_json::Value;
+
+use super::{
+    Folder, Ran,
+    faults::{expected::expected, played::SharedLog, played::fates},
+};
+use crate::support::{assert_mentions, jump, rows};
+
+const RATE_HZ: f64 = 240.0;
+const SECONDS: f64 = 2.0;
+
+/// A QTM on a port of its own, until it is dropped.
+struct Served {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<SentLog>>,
+    uri: String,
+    log: SharedLog,
+}
+
+impl Served {
+    fn new(motion: Motion, settings: QtmSettings) -> Self {
+        let mut device = QtmDevice::new(motion, settings).unwrap();
+        let listener = QtmListener::open(0).unwrap();
+        let uri = listener.uri();
+        let stop = Arc::new(AtomicBool::new(false));
+        let (stopped, log) = (Arc::clone(&stop), SharedLog::default());
+        let output: Option<Box<dyn Write + Send>> = Some(Box::new(log.clone()));
+        let serve = move || {
+            let options = NetworkOptions { once: false, log: output };
+            listener.serve(&mut device, options, &stopped).unwrap()
+        };
+        let thread = Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
+        Self { stop, thread: Some(thread), uri, log }
+    }
+
+    /// Ends it; returns what it sent, and the fate of every frame.
+    fn stop(mut self) -> (SentLog, Vec<FrameFate>) {
+        self.stop.store(true, Ordering::Relaxed);
+        let sent = self.thread.take().unwrap().join().unwrap();
+        (sent, fates(&self.log.text()))
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+/// A motion of which every third marker has no label.
+fn motion() -> Motion {
+    let mut motion = jump(3, RATE_HZ, SECONDS);
+    for (column, marker) in motion.info.markers.iter_mut().enumerate() {
+        marker.labelled = column % 3 != 2;
+    }
+    motion
+}
+
+fn record(folder: &Folder, uri: &str, take: &str, more: &[&str]) -> Ran {
+    folder.run(&[&["record", "-d", uri, "-o", take, "--lossless", "--json"][..], more].concat())
+}
+
+fn transports(uri: &str) -> [String; 2] {
+    [uri.to_owned(), format!("{uri}?transport=udp")]
+}
+
+/// Positions that are there, in any order: unlabelled markers have channels of their own.
+fn present(frame: &[Position]) -> Vec<[u32; 3]> {
+    let there = frame.iter().filter(|position| !is_gap(**position));
+    let mut bits: Vec<_> = there.map(|position| position.map(f32::to_bits)).collect();
+    bits.sort_unstable();
+    bits
+}
+
+#[test]
+fn a_recording_equals_what_was_sent_bit_for_bit() {
+    let folder = Folder::new();
+    let motion = motion();
+    let served = Served::new(motion.clone(), QtmSettings::default());
+    for (index, uri) in transports(&served.uri).iter().enumerate() {
+        let take = format!("{index}.take");
+        let ran = record(&folder, uri, &take, &[]).with_code(0);
+        let report = ran.json();
+        assert_eq!(report["ending"], "end of stream");
+        assert_eq!(report["ledger"]["frames_sent"], 480);
+        assert_eq!(report["ledger"]["recorded"], 480, "{}", ran.stderr);
+        assert_eq!(report["ledger"]["closes"], true);
+        let info = folder.run(&["info", &take, "--json"]).json();
+        assert_eq!(
+            (&info["device"]["driver"], &info["device"]["model"]),
+            (&"qtm".into(), &"QTM".into())
+        );
+        let labels: Vec<_> =
+            info["channels"].as_array().unwrap().iter().map(|c| c["label"].clone()).collect();
+        let sent =
+            motion.info.markers.iter().filter(|m| m.labelled).map(|m| Value::from(&*m.label));
+        let n_labelled = sent.clone().count();
+        assert_eq!(labels[..n_labelled], sent.collect::<Vec<_>>());
+        assert_eq!(labels.len(), motion.info.markers.len());
+        let (rows, problems) = rows(&folder.read(&take));
+        assert_eq!((rows.len(), problems.len()), (480, 0));
+        let labelled: Vec<usize> =
+            (0..labels.len()).filter(|column| motion.info.markers[*column].labelled).collect();
+        for (index, row) in rows.iter().enumerate() {
+            let frame = motion.frame(index);
+            for (channel, column) in labelled.iter().enumerate() {
+                let [got, sent] = [row[channel], frame[*column]].map(|p| p.map(f32::to_bits));
+                assert!(got == sent || (is_gap(row[channel]) && is_gap(frame[*column])), "{index}");
+            }
+            assert_eq!(present(row), present(frame), "row {index}");
+        }
+        folder.run(&["verify", &take]).with_code(0);
+    }
+    let (sent, fates) = served.stop();
+    assert_eq!((sent.starts, sent.ends), (2, 2));
+    assert!(fates.iter().all(|fate| fate.fate == Fate::Whole) && fates.len() == 960);
+}
+
+/// The ledger of a recording under a script, against the simulator's log.
+#[track_caller]
+fn ledger_agrees(transport: usize, name: &str, text: &str) -> (Value, String) {
+    let folder = Folder::new();
+    let script = Script::parse(name, text).unwrap();
+    let settings = QtmSettings { faults: Some(Arc::new(script)), ..QtmSettings::default() };
+    let served = Served::new(motion(), settings);
+    let uri = &transports(&served.uri)[transport];
+    let ran = record(&folder, uri, "a.take", &[]);
+    let report = ran.json();
+    let ledger = report["ledger"].clone();
+    let (sent, mut fates) = served.stop();
+    // Nobody can know of frames behind the last one that arrived: QTM does not state how many it sent.
+    while fates.last().is_some_and(|fate| !matches!(fate.fate, Fate::Whole | Fate::Late)) {
+        fates.pop();
+    }
+    let wanted = expected(&fates);
+    let totals = sent.faults.unwrap();
+    let context = format!("{name}: {ledger:#}\n{}\n{}", ran.stderr, totals.summary());
+    let count = |key: &str| ledger[key].as_u64().unwrap();
+    assert_eq!(ledger["frame_balance"], 0, "{context}");
+    assert_eq!(count("recorded"), wanted.recorded, "{context}");
+    assert_eq!(count("duplicates"), wanted.duplicates, "{context}");
+    assert_eq!(count("lost_on_link"), wanted.lost_on_link, "{context}");
+    if name == "power-loss" {
+        let unknown = count("unknown_after_disconnect") as f64 / RATE_HZ;
+        assert!((unknown - wanted.away_s).abs() < 0.5, "{unknown} s: {context}");
+    } else {
+        assert_eq!(count("unknown_after_disconnect"), wanted.unknown, "{context}");
+        assert_eq!(count("frames_sent"), fates.len() as u64, "{context}");
+    }
+    let info = folder.run(&["info", "a.take", "--json"]).json();
+    (info, context)
+}
+
+/// The effects of a script on each of the two transports.
+fn both(name: &str, text: &str) -> [(Value, String); 2] {
+    [0, 1].map(|transport| ledger_agrees(transport, name, text))
+}
+
+fn supplied(name: &str) -> String {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/simulator/faults");
+    std::fs::read_to_string(format!("{folder}/{name}.toml")).unwrap()
+}
+
+fn count(info: &Value, key: &str) -> u64 {
+    info["ledger"][key].as_u64().unwrap()
+}
+
+#[test]
+fn frames_that_qtm_leaves_out_or_the_network_loses_are_counted() {
+    for (info, context) in both("lost-frames", &supplied("lost-frames")) {
+        assert!(count(&info, "lost_on_link") >= 10, "{context}");
+        assert_eq!(info["ledger"]["closes"], true, "{context}");
+    }
+}
+
+#[test]
+fn datagrams_that_come_twice_or_late_are_counted() {
+    let (info, context) = ledger_agrees(1, "doubled-frames", &supplied("doubled-frames"));
+    assert!(count(&info, "duplicates") >= 10 && count(&info, "lost_on_link") == 0, "{context}");
+    let (info, context) = ledger_agrees(1, "late-frames", &supplied("late-frames"));
+    assert!(count(&info, "duplicates") >= 5, "{context}");
+}
+
+#[test]
+fn a_qtm_that_is_cut_off_goes_on_in_the_same_take() {
+    for (info, context) in both("unplug", &supplied("unplug")) {
+        assert!(count(&info, "unknown_after_disconnect") >= 100, "{context}");
+        let events = info["events"].to_string();
+        assert!(events.contains("the connection was lost: the other end closed it"), "{events}");
+        assert_eq!(info["ledger"]["closes"], true, "{context}");
+    }
+}
+
+#[test]
+fn a_qtm_that_is_restarted_goes_on_in_the_same_take() {
+    for (info, context) in both("power-loss", &supplied("power-loss")) {
+        assert_eq!(info["ledger"]["closes"], true, "{context}");
+    }
+}
+
+#[test]
+fn stalls_hidden_markers_and_ghosts_lose_no_frame() {
+    for name in ["stall", "occlusion-storm", "swaps-and-ghosts", "clock"] {
+        for (info, context) in both(name, &supplied(name)) {
+            assert_eq!(count(&info, "recorded"), 480, "{context}");
+            assert_eq!(info["ledger"]["closes"], true, "{context}");
+        }
+    }
+}
+
+/// A live number may stand still: the time counts.
+#[test]
+fn a_frame_number_that_stands_still_loses_nothing() {
+    let script = "seed = 1\n[[fault]]\nkind = \"counter-repeat\"\nrate = 1.0\n\
+                  [[fault]]\nkind = \"lost-frames\"\nrate = 0.05\nrun = 3\n";
+    for (info, context) in both("standing number", script) {
+        assert!(count(&info, "lost_on_link") > 10, "{context}");
+        assert_eq!(info["ledger"]["closes"], true, "{context}");
+    }
+}
+
+#[test]
+fn a_number_that_jumps_is_reported_and_costs_no_frame() {
+    let script = "seed = 1\n[[fault]]\nkind = \"counter-jump\"\nat_s = 0.5\nby = 50000000\n";
+    let folder = Folder::new();
+    let faults = Some(Arc::new(Script::parse("jump", script).unwrap()));
+    let served = Served::new(motion(), QtmSettings { faults, ..QtmSettings::default() });
+    let report = record(&folder, &served.uri, "a.take", &[]).with_code(3).json();
+    assert_eq!(report["ledger"]["recorded"], 480);
+    let text = report["ledger"]["contradictions"].to_string();
+    assert!(text.contains("the device's frame counter jumped"), "{text}");
+}
+
+#[test]
+fn a_timed_recording_stops_and_the_next_one_goes_on() {
+    let folder = Folder::new();
+    let served = Served::new(motion(), QtmSettings { looping: true, ..QtmSettings::default() });
+    for (index, uri) in transports(&served.uri).iter().enumerate() {
+        let take = format!("{index}.take");
+        let report = record(&folder, uri, &take, &["--seconds", "500ms"]).with_code(0).json();
+        assert_eq!((&report["ending"], &report["frames"]), (&"stopped".into(), &120.into()));
+        assert_eq!(report["ledger"]["closes"], true, "{report}");
+    }
+    let (sent, _) = served.stop();
+    assert_eq!(sent.starts, 2);
+}
+
+/// Longer than the ten seconds after which a recorder asks other devices who they are, and so restarts them.
+#[test]
+fn a_pause_of_frames_restarts_nothing() {
+    let folder = Folder::new();
+    let script =
+        "seed = 1\n[[fault]]\nkind = \"lost-frames\"\nrate = 1.0\nfrom_s = 0.5\nto_s = 12.0\n";
+    let faults = Some(Arc::new(Script::parse("pause", script).unwrap()));
+    let served =
+        Served::new(motion(), QtmSettings { looping: true, faults, ..QtmSettings::default() });
+    let ran = record(&folder, &served.uri, "a.take", &["--seconds", "12500ms"]).with_code(3);
+    let ledger = &ran.json()["ledger"];
+    assert_eq!((&ledger["recorded"], &ledger["lost_on_link"]), (&240.into(), &2760.into()));
+    let info = folder.run(&["info", "a.take", "--json"]).json();
+    let events = info["events"].to_string();
+    assert!(!events.contains("restarted") && events.contains("no frame came for"), "{events}");
+    let (sent, _) = served.stop();
+    assert_eq!(sent.starts, 1);
+}
+
+#[test]
+fn what_cannot_be_opened_is_explained_in_one_line() {
+    let folder = Folder::new();
+    // A port that nobody listens on: it was free a moment ago.
+    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap().port();
+    let refused = format!("qtm:127.0.0.1:{free}");
+    for (uri, facts) in [
+        (refused.as_str(), vec!["127.0.0.1", "nothing listens", "qtm:127.0.0.1:PORT"]),
+        (
+            "qtm:no-such-machine.invalid",
+            vec!["no-such-machine.invalid", "no machine named", "address"],
+        ),
+        ("serial:/dev/null?driver=qtm", vec!["qtm", "qtm:HOST"]),
+        ("qtm:127.0.0.1?driver=ndi", vec!["ndi", "serial:PATH"]),
+        ("qtm:[fe80::1]:9", vec!["interface", "%eth0"]),
+    ] {
+        let line = folder.refuses(&["record", "-d", uri, "-o", "a.take"], 1);
+        assert_mentions(&line, &facts);
+    }
+    let raw =
+        ["record", "-d", "qtm:127.0.0.1:9?transport=udp", "-o", "a.take", "--raw", "a.rawlog"];
+    assert_mentions(&folder.refuses(&raw, 1), &["raw log", "datagrams", "transport=udp"]);
+    // A machine that accepts the connection and is silent, as another program's port is.
+    let silent = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let uri = format!("qtm:{}", silent.local_addr().unwrap());
+    let line = folder.refuses(&["record", "-d", &uri, "-o", "a.take"], 1);
+    assert_mentions(&line, &["nobody greets", "22223"]);
+    let served = Served::new(motion(), QtmSettings::default());
+    let line = folder.refuses(&["record", "-d", &served.uri, "-o", "a.take", "--rate", "100"], 1);
+    assert_mentions(&line, &["100 Hz", "240 Hz", "--rate"]);
+}

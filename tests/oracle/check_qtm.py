@@ -1,0 +1,377 @@
+"""Talks to `mocapd-sim serve --protocol qtm` with a client that is not ours: Qualisys's own, qtm-rt.
+
+    python check_qtm.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
+
+qtm-rt has no streams over UDP: they are requested through its connection, and its own parser reads the datagrams.
+One line a check; the last line is `N passed, N failed`; exit code 1 when one failed.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import csv
+import json
+import math
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import qtm_rt
+from qtm_rt.packet import QRTComponentType, QRTEvent, QRTPacket
+
+RATE_HZ = 240
+N_FRAMES = 480
+N_LABELLED = 64
+LABELS = tuple(f"marker {k:02} <&>" for k in range(N_LABELLED))
+# Names of unlabelled markers in a table; they are sent with ids.
+UNLABELLED = (f"u{N_LABELLED + 1:03}", f"u{N_LABELLED + 2:03}")
+FIRST_ID = 1000
+RESIDUAL_MM = 0.25
+COLUMNS = N_LABELLED + len(UNLABELLED)
+
+# It names its port as soon as it has opened it; a machine under load may take seconds to start it.
+FIRST_WORD_WITHIN_S = 30.0
+
+
+def float32(value):
+    return struct.unpack("<f", struct.pack("<f", value))[0]
+
+
+def position(column, frame):
+    """Where a marker is, exactly as float32 has it; None while it is hidden."""
+    if (column == 1 and 100 <= frame < 150) or (column == N_LABELLED and 50 <= frame < 120):
+        return None
+    return tuple(float32(v) for v in (10.1 * column + 0.5 * frame, -20.7 * column + 0.25 * frame, 1000.3 + 5.0 * column))
+
+
+def write_motion(path):
+    names = [f"{label}.{axis}" for label in LABELS + UNLABELLED for axis in "xyz"]
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "time_s", *names])
+        for frame in range(N_FRAMES):
+            cells = [frame, f"{frame / RATE_HZ:.9f}"]
+            for column in range(COLUMNS):
+                cells += [repr(v) for v in position(column, frame) or ()] or ["", "", ""]
+            writer.writerow(cells)
+
+
+@contextlib.contextmanager
+def simulator(program, motion, *more):
+    """A simulated QTM in a process of its own: its port."""
+    command = [program, "serve", motion, "--tcp", "--protocol", "qtm", *more]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE,
+                               stderr=subprocess.DEVNULL, text=True)
+    silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
+    silent.start()
+    try:
+        uri = process.stdout.readline().strip()
+        silent.cancel()
+        expect(uri.startswith("qtm:127.0.0.1:"), f"the simulator names no port: {uri!r}")
+        yield int(uri.rpartition(":")[2])
+    finally:
+        silent.cancel()
+        process.terminate()
+        process.wait(10)
+
+
+def expect(holds, complaint):
+    if not holds:
+        raise AssertionError(complaint)
+
+
+async def connected(port, **more):
+    connection = await qtm_rt.connect("127.0.0.1", port, **more)
+    expect(connection is not None, "qtm-rt cannot connect")
+    return connection
+
+
+def same(got, expected):
+    """Equal floats, and NaN for a marker that is hidden."""
+    if expected is None:
+        return all(math.isnan(value) for value in got)
+    return tuple(got) == expected
+
+
+def check_labelled(markers, number):
+    expect(len(markers) == N_LABELLED, f"frame {number}: {len(markers)} labelled markers")
+    for column, marker in enumerate(markers):
+        expected = position(column, number % N_FRAMES)
+        expect(same(marker[:3], expected), f"frame {number} marker {column}: {marker}, not {expected}")
+        expect(len(marker) == 3 or marker.residual == RESIDUAL_MM, f"frame {number}: {marker}")
+
+
+def check_unlabelled(markers, number):
+    seen = {column: position(column, number % N_FRAMES) for column in range(N_LABELLED, COLUMNS)}
+    expected = {FIRST_ID + column: place for column, place in seen.items() if place is not None}
+    got = {marker.id: tuple(marker[:3]) for marker in markers}
+    expect(got == expected, f"frame {number}: {got}, not {expected}")
+
+
+def check_packet(packet):
+    """A frame with all four components; returns its number."""
+    number = packet.framenumber
+    for header, markers in (packet.get_3d_markers(), packet.get_3d_markers_residual()):
+        expect(header.marker_count == N_LABELLED, header)
+        check_labelled(markers, number)
+    for header, markers in (packet.get_3d_markers_no_label(), packet.get_3d_markers_no_label_residual()):
+        expect((header.drop_rate, header.out_of_sync_rate) == (0, 0), header)
+        check_unlabelled(markers, number)
+    return number
+
+
+ALL = ["3d", "3dres", "3dnolabels", "3dnolabelsres"]
+
+
+async def streamed(port, frames, seconds):
+    """The numbers and times of the frames that arrive, all of them checked."""
+    connection, numbers, times, problems = await connected(port), [], [], []
+
+    def on_packet(packet):
+        try:
+            numbers.append(check_packet(packet))
+            times.append(packet.timestamp)
+        except AssertionError as problem:
+            problems.append(problem)
+
+    expect(await connection.stream_frames(frames, ALL, on_packet) == b"Ok", "no stream")
+    await asyncio.sleep(seconds)
+    await connection.stream_frames_stop()
+    connection.disconnect()
+    if problems:
+        raise problems[0]
+    return numbers, times
+
+
+async def check_stream(port, options):
+    numbers, times = await streamed(port, "allframes", options.seconds)
+    expect(len(numbers) > 0.9 * RATE_HZ * options.seconds, f"{len(numbers)} frames")
+    expect(numbers == list(range(numbers[0], numbers[0] + len(numbers))), "frames are missing")
+    steps = {later - earlier for earlier, later in zip(times, times[1:])}
+    expect(steps <= {4166, 4167}, f"steps of {steps} us")
+
+
+async def check_divisor(port, _):
+    numbers, _ = await streamed(port, "frequencydivisor:4", 1.5)
+    expect(len(numbers) > 60, f"{len(numbers)} frames")
+    expect({b - a for a, b in zip(numbers, numbers[1:])} == {4}, numbers)
+
+
+async def check_frequency(port, _):
+    numbers, _ = await streamed(port, "frequency:100", 1.5)
+    steps = [b - a for a, b in zip(numbers, numbers[1:])]
+    expect(set(steps) == {2, 3}, steps)
+    rate_hz = RATE_HZ * len(steps) / sum(steps)
+    expect(abs(rate_hz - 100) < 2, f"{rate_hz} Hz")
+
+
+async def check_identity(port, _):
+    connection = await connected(port)
+    version = await connection.qtm_version()
+    expect(version.startswith(b"QTM Version is mocapd-sim"), version)
+    expect(await connection.byte_order() == b"Byte order is little endian", "the byte order")
+    expect(await connection.get_state() == QRTEvent.EventRTfromFileStopped, "the state")
+    connection.disconnect()
+    for version in ("1.8", "1.20", "1.28"):
+        (await connected(port, version=version)).disconnect()
+    for version in ("1.7", "1.29", "2.0"):
+        expect(await qtm_rt.connect("127.0.0.1", port, version=version) is None, f"version {version}")
+
+
+async def check_settings(port, _):
+    connection = await connected(port)
+    root = ET.fromstring(await connection.get_parameters(["3d"]))
+    expect(root.tag == "QTM_Parameters_Ver_1.25", root.tag)
+    markers = root.find("The_3D")
+    expect(markers.findtext("Labels") == str(N_LABELLED), "the number of labels")
+    expect([label.findtext("Name") for label in markers.iter("Label")] == list(LABELS), "the labels")
+    expect(markers.findtext("AxisUpwards") == "+Z", "the axis")
+    general = ET.fromstring(await connection.get_parameters(["general"])).find("General")
+    expect(general.findtext("Frequency") == str(RATE_HZ), "the rate")
+    everything = ET.fromstring(await connection.get_parameters(["all"]))
+    expect([child.tag for child in everything] == ["General", "The_3D"], "all settings")
+    for missing in ("6d", "force", "analog"):
+        try:
+            await connection.get_parameters([missing])
+            expect(False, f"{missing} is there")
+        except qtm_rt.QRTCommandException as problem:
+            expect("Parameters not available" in str(problem), problem)
+    connection.disconnect()
+
+
+async def check_one_frame(port, _):
+    connection = await connected(port)
+    for _ in range(20):
+        check_packet(await connection.get_current_frame(ALL))
+    packet = await connection.get_current_frame(["3dnolabels", "analog", "6d"])
+    expect(list(packet.components) == [QRTComponentType.Component3dNoLabels], packet.components)
+    connection.disconnect()
+
+
+def read_datagrams(receiver, datagrams):
+    """Keeps up with any stream: the datagrams are checked afterwards."""
+    with contextlib.suppress(OSError):
+        while True:
+            datagrams.append(receiver.recv(65536))
+
+
+async def check_datagrams(port, options):
+    connection = await connected(port)
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    receiver.bind(("127.0.0.1", 0))
+    receiver.settimeout(2)
+    datagrams = []
+    reader = threading.Thread(target=read_datagrams, args=(receiver, datagrams))
+    reader.start()
+    command = f"streamframes allframes udp:{receiver.getsockname()[1]} {' '.join(ALL)}"
+    await connection._protocol.send_command(command, callback=False)
+    await asyncio.sleep(options.seconds)
+    await connection.stream_frames_stop()
+    reader.join()
+    numbers = []
+    for datagram in datagrams:
+        size, kind = struct.unpack_from("<II", datagram)
+        expect((size, kind) == (len(datagram), 3), f"a datagram of {len(datagram)} bytes: {size}, {kind}")
+        numbers.append(check_packet(QRTPacket(datagram[8:])))
+    expect(len(numbers) > 0.9 * RATE_HZ * options.seconds, f"{len(numbers)} frames")
+    expect(numbers == list(range(numbers[0], numbers[0] + len(numbers))), "frames are missing")
+    for refused in ("udp:1022", "udp:192.0.2.1:5000"):
+        try:
+            await connection._protocol.send_command(f"streamframes allframes {refused} 3d")
+            expect(False, f"{refused} is accepted")
+        except qtm_rt.QRTCommandException as problem:
+            expect("Parse error" in str(problem), problem)
+    connection.disconnect()
+    receiver.close()
+
+
+async def refused(awaitable, reason):
+    try:
+        answer = await awaitable
+    except qtm_rt.QRTCommandException as problem:
+        expect(reason in str(problem), f"{problem}, not {reason}")
+        return
+    expect(False, f"{answer!r}, not {reason}")
+
+
+async def check_control(port, _):
+    events = []
+    one, other = await connected(port, on_event=events.append), await connected(port)
+    await refused(one.start(rtfromfile=True), "You must be master to issue this command")
+    await one.take_control("password")
+    await refused(other.take_control(""), "is already master")
+    await refused(one.start(), "Not connected. Create connection with new")
+    await one.start(rtfromfile=True)
+    await one.stop()
+    await refused(one.stop(), "No measurement is running")
+    await one.new()
+    await one.new()
+    await one.start()
+    await refused(one.start(), "Measurement is already running")
+    await one.set_qtm_event("a label")
+    await refused(one.load("file"), "Active camera connection exists")
+    await refused(one.trig(), "QTM not waiting for trig")
+    await one.stop()
+    await refused(one.set_qtm_event("a label"), "QTM is not capturing")
+    await refused(one.save("file"), "No measurement to save")
+    await one.close()
+    await one.close()
+    await one.release_control()
+    await other.take_control("")
+    await other.release_control()
+    expected = [
+        QRTEvent.EventRTfromFileStarted, QRTEvent.EventRTfromFileStopped, QRTEvent.EventConnected,
+        QRTEvent.EventCaptureStarted, QRTEvent.EventCaptureStopped,
+    ]
+    expect(events == expected, events)
+    for connection in (one, other):
+        connection.disconnect()
+
+
+async def check_end(port, _):
+    """Without --loop: the file ends, and can be played again."""
+    events, numbers = [], []
+    connection = await connected(port, on_event=events.append)
+    for times in (1, 2):
+        await connection.stream_frames("allframes", ["3d"], lambda packet: numbers.append(packet.framenumber))
+        while events.count(QRTEvent.EventRTfromFileStopped) < times:
+            await connection.await_event(timeout=10)
+        expect(len(numbers) == times * N_FRAMES, f"{len(numbers)} frames")
+        await connection.stream_frames_stop()
+    expect(numbers == list(range(2 * N_FRAMES)), "frames are missing")
+    connection.disconnect()
+
+
+async def check_crowd(port, _):
+    """Ten clients, of which one sends no packets; the eleventh is refused."""
+    crowd = [await connected(port) for _ in range(9)]
+    _, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(b"GET / HTTP/1.1\r\n\r\n")
+    await writer.drain()
+    numbers = []
+    await crowd[0].stream_frames("allframes", ["3d"], lambda packet: numbers.append(packet.framenumber))
+    await asyncio.sleep(0.5)
+    expect(len(numbers) > 60, f"{len(numbers)} frames")
+    crowd.append(await connected(port))
+    reader, late = await asyncio.open_connection("127.0.0.1", port)
+    refusal = await asyncio.wait_for(reader.read(), 5)
+    expect(b"Connection refused. Max number of clients reached." in refusal, refusal)
+    for connection in crowd:
+        connection.disconnect()
+    writer.close()
+    late.close()
+
+
+async def check_recorder_beside(port, options):
+    """The recorder and qtm-rt read the same frames at the same time."""
+    connection, numbers = await connected(port), []
+    await connection.stream_frames("allframes", ["3d"], lambda packet: numbers.append(packet.framenumber))
+    for transport in ("tcp", "udp"):
+        with tempfile.TemporaryDirectory() as folder:
+            record = [options.mocapd, "record", "-d", f"qtm:127.0.0.1:{port}?transport={transport}",
+                      "-o", f"{folder}/t.take", "--seconds", "2s", "--json"]
+            process = await asyncio.create_subprocess_exec(
+                *(str(word) for word in record), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+            output, errors = await process.communicate()
+            expect(process.returncode == 0, errors.decode())
+            report = json.loads(output)
+            expect(report["ledger"]["closes"] and report["frames"] >= 470, output.decode())
+            expect(report["markers"] == N_LABELLED, output.decode())
+    expect(numbers == list(range(numbers[0], numbers[0] + len(numbers))), "frames are missing")
+    connection.disconnect()
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mocapd-sim", required=True, type=Path)
+    parser.add_argument("--mocapd", required=True, type=Path)
+    parser.add_argument("--seconds", type=float, default=5, help="how long each stream of all frames is read")
+    options = parser.parse_args()
+    options.mocapd = options.mocapd.resolve()
+    endless = [check_stream, check_divisor, check_frequency, check_identity, check_settings, check_one_frame,
+               check_datagrams, check_control, check_crowd, check_recorder_beside]
+    jobs = [(check, ("--loop",)) for check in endless] + [(check_end, ())]
+    passed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        motion = Path(folder) / "motion.csv"
+        write_motion(motion)
+        for check, more in jobs:
+            name = check.__name__.removeprefix("check_")
+            try:
+                with simulator(options.mocapd_sim.resolve(), motion, *more) as port:
+                    asyncio.run(check(port, options))
+                print(f"ok   {name}", flush=True)
+                passed += 1
+            except Exception as problem:  # any failure is this check's, the others still count
+                print(f"FAIL {name}: {type(problem).__name__}: {problem}", flush=True)
+    print(f"{passed} passed, {len(jobs) - passed} failed")
+    sys.exit(passed != len(jobs))
+
+
+if __name__ == "__main__":
+    main()
