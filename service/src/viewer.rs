@@ -15,7 +15,7 @@ use crate::{
     finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     http::new_secret,
     live::LiveFeed,
-    status::{MarkerQuality, Status, TakeStatus, TakeSummary},
+    status::{MarkerQuality, PendingStart, Status, TakeStatus, TakeSummary},
 };
 
 /// Characters of a name: long ones are cut.
@@ -97,6 +97,14 @@ impl Control for TakeViewer {
     }
 
     fn start(&self, _: &Start) -> Result<Started, Refusal> {
+        refuse()
+    }
+
+    fn schedule(&self, _: &Start) -> Result<PendingStart, Refusal> {
+        refuse()
+    }
+
+    fn cancel(&self, _: &Request) -> Result<PendingStart, Refusal> {
         refuse()
     }
 
