@@ -2,7 +2,7 @@
 //!
 //! TIME is when the take was moved there, in milliseconds since 1970. Whether its time there is over is decided by AGE,
 //! a clock of the trash in milliseconds, which a wrong clock of the machine cannot set forward by more than
-//! [`STEP_MAX`]: what was removed cannot be had back.
+//! four days: what was removed cannot be had back.
 
 use std::{
     fs::{self, DirEntry},
