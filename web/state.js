@@ -27,9 +27,14 @@ export function describe(status) {
   return [last ? `last take: ${last.name}` : device.is_awaited ? "starting the device" : "the device is not running", ...pendingStart(status)];
 }
 
+/** A start that waits for longer is shown with its date: its time has probably just passed. */
+const HOURS_12_MS = 12 * 3600 * 1000;
+
 /** The line about a start that waits for its time, by the clock of the rig. */
 function pendingStart({ pending_start: pending }) {
-  return pending ? [`A take will be started at ${pending.at.slice(11, 19)} by the rig's clock`] : [];
+  if (!pending) return [];
+  const isFar = pending.at_unix_ms - Date.now() > HOURS_12_MS;
+  return [`A take will be started ${isFar ? `on ${pending.at.slice(0, 10)} ` : ""}at ${pending.at.slice(11, 19)} by the rig's clock`];
 }
 
 /** Why the last start at a time of day did not take place, or null. Pure. */

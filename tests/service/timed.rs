@@ -110,6 +110,14 @@ fn a_start_waits_for_its_time_and_can_be_cancelled() {
     assert_eq!(take.n_rows, 60);
     let late_ms = take.header.created_unix_ms - pending.at_unix_ms;
     assert!((0..500).contains(&late_ms), "{late_ms} ms late");
+    // A time that has just passed is that of tomorrow.
+    let day =
+        || jiff::Zoned::now().checked_sub(jiff::SignedDuration::from_secs(60)).unwrap().date();
+    if day() == jiff::Zoned::now().date() {
+        let tomorrow = engine.schedule(&at(-60, "passed")).unwrap();
+        assert_mentions(&tomorrow.remarks[0], &["tomorrow"]);
+        engine.cancel(&Request::default()).unwrap();
+    }
     // The same request again is not executed again.
     let again = Start { request_id: Some("a".to_owned()), ..at(600, "again") };
     let first = engine.schedule(&again).unwrap();

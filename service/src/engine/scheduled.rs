@@ -17,6 +17,9 @@ use crate::{
 /// How far away a start may be: the next time of day that is not ambiguous.
 const AHEAD_MAX: SignedDuration = SignedDuration::from_hours(24);
 
+/// A start on the next day that is further away was probably meant for today.
+const PROBABLY_MISSED: SignedDuration = SignedDuration::from_hours(12);
+
 /// How late a start may be executed, because the machine slept, its clock was set, or another command took long: the
 /// motion that it was meant for has begun by then.
 const LATE_MAX_MS: i64 = 5000;
@@ -53,10 +56,16 @@ impl Inner {
     /// Has a take started at a time of day.
     pub(super) fn schedule_start(&self, start: &Start) -> Result<PendingStart, Refusal> {
         let text = start.at.as_deref().unwrap_or_default();
-        let at = next_occurrence(text, &Zoned::now())?;
+        let now = Zoned::now();
+        let at = next_occurrence(text, &now)?;
         let at_unix_ms = at.timestamp().as_millisecond();
         self.check_start(start)?;
         let mut remarks = Vec::new();
+        if at.date() != now.date() && at.duration_since(&now) > PROBABLY_MISSED {
+            remarks.push(format!(
+                "this is tomorrow, because today it is past {text}: cancel it if today was meant"
+            ));
+        }
         let mut core = self.core();
         if self.is_stopping() {
             return Err(Refusal::unavailable("the service is stopping"));

@@ -30,7 +30,7 @@ pub enum LogDeviceError {
     /// The log is from a device of another protocol.
     #[error(
         "this log was recorded with the driver '{driver}', but only logs of the link protocol (dvmc) can be replayed: an NDI \
-         system needs breaks and changes of line speed, which a pty does not carry"
+         system needs breaks and changes of line speed, which a pty does not carry, and a QTM is on the network"
     )]
     Driver {
         /// The driver in the log.

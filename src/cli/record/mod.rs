@@ -15,7 +15,10 @@ use mocapd_acquire::{
     rig::Rig,
     series::{RecordedSeries, SeriesTake},
 };
-use mocapd_drivers::{registry::OpenError, uri::DeviceUri};
+use mocapd_drivers::{
+    registry::OpenError,
+    uri::{DeviceUri, Location},
+};
 use mocapd_service::units;
 use mocapd_take::record::EndingKind;
 use serde::Serialize;
@@ -67,7 +70,7 @@ pub(crate) struct Args {
     /// End the take when no more than this is free on the disk: 256MiB, 2GB; 0 uses the whole disk
     #[arg(long, value_name = "SIZE", default_value = KEEP_FREE, value_parser = units::size_bytes, allow_hyphen_values = true)]
     keep_free: u64,
-    /// Also log every byte to and from the device to this file; `mocapd-sim serve` replays it as the device
+    /// Also log every byte to and from the device to this file; `mocapd-sim serve` replays it as the device, if that speaks the link protocol (dvmc)
     #[arg(long, value_name = "LOG")]
     raw: Option<PathBuf>,
     #[command(flatten)]
@@ -103,6 +106,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         remote::refuse_recording(raw)?;
         paths::check_output(raw)?;
+        if matches!(uri.location, Location::Network(_)) {
+            notify(
+                "a raw log of a device on the network cannot be replayed: it shows what was sent",
+            );
+        }
     }
     let subject = args.subject.load()?;
     let stop = stop_on_signal()?;

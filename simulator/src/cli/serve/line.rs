@@ -16,7 +16,7 @@ pub(super) struct LineArgs {
     ///
     /// `--pty PATH` and `--pty=PATH` are the same. A file that can be played is never taken for the link:
     /// `--pty jump.c3d` plays jump.c3d on a pty without a link.
-    #[arg(long, value_name = "PATH", num_args = 0..=1, required_unless_present_any = ["usb_gadget", "usb_serial", "tcp"])]
+    #[arg(long, value_name = "PATH", num_args = 0..=1)]
     pub(super) pty: Option<Option<PathBuf>>,
     /// Act as a USB device with bulk endpoints; needs root and a USB device controller
     #[arg(long, conflicts_with_all = ["pty", "baud"])]
@@ -24,8 +24,8 @@ pub(super) struct LineArgs {
     /// Act as a USB serial port (CDC-ACM); needs root and a USB device controller
     #[arg(long, conflicts_with_all = ["pty", "usb_gadget"])]
     usb_serial: bool,
-    /// With --protocol qtm: listen on this TCP port of this machine only, by default on any free one
-    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, conflicts_with_all = ["pty", "usb_gadget", "usb_serial", "udc", "baud"])]
+    /// With --protocol qtm, which implies it: listen on this TCP port of this machine only, by default on any free one
+    #[arg(long, value_name = "PORT", num_args = 0..=1, conflicts_with_all = ["pty", "usb_gadget", "usb_serial", "udc", "baud"])]
     pub(super) tcp: Option<Option<u16>>,
     /// Name of the USB device controller in /sys/class/udc [default: the first free one]
     #[arg(long, value_name = "NAME", conflicts_with = "pty")]
@@ -38,6 +38,11 @@ impl LineArgs {
         let path = self.pty.as_ref()?.as_ref()?;
         // A link to a pty is not a regular file, whether or not the pty still exists.
         (is_motion(path) || path.is_file()).then(|| path.clone())
+    }
+
+    /// Whether one was chosen that is not on the network.
+    pub(super) fn is_chosen(&self) -> bool {
+        self.pty.is_some() || self.usb_gadget || self.usb_serial
     }
 
     /// Whether a host finds the device again after its cable was pulled and plugged in.

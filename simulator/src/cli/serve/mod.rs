@@ -202,6 +202,10 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     if args.protocol == DeviceProtocol::Qtm || args.line.tcp.is_some() {
         return network::run(args);
     }
+    if !args.line.is_chosen() {
+        let message = "the device needs a line: give --pty, --usb-gadget or --usb-serial";
+        return Err(Failure::usage_message(message.to_owned()));
+    }
     let log = input::log(args)?;
     let (mut device, description): (Box<dyn LineDevice>, String) = match &log {
         Some(log) => input::log_device(args, log)?,
@@ -273,7 +277,7 @@ fn device(
             );
         }
         // It is on no line.
-        DeviceProtocol::Qtm => return usage("--protocol qtm needs --tcp"),
+        DeviceProtocol::Qtm => return usage("a QTM is on the network, not on a line"),
         DeviceProtocol::Ndi => {
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));

@@ -58,11 +58,17 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
 /// Refuses options that a QTM does not have. Returns the port; 0 for any.
 fn check(args: &ServeArgs) -> Result<u16, Failure> {
     let usage = |message: String| Err(Failure::usage_message(message));
-    let Some(port) = args.line.tcp.filter(|_| args.protocol == DeviceProtocol::Qtm) else {
+    if args.protocol != DeviceProtocol::Qtm {
         return usage(
-            "a QTM is on the network: give both --protocol qtm and --tcp[=PORT]".to_owned(),
+            "--tcp needs --protocol qtm: other devices are on a line, such as --pty".to_owned(),
         );
-    };
+    }
+    if args.line.is_chosen() {
+        return usage(
+            "a QTM is on the network: give --tcp, or nothing, in place of the line".to_owned(),
+        );
+    }
+    let port = args.line.tcp.flatten();
     let options = [
         ("--wire", args.wire.is_some()),
         ("--tool", !args.tool.is_empty()),
