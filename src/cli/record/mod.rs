@@ -106,7 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         remote::refuse_recording(raw)?;
         paths::check_output(raw)?;
-        if matches!(uri.location, Location::Network(_)) {
+        if matches!(&uri.location, Location::Network(at) if !at.datagrams) {
             notify(
                 "a raw log of a device on the network cannot be replayed: it shows what was sent",
             );
