@@ -127,7 +127,12 @@ impl Client {
     }
 
     async fn send(&self, request: Request<Full<Bytes>>) -> anyhow::Result<Response<Incoming>> {
-        let failed = || format!("cannot connect to {} (is the service running?)", self.target);
+        let failed = || {
+            format!(
+                "cannot connect to {} (is the service running there? --connect gives another address)",
+                self.target
+            )
+        };
         match &self.target {
             Target::Unix(path) => {
                 let stream = timeout(CONNECT_TIMEOUT, UnixStream::connect(path)).await;
