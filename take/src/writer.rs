@@ -12,10 +12,13 @@ use crate::{
     interchange::c3d::{self, Parameters},
     motion::Foreign,
     record::{
-        Channel, Clock, Event, Header, Ledger, MoreChannels, Record, SampledGroup, Subject,
-        SummaryRecord, TakeEnding,
+        Channel, Clock, Event, Header, Ledger, MoreChannels, Record, SampleLedger, SampledGroup,
+        Subject, SummaryRecord, TakeEnding,
     },
-    sampled::{EncodedSpan, LostSamples, PartContext, SampleSpan, SamplesPlan, SpanEncoder},
+    sampled::{
+        EncodedSpan, LostSamples, PartContext, SampleAnchor, SampleSpan, SampleTimes, SamplesPlan,
+        SpanEncoder,
+    },
     statistics::{StretchTally, TakeTally},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
@@ -32,6 +35,8 @@ pub struct TakeWriter<W> {
     offset: u64,
     failed: bool,
     scratch: Vec<u8>,
+    /// A payload of samples.
+    payload: Vec<u8>,
     rows_max: u64,
     index: Vec<IndexEntry>,
     n_rows: u64,
@@ -63,6 +68,7 @@ impl<W: Write> TakeWriter<W> {
             offset: 0,
             failed: false,
             scratch: Vec::with_capacity(1 << 16),
+            payload: Vec::new(),
             rows_max,
             index: Vec::new(),
             n_rows: 0,
@@ -243,11 +249,41 @@ impl<W: Write> TakeWriter<W> {
         self.chunk(types::SAMPLED_GROUP, &group.to_chunk_payload()?)
     }
 
+    /// Writes samples of a group of a recording: the block of the span, or that they are lost.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn samples(&mut self, span: &SampleSpan, block: &[u8]) -> Result<(), TakeError> {
+        self.payload.clear();
+        span.put(&mut self.payload);
+        self.payload.extend_from_slice(block);
+        let payload = std::mem::take(&mut self.payload);
+        let written = self.chunk(types::SAMPLES, &payload);
+        self.payload = payload;
+        written
+    }
+
+    /// Writes the time of a sample of a group.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn sample_time(&mut self, group: u32, anchor: &SampleAnchor) -> Result<(), TakeError> {
+        let mut payload = Vec::with_capacity(SampleTimes::BYTES_MAX);
+        SampleTimes::put(group, anchor, &mut payload);
+        self.chunk(types::SAMPLE_TIMES, &payload)
+    }
+
+    /// Writes the ledger of the samples so far.
+    ///
+    /// # Errors
+    /// `Io`, `InvalidArgument`.
+    pub fn sample_ledger(&mut self, ledger: &SampleLedger) -> Result<(), TakeError> {
+        self.record(ledger)
+    }
+
     /// Records samples of a group as lost.
     pub(crate) fn lost_samples(&mut self, span: &SampleSpan) -> Result<(), TakeError> {
-        let mut payload = Vec::new();
-        span.put(&mut payload);
-        self.chunk(types::SAMPLES, &payload)
+        self.samples(span, &[])
     }
 
     /// Writes an encoded span.

@@ -8,14 +8,16 @@ use std::{
 
 use mocapd_codec::sampled::SampledDecoder;
 
-use super::{SampleContent, SampleSpan, SamplesChunk, fits};
+use super::{
+    RECORDED, SampleAnchor, SampleClock, SampleContent, SampleSpan, SampleTimes, SamplesChunk, fits,
+};
 use crate::{
     TakeError,
     foreign::content::{Content, ScratchFile, Spool},
     interchange::c3d::columns::{
         ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered, word,
     },
-    record::{SampleForm, SampledGroup},
+    record::{GroupLedger, SampleForm, SampledGroup},
     timeline::LossCauses,
 };
 
@@ -43,6 +45,10 @@ pub struct GroupSamples {
     pub group: SampledGroup,
     /// In the order of the file.
     chunks: Vec<SamplesChunk>,
+    /// The times of some samples, in ascending order of these; only in a recording.
+    anchors: Vec<SampleAnchor>,
+    /// File offsets of the chunks that state them.
+    times_at: Vec<u64>,
     /// Size of all its chunks.
     pub stored_bytes: u64,
     /// File offset of the chunk that describes it.
@@ -70,7 +76,8 @@ pub(crate) enum SampleRun<'a> {
 impl GroupSamples {
     /// A group whose chunk is at file offset `offset` and has `chunk_bytes`.
     pub(crate) fn new(group: SampledGroup, offset: u64, chunk_bytes: u64) -> Self {
-        Self { group, chunks: Vec::new(), stored_bytes: chunk_bytes, offset }
+        let (chunks, anchors, times_at) = (Vec::new(), Vec::new(), Vec::new());
+        Self { group, chunks, anchors, times_at, stored_bytes: chunk_bytes, offset }
     }
 
     /// Samples of each channel, lost ones included.
@@ -89,6 +96,87 @@ impl GroupSamples {
             self.chunks.push(chunk);
         }
         belongs
+    }
+
+    /// Adds times of its samples. Returns whether they belong to the group: they follow those before.
+    fn push_times(&mut self, times: &SampleTimes, offset: u64, chunk_bytes: u64) -> bool {
+        let place = |anchor: &SampleAnchor| (anchor.run_start, anchor.number);
+        let (Some(first), Some(last)) = (times.anchors.first(), times.anchors.last()) else {
+            return false;
+        };
+        let belongs = self.group.kind == RECORDED
+            && last.run_start <= first.number
+            && self.anchors.last().is_none_or(|known| {
+                known.run_start <= first.run_start
+                    && known.number < first.number
+                    // A run begins behind the samples of the one before.
+                    && (known.run_start == first.run_start || known.number < first.run_start)
+            })
+            && self.anchors.len().saturating_add(times.anchors.len()) <= CHUNKS_MAX;
+        debug_assert!(times.anchors.is_sorted_by_key(place));
+        if belongs {
+            self.stored_bytes += chunk_bytes;
+            self.times_at.push(offset);
+            self.anchors.extend_from_slice(&times.anchors);
+        }
+        belongs
+    }
+
+    /// The stated times of samples, in order.
+    #[must_use]
+    pub fn anchors(&self) -> &[SampleAnchor] {
+        &self.anchors
+    }
+
+    /// The times of all samples of a recording, by the device's clock, which has `tick_hz`.
+    #[must_use]
+    pub fn clock(&self, tick_hz: u64) -> SampleClock<'_> {
+        SampleClock::new(&self.anchors, self.group.rate_hz, tick_hz)
+    }
+
+    /// The counts of its chunks whose file offset `counts`: those of a ledger, except duplicates and jumps.
+    pub(crate) fn ledger(&self, counts: impl Fn(u64) -> bool) -> GroupLedger {
+        let mut ledger = GroupLedger { group: self.group.number, ..GroupLedger::default() };
+        for chunk in self.chunks.iter().filter(|chunk| counts(chunk.offset)) {
+            let counter = match chunk.span.content {
+                SampleContent::Key | SampleContent::Continued => &mut ledger.stored,
+                // Each run has one cause, except that of a later version.
+                SampleContent::Lost(LossCauses::NOT_RECEIVED) => &mut ledger.lost_on_link,
+                SampleContent::Lost(LossCauses::DROPPED_BY_DEVICE) => &mut ledger.dropped_by_device,
+                SampleContent::Lost(LossCauses::RING_FULL) => &mut ledger.lost_ring_full,
+                SampleContent::Lost(LossCauses::DISCONNECTED) => {
+                    &mut ledger.unknown_after_disconnect
+                }
+                SampleContent::Lost(_) => &mut ledger.lost_other,
+            };
+            *counter = counter.saturating_add(chunk.span.n);
+        }
+        ledger.taken = ledger.stored.saturating_add(ledger.lost());
+        ledger
+    }
+
+    /// The ledger that its chunks give, except duplicates and jumps, which they do not show.
+    #[must_use]
+    pub fn found_ledger(&self) -> GroupLedger {
+        self.ledger(|_| true)
+    }
+
+    /// Decodes all samples of the group. `each` receives the number of the first sample, the number of samples of each
+    /// channel and the samples, channel after channel, or `None` where they are lost.
+    ///
+    /// # Errors
+    /// `Io`, and those of `each`.
+    pub fn read(
+        &self,
+        input: &mut (impl Read + Seek),
+        mut each: impl FnMut(u64, u64, Option<&[f32]>) -> io::Result<()>,
+    ) -> Result<Vec<LostSamples>, TakeError> {
+        let mut first = 0;
+        self.decode(input, |n, samples| {
+            each(first, n, samples)?;
+            first += n;
+            Ok(())
+        })
     }
 
     /// All samples in order. `each` receives them run by run.
@@ -145,7 +233,12 @@ impl GroupSamples {
 
     /// File offsets of its chunks of samples.
     pub(crate) fn chunk_offsets(&self) -> impl Iterator<Item = u64> {
-        self.chunks.iter().map(|chunk| chunk.offset)
+        self.chunks.iter().map(|chunk| chunk.offset).chain(self.times_offsets())
+    }
+
+    /// File offsets of its chunks of times.
+    pub(crate) fn times_offsets(&self) -> impl Iterator<Item = u64> {
+        self.times_at.iter().copied()
     }
 
     /// What a recovery writes of the group, given the samples whose blocks cannot be decoded.
@@ -268,7 +361,11 @@ impl SampledPart {
     #[expect(clippy::result_large_err, reason = "it is no error: the group begins another part")]
     pub(crate) fn push_group(&mut self, group: GroupSamples) -> Result<(), GroupSamples> {
         let end = self.groups.last().map_or(0, |last| last.channels()[1]);
-        if group.group.kind != self.kind() || u64::from(group.group.first_channel) < end {
+        let is_recorded = self.kind() == RECORDED;
+        if is_recorded
+            || group.group.kind != self.kind()
+            || u64::from(group.group.first_channel) < end
+        {
             return Err(group);
         }
         self.groups.push(group);
@@ -284,6 +381,13 @@ impl SampledPart {
         let belongs = group.push(chunk, chunk_bytes);
         self.n_chunks += usize::from(belongs);
         belongs
+    }
+
+    /// Adds times of samples if they are of one of the groups. Returns whether they are.
+    pub(crate) fn push_times(&mut self, times: &SampleTimes, offset: u64, bytes: u64) -> bool {
+        let mut groups = self.groups.iter_mut();
+        let found = groups.find(|found| found.group.number == times.group);
+        found.is_some_and(|group| group.push_times(times, offset, bytes))
     }
 
     /// Samples of each channel, lost ones included.
