@@ -1,6 +1,7 @@
 //! Simulated motion-capture devices that play recorded or generated motion to a real host.
 //!
-//! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate. [`device`] plays
+//! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate, and
+//! [`sampled`] makes the samples of force plates and electrodes. [`device`] plays
 //! it over the link protocol, [`ndi`] over NDI's. [`faults`] injects faults by a script, and [`log_device`] replays a raw
 //! log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
 //! controller. None of them starts a thread, and only a line reads a clock.
@@ -15,4 +16,5 @@ pub mod log_device;
 pub mod ndi;
 pub mod pty;
 pub mod replay;
+pub mod sampled;
 pub mod source;

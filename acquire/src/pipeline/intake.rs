@@ -7,9 +7,11 @@ mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
 
-use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
+use mocapd_drivers::device::{
+    Frame, LinkCounters, MarkerInfo, SampleBatch, SampledGroupInfo, Status,
+};
 use mocapd_take::{
-    record::{Event, TakeEnding},
+    record::{Event, EventKind, TakeEnding},
     timeline::{LossCauses, RowTime},
 };
 
@@ -25,6 +27,7 @@ use super::{
     plan::Plan,
     pool::Feed,
     ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
+    sampled::{BatchOutcome, SampledIntake},
     split::SplitSchedule,
 };
 use crate::{
@@ -94,7 +97,13 @@ pub struct Intake {
     finished: bool,
     commands: CommandReceiver,
     tap: PreviewSender,
+    samples: SampledIntake,
+    /// Announcements of sampled channels that were reported.
+    groups_reported: u32,
 }
+
+/// Announcements of other sampled channels that get an event: a device that repeats them must not fill the take.
+const GROUPS_REPORTED_MAX: u32 = 32;
 
 /// Maximum number of frames that a device can have produced beyond those seen: a day and more at 10 kHz. A larger
 /// number is a contradiction, not loss.
@@ -108,6 +117,7 @@ pub(super) struct ReaderEndpoints {
     pub(super) to_writer: ToWriter,
     pub(super) commands: CommandReceiver,
     pub(super) tap: PreviewSender,
+    pub(super) samples: SampledIntake,
     pub(super) progress: Arc<PipelineProgress>,
 }
 
@@ -117,7 +127,8 @@ impl Intake {
         plan: &Plan,
         ends: ReaderEndpoints,
     ) -> anyhow::Result<Self> {
-        let ReaderEndpoints { rings, timeline, feed, to_writer, commands, tap, progress } = ends;
+        let ReaderEndpoints { rings, timeline, feed, to_writer, commands, tap, samples, progress } =
+            ends;
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
             slot_of_id[usize::from(channel.marker_id)] = slot as u32;
@@ -167,6 +178,8 @@ impl Intake {
             finished: false,
             commands,
             tap,
+            samples,
+            groups_reported: 0,
         })
     }
 
@@ -221,6 +234,36 @@ impl Intake {
         if self.open_rows >= self.open_limit {
             self.close_stretch();
         }
+    }
+
+    /// Accepts a batch of samples: all of it goes into the ring of its group, or is counted as lost.
+    pub fn samples(&mut self, batch: &SampleBatch<'_>) {
+        let segment = self.clocks.status().segment;
+        if self.samples.batch(batch, self.feed.next_stretch(), segment) == BatchOutcome::Refused {
+            self.counts.batches_refused += 1;
+            if self.counts.batches_refused == 1 {
+                let text = format!(
+                    "samples of group {} were not announced before the start, or do not fit: they are not recorded",
+                    batch.group
+                );
+                self.event(Event::new(EventKind::Host, self.now_ns, text));
+            }
+        }
+    }
+
+    /// Reports a group of sampled channels that was not announced before the start, or was announced otherwise. Repeated
+    /// announcements of known groups are ignored.
+    pub fn announce_group(&mut self, group: &SampledGroupInfo) {
+        if self.samples.announce(group) || self.groups_reported >= GROUPS_REPORTED_MAX {
+            return;
+        }
+        self.groups_reported += 1;
+        let text = format!(
+            "the device announced {} sampled channels as group {} during the recording: start again to record them",
+            group.channels.len(),
+            group.id
+        );
+        self.event(Event::new(EventKind::Host, self.now_ns, text));
     }
 
     /// Advances the host's monotonic time, also when nothing arrives: a stretch that stays open because frames come

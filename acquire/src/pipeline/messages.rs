@@ -12,6 +12,7 @@ use super::{
     Counts,
     commands::{TAKE_COMMANDS_MAX, TakeCommand},
     plan::{CLOCK_ITEMS_MAX, CONTROL_MAX},
+    sampled::SamplePart,
 };
 use crate::clock::ClockItem;
 
@@ -57,6 +58,14 @@ pub(super) struct Part {
     pub(super) report: PartReport,
     /// Only from the timeline's group.
     pub(super) counts: Option<Counts>,
+}
+
+/// What the threads that encode send to the writer.
+#[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "a box would allocate")]
+pub(super) enum WriterInput {
+    Part(Part),
+    Samples(SamplePart),
 }
 
 /// The memory of a part.

@@ -3,6 +3,7 @@
 mod clocks;
 mod live;
 mod pre_roll;
+mod samples;
 mod splitting;
 
 use std::{
@@ -18,13 +19,18 @@ use mocapd_take::{
     statistics::{BlockTally, StretchTally},
 };
 
-pub(super) use self::live::LiveTake;
+pub(super) use self::{
+    live::{LiveTake, TakePlace},
+    samples::SampleQueue,
+};
 use self::{clocks::ClockWriter, pre_roll::PreRollBuffer, splitting::SplitState};
 use super::{
     Counts, NewTake, PipelineProgress, Split, TakeFailed,
     commands::{Reply, TakeCommand},
     lock,
-    messages::{Control, FromReader, Part, PartBuffer, PartReport, StretchEnd, StretchReport},
+    messages::{
+        Control, FromReader, Part, PartBuffer, PartReport, StretchEnd, StretchReport, WriterInput,
+    },
     plan::Plan,
     pool::WakeQueue,
 };
@@ -43,7 +49,7 @@ const PARTS_TIMEOUT: Duration = Duration::from_secs(2);
 /// The writer, which owns the take file.
 #[derive(Debug)]
 pub(super) struct Writer {
-    parts: Receiver<Part>,
+    parts: Receiver<WriterInput>,
     control: Receiver<(u64, Control)>,
     commands: Receiver<(u64, TakeCommand)>,
     /// Received from `commands`; its boundary has not come yet.
@@ -53,6 +59,7 @@ pub(super) struct Writer {
     next_control: Option<(u64, Control)>,
     buffers_back: Vec<Sender<PartBuffer>>,
     wakes: WakeQueue,
+    samples: SampleQueue,
     progress: Arc<PipelineProgress>,
     assembler: StretchAssembler,
     payload: Vec<u8>,
@@ -75,8 +82,8 @@ pub(super) struct Writer {
 impl Writer {
     pub(super) fn new(
         plan: &Plan,
-        parts: Receiver<Part>,
-        from_reader: FromReader,
+        (parts, from_reader): (Receiver<WriterInput>, FromReader),
+        samples: SampleQueue,
         buffers_back: Vec<Sender<PartBuffer>>,
         wakes: WakeQueue,
         progress: &Arc<PipelineProgress>,
@@ -92,6 +99,7 @@ impl Writer {
             next_control: None,
             buffers_back,
             wakes,
+            samples,
             progress: Arc::clone(progress),
             assembler: StretchAssembler::new(plan),
             payload: Vec::with_capacity(plan.stretch_bytes_max()),
@@ -132,9 +140,15 @@ impl Writer {
             heartbeat.beat();
             let sync_after = self.sync_every.clamp(POLL_INTERVAL_MIN, PARTS_TIMEOUT);
             match self.parts.recv_timeout(sync_after.min(FILE_CHECK_INTERVAL)) {
-                Ok(part) => {
+                Ok(WriterInput::Part(part)) => {
                     idle_since = Instant::now();
                     self.assembler.add(part);
+                }
+                Ok(WriterInput::Samples(part)) => {
+                    idle_since = Instant::now();
+                    self.samples.add(part);
+                    heartbeat.at_disk();
+                    self.write_samples(self.assembler.next_stretch);
                 }
                 Err(RecvTimeoutError::Timeout) => {
                     heartbeat.at_disk();
@@ -157,6 +171,9 @@ impl Writer {
             }
             while let Some(last) = self.assembler.front_is_last() {
                 heartbeat.at_disk();
+                if !self.write_samples_before_front() {
+                    break;
+                }
                 self.process_front();
                 self.return_buffers();
                 if last {
@@ -216,6 +233,35 @@ impl Writer {
             }
         }
         self.publish_clock();
+    }
+
+    /// Writes the samples that belong before the oldest stretch, as far as they are encoded. Returns `false` if that
+    /// stretch is a boundary, and others are to be waited for.
+    fn write_samples_before_front(&mut self) -> bool {
+        let Some(front) = self.assembler.front() else { return true };
+        let (stretch, is_boundary) = (front.stretch, front.end.span.n_rows == 0);
+        if is_boundary && !self.samples.is_complete(stretch) {
+            return false;
+        }
+        self.write_samples(stretch);
+        if is_boundary && self.samples.end_wait(stretch) {
+            self.with_take(|take, _| {
+                take.miss_samples();
+                Ok(())
+            });
+        }
+        true
+    }
+
+    /// Writes the samples of stretches up to `stretch` to the open take, and keeps them for a pre-roll.
+    fn write_samples(&mut self, stretch: u64) {
+        while let Some(part) = self.samples.next_up_to(stretch) {
+            self.with_take(|take, _| take.samples(&part));
+            if let Some(buffer) = &mut self.pre_roll {
+                buffer.samples(part.copy());
+            }
+            self.samples.give_back(part);
+        }
     }
 
     fn put_stretch(&mut self, stretch: u64, end: &StretchEnd, before: Counts) {
@@ -392,7 +438,8 @@ impl Writer {
         new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
         progress.set_file_state(FileState::InPlace, None);
-        let mut take = match LiveTake::begin(new, reply, base, rows_before, self.sync_every) {
+        let (place, groups) = (TakePlace { base, rows_before }, &self.samples.groups);
+        let mut take = match LiveTake::begin(new, reply, place, groups, self.sync_every) {
             Ok(take) => take,
             Err(error) => {
                 reply.ended.try_send(Err(TakeFailed::without_output(error))).ok();
@@ -424,6 +471,7 @@ impl Writer {
         }
         let mut channels = self.table.iter().filter(|(since, _)| *since > first).peekable();
         let mut events = buffer.events().filter(|(stretch, _)| *stretch >= first).peekable();
+        let mut samples = buffer.samples_from(first).peekable();
         for stretch in buffer.from(from) {
             let is_full = progress.disk_full.load(Ordering::Relaxed);
             ensure!(!is_full, "the disk is full: free some space");
@@ -434,8 +482,12 @@ impl Writer {
                 take.event(event)?;
             }
             let (payload, report) = (&stretch.payload, &stretch.report);
+            while let Some(part) = samples.next_if(|part| part.stretch <= stretch.stretch) {
+                take.samples(part)?;
+            }
             take.stretch(stretch.span, stretch.first, payload, report, &stretch.after)?;
         }
+        samples.try_for_each(|part| take.samples(part))?;
         channels.try_for_each(|(_, channel)| take.channel(channel))?;
         events.try_for_each(|(_, event)| take.event(event))?;
         take.ledger_and_sync(clocks, progress)?;

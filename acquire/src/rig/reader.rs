@@ -9,7 +9,8 @@ use std::{
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
     device::{
-        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, Status, Trigger,
+        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, SampledGroupInfo,
+        Status, Trigger,
     },
     transport::TransportError,
 };
@@ -403,12 +404,13 @@ pub(super) struct Reader<'a> {
 
 impl Reader<'_> {
     /// The device is back and will be started again.
-    pub(super) fn restart(&mut self, markers: &[MarkerInfo]) {
+    pub(super) fn restart(&mut self, markers: &[MarkerInfo], sampled: &[SampledGroupInfo]) {
         self.started = None;
         self.end = None;
         self.new_hello = None;
         self.reset_counters();
         self.intake.announce(markers);
+        sampled.iter().for_each(|group| self.intake.announce_group(group));
     }
 
     /// The device's counter, clock and status reports may start again from zero.
@@ -429,7 +431,9 @@ impl Reader<'_> {
                     self.intake.publish_latency(&self.latency);
                 }
             }
+            DeviceEvent::Samples(batch) => self.intake.samples(&batch),
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
+            DeviceEvent::SampledGroup(group) => self.intake.announce_group(group),
             DeviceEvent::Status(status) => {
                 self.last_status = Some(status);
                 self.intake.status(status, false);

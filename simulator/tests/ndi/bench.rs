@@ -149,6 +149,9 @@ impl Bench {
             DeviceEvent::Pong(pong) => pongs.push(pong.host_ns),
             DeviceEvent::Note(message) => notes.push(message.to_owned()),
             DeviceEvent::Status(now) => *status = Some(now),
+            DeviceEvent::SampledGroup(_) | DeviceEvent::Samples(_) => {
+                panic!("an NDI system has no sampled channels")
+            }
             DeviceEvent::Trigger(_) | DeviceEvent::RateSet(_) => {}
         });
     }

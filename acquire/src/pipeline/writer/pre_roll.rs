@@ -7,6 +7,7 @@ use mocapd_take::{record::Event, stretch::Span};
 use crate::pipeline::{
     Counts, PreRollConfig,
     messages::{FrameTimes, StretchEnd, StretchReport},
+    sampled::SamplePart,
 };
 
 /// Events kept with the stretches: as many as may wait for the writer. Beyond this, the oldest are dropped.
@@ -40,6 +41,9 @@ pub(super) struct PreRollBuffer {
     bytes_max: usize,
     stretches: VecDeque<PreRollStretch>,
     events: VecDeque<(u64, Event)>,
+    /// Samples of sampled channels, by group in order of their stretches.
+    samples: VecDeque<SamplePart>,
+    sample_bytes: usize,
     bytes: usize,
     /// Whether stretches were dropped early because of the memory limit.
     cut: bool,
@@ -54,6 +58,8 @@ impl PreRollBuffer {
             bytes_max: config.bytes_max,
             stretches: VecDeque::with_capacity(usual),
             events: VecDeque::with_capacity(EVENTS_MAX),
+            samples: VecDeque::new(),
+            sample_bytes: 0,
             bytes: 0,
             cut: false,
         }
@@ -69,6 +75,7 @@ impl PreRollBuffer {
     ) {
         // A decoder can start only at a key.
         if self.stretches.is_empty() && !end.span.key {
+            self.drop_samples(stretch + 1);
             return;
         }
         let kept = PreRollStretch {
@@ -83,7 +90,35 @@ impl PreRollBuffer {
         };
         self.bytes += kept.bytes();
         self.stretches.push_back(kept);
-        self.trim(end.last_arrival_ns);
+        self.trim(end.last_arrival_ns, stretch);
+    }
+
+    /// Keeps samples of sampled channels.
+    pub(super) fn samples(&mut self, part: SamplePart) {
+        self.bytes += part.bytes();
+        self.sample_bytes += part.bytes();
+        self.samples.push_back(part);
+        // While no frame comes, no stretch does either, and nothing else drops them.
+        while self.sample_bytes > self.bytes_max
+            && let Some(oldest) = self.samples.pop_front()
+        {
+            self.bytes -= oldest.bytes();
+            self.sample_bytes -= oldest.bytes();
+            self.cut = true;
+        }
+    }
+
+    /// The samples of stretches from `stretch` on.
+    pub(super) fn samples_from(&self, stretch: u64) -> impl Iterator<Item = &SamplePart> {
+        self.samples.iter().filter(move |part| part.stretch >= stretch)
+    }
+
+    /// Drops the samples of stretches before `stretch`.
+    fn drop_samples(&mut self, stretch: u64) {
+        while let Some(part) = self.samples.pop_front_if(|part| part.stretch < stretch) {
+            self.bytes -= part.bytes();
+            self.sample_bytes -= part.bytes();
+        }
     }
 
     pub(super) fn event(&mut self, stretch: u64, event: Event) {
@@ -140,7 +175,7 @@ impl PreRollBuffer {
     }
 
     /// Drops stretches that are older than configured, up to a key at a time.
-    fn trim(&mut self, newest_ns: u64) {
+    fn trim(&mut self, newest_ns: u64, newest: u64) {
         let from_ns = newest_ns.saturating_sub(self.time_ns);
         let mut over = self.bytes > self.bytes_max;
         while let Some(next_key) = self.next_key() {
@@ -150,6 +185,8 @@ impl PreRollBuffer {
             }
             self.cut |= !is_old;
             self.drop_first(next_key);
+            let first = self.stretches.front().map_or(newest + 1, |kept| kept.stretch);
+            self.drop_samples(first);
             over = self.bytes > self.bytes_max;
         }
         if over {
@@ -157,6 +194,8 @@ impl PreRollBuffer {
             self.cut = true;
             self.drop_first(self.stretches.len());
         }
+        let first = self.stretches.front().map_or(newest + 1, |kept| kept.stretch);
+        self.drop_samples(first);
         let first = self.stretches.front().map_or(u64::MAX, |kept| kept.stretch);
         while self.events.front().is_some_and(|(stretch, _)| *stretch < first) {
             self.events.pop_front();

@@ -102,6 +102,16 @@ pub(super) struct ServeArgs {
     /// With --generate: fraction of samples that are occluded, 0 to 0.9 [default: 0]
     #[arg(long, value_name = "FRACTION", value_parser = number, allow_hyphen_values = true)]
     occlusion: Option<f64>,
+    /// With --generate: send the samples of two force plates under the jumps, 6 channels each, at this rate [default:
+    /// 1kHz]
+    #[arg(long, value_name = "HZ", num_args = 0..=1, default_missing_value = "1kHz", value_parser = rate_hz)]
+    plates: Option<f64>,
+    /// Send a stream like that of electrodes, such as 16@2kHz: the number of channels and their rate (repeatable)
+    #[arg(long, value_name = "N@HZ", value_parser = electrodes)]
+    emg: Vec<Electrodes>,
+    /// Log what became of every batch of samples to this CSV file; it must not exist (docs/faults.md)
+    #[arg(long, value_name = "FILE")]
+    batch_log: Option<PathBuf>,
     /// Exit once the motion has ended or the host has stopped it, and the host has read everything
     #[arg(long, conflicts_with = "looping")]
     once: bool,
@@ -138,6 +148,7 @@ impl ServeArgs {
             ("--markers", self.markers.is_some()),
             ("--noise", self.noise.is_some()),
             ("--occlusion", self.occlusion.is_some()),
+            ("--plates", self.plates.is_some()),
         ];
         match options.iter().find(|(_, is_set)| *is_set && self.generate.is_none()) {
             Some((option, _)) => Err(Failure::usage_message(format!(
@@ -152,6 +163,22 @@ impl ServeArgs {
         let batch = self.batch_ms.map_or(self.batch, Duration::from_millis);
         Some(batch).filter(|batch| !batch.is_zero())
     }
+}
+
+/// A stream like that of electrodes.
+#[derive(Debug, Clone, Copy)]
+struct Electrodes {
+    n_channels: usize,
+    rate_hz: f64,
+}
+
+/// Parses the number and the rate of electrodes; the device checks their ranges.
+fn electrodes(text: &str) -> Result<Electrodes, String> {
+    let parts = text.split_once('@');
+    let parsed = parts.and_then(|(n, rate)| Some((n.parse().ok()?, rate_hz(rate).ok()?)));
+    parsed
+        .map(|(n_channels, rate_hz)| Electrodes { n_channels, rate_hz })
+        .ok_or_else(|| format!("'{text}' is not a number of channels and a rate: give one such as 16@2kHz"))
 }
 
 /// Parses a number without a unit; the device checks its range.
@@ -208,14 +235,23 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
         // Recordings are checked against a log: never overwrite one.
         frames = Some(Box::new(BufWriter::new(files::create(path)?)));
     }
+    let mut batches: Option<Box<dyn Write + Send>> = None;
+    if let Some(path) = &args.batch_log {
+        batches = Some(Box::new(BufWriter::new(files::create(path)?)));
+    }
     notify(&description);
     if args.json {
         print_json_line(&LineReport { path: &name })?;
     } else {
         print(&format!("{name}\n"))?;
     }
-    let options =
-        ServeOptions { baud: args.baud, batch: args.batch(), once: args.once, log: frames };
+    let options = ServeOptions {
+        baud: args.baud,
+        batch: args.batch(),
+        once: args.once,
+        log: frames,
+        batch_log: batches,
+    };
     let sent = serve(&mut *line, device.as_mut(), options, &stop)?;
     if device.is_gone() {
         notify(
@@ -246,11 +282,15 @@ fn device(
         DeviceProtocol::Ndi if args.wire.is_some() => {
             return usage("--wire applies to the link protocol only: an NDI system sends f32");
         }
+        DeviceProtocol::Ndi if args.plates.is_some() || !args.emg.is_empty() => {
+            return usage("--plates and --emg apply to the link protocol only: remove --protocol ndi");
+        }
         DeviceProtocol::Ndi if script.is_some() => {
             return usage("--faults applies to the link protocol only: remove --protocol ndi");
         }
         DeviceProtocol::Dvmc => {
-            let settings = DeviceSettings { faults: script.clone(), ..settings(args) };
+            let sampled = input::sampled(args)?;
+            let settings = DeviceSettings { faults: script.clone(), sampled, ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));
             let rate_millihertz = device.hello().rate_millihertz;
