@@ -44,7 +44,9 @@ impl PartialEq for SampledSource {
 
 /// Why a group cannot be made.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{n_channels} sampled channels at {rate_hz} Hz: expected 1 to 64 channels at 1 to 100000 Hz, and at most 4000000 samples a second")]
+#[error(
+    "{n_channels} sampled channels at {rate_hz} Hz: expected 1 to 64 channels at 1 to 100000 Hz, and at most 4000000 samples a second"
+)]
 pub struct SampledError {
     n_channels: usize,
     rate_hz: String,

@@ -1,8 +1,12 @@
 //! The problems of a damaged take, and its lost rows.
 
 use crate::{
-    index::IndexEntry, interchange::c3d::columns::RESIDUALS, record::Ledger, sampled::{LostSamples, RECORDED, part_name},
-    stretch::Stretch, timeline::LossCauses,
+    index::IndexEntry,
+    interchange::c3d::columns::RESIDUALS,
+    record::Ledger,
+    sampled::{LostSamples, RECORDED, part_name},
+    stretch::Stretch,
+    timeline::LossCauses,
 };
 
 /// Maximum number of problems that a list keeps. A take on a failing disk has one problem per stretch; a crafted file

@@ -4,9 +4,9 @@
 
 mod encoder;
 mod part;
-mod times;
 #[cfg(test)]
 mod tests;
+mod times;
 
 pub(crate) use self::encoder::PartContext;
 pub(crate) use self::part::RecoveredSamples;

@@ -177,8 +177,14 @@ impl Pipeline {
         };
         let intake = Intake::new(config, &plan, ends)?;
         let samples = SampleQueue::new(sampled::records(&config.sampled), sample_returns);
-        let mut writer =
-            Writer::new(&plan, (parts, from_reader), samples, buffers_back, pool.wakes(), &progress);
+        let mut writer = Writer::new(
+            &plan,
+            (parts, from_reader),
+            samples,
+            buffers_back,
+            pool.wakes(),
+            &progress,
+        );
         if let Some((take, split)) = take {
             writer.set_single_take(take, split);
         }

@@ -19,11 +19,11 @@ use mocapd_take::{
     statistics::{BlockTally, StretchTally},
 };
 
+use self::{clocks::ClockWriter, pre_roll::PreRollBuffer, splitting::SplitState};
 pub(super) use self::{
     live::{LiveTake, TakePlace},
     samples::SampleQueue,
 };
-use self::{clocks::ClockWriter, pre_roll::PreRollBuffer, splitting::SplitState};
 use super::{
     Counts, NewTake, PipelineProgress, Split, TakeFailed,
     commands::{Reply, TakeCommand},
@@ -240,7 +240,7 @@ impl Writer {
     fn write_samples_before_front(&mut self) -> bool {
         let Some(front) = self.assembler.front() else { return true };
         let (stretch, is_boundary) = (front.stretch, front.end.span.n_rows == 0);
-        if is_boundary && !self.samples.is_complete(stretch) {
+        if is_boundary && !self.samples.is_complete(stretch, || self.parts.is_empty()) {
             return false;
         }
         self.write_samples(stretch);

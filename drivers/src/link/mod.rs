@@ -194,7 +194,8 @@ mod tests {
     fn the_highest_fitting_rate_fits_and_the_next_does_not() {
         for line in [11_520u64, 92_160, 300_000, 1_200_000] {
             for (frame_bytes, samples) in [(64, 0), (559, 7_000), (2104, 9_000)] {
-                let fits = link_budget(frame_bytes, 1, u32::MAX, samples, line).rate_fits_millihertz;
+                let fits =
+                    link_budget(frame_bytes, 1, u32::MAX, samples, line).rate_fits_millihertz;
                 assert!(link_budget(frame_bytes, fits, u32::MAX, samples, line).fits());
                 assert!(!link_budget(frame_bytes, fits + 1, u32::MAX, samples, line).fits());
             }

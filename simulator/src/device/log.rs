@@ -247,8 +247,7 @@ impl FrameFate {
 
 impl BatchFate {
     /// The header of a log file of batches.
-    pub const CSV_HEADER: &'static str =
-        "run,group,number,first,first_in_run,n,device_ticks,dropped,host_ns,fate,again,faults,batches";
+    pub const CSV_HEADER: &'static str = "run,group,number,first,first_in_run,n,device_ticks,dropped,host_ns,fate,again,faults,batches";
 
     /// One row of a log file, without a line end.
     #[must_use]

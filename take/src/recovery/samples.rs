@@ -11,9 +11,7 @@ use crate::{
     damage::{Problem, push_problem},
     foreign::ForeignPart,
     record::{Event, EventKind, GroupLedger, SampleLedger, SampledGroup},
-    sampled::{
-        GroupSamples, RECORDED, RecoveredSamples, SampleContent, SampleSpan, part_name,
-    },
+    sampled::{GroupSamples, RECORDED, RecoveredSamples, SampleContent, SampleSpan, part_name},
     timeline::LossCauses,
 };
 
@@ -83,12 +81,7 @@ impl KeptSamples {
         }
     }
 
-    fn add_group(
-        &mut self,
-        take: &TakeMap,
-        group: &GroupSamples,
-        samples: Vec<RecoveredSamples>,
-    ) {
+    fn add_group(&mut self, take: &TakeMap, group: &GroupSamples, samples: Vec<RecoveredSamples>) {
         let of_group = std::iter::once(group.offset).chain(group.times_offsets());
         self.chunks.extend(of_group.map(|offset| (offset, Vec::new())));
         let mut lost = Vec::new();

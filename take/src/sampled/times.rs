@@ -41,9 +41,13 @@ impl SampleTimes {
     pub(crate) fn put(group: u32, anchor: &SampleAnchor, out: &mut Vec<u8>) {
         out.extend_from_slice(&VERSION.to_le_bytes());
         let after_start = anchor.number.saturating_sub(anchor.run_start);
-        for number in
-            [group.into(), anchor.segment.into(), anchor.run_start, after_start, anchor.device_ticks]
-        {
+        for number in [
+            group.into(),
+            anchor.segment.into(),
+            anchor.run_start,
+            after_start,
+            anchor.device_ticks,
+        ] {
             varint::put(out, number);
         }
     }
@@ -76,7 +80,8 @@ impl SampleTimes {
             let ticks = cursor.varint().ok_or(INCOMPLETE)?;
             let is_first = times.anchors.is_empty();
             number = number.saturating_add(step);
-            device_ticks = if is_first { ticks } else { device_ticks.wrapping_add(unzigzag(ticks)) };
+            device_ticks =
+                if is_first { ticks } else { device_ticks.wrapping_add(unzigzag(ticks)) };
             if (step == 0 && !is_first) || number > SAMPLES_MAX {
                 return Err("its samples are not in order, or their numbers too large");
             }

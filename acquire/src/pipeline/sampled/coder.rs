@@ -5,9 +5,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_codec::{GROUP_CHANNELS, sampled::SampledEncoder};
 
-use super::{
-    FreeBuffers, GroupPlan, ItemContent, PartContent, RingEnds, SampleItem, SamplePart,
-};
+use super::{FreeBuffers, GroupPlan, ItemContent, PartContent, RingEnds, SampleItem, SamplePart};
 use crate::pipeline::messages::WriterInput;
 
 /// How often a thread looks for work without being woken: only if a wake-up came between its last look and its sleep.
@@ -64,10 +62,11 @@ impl GroupCoder {
                 }
             };
             let SampleItem { stretch, first, duplicates, jumps, .. } = item;
-            let part =
-                SamplePart { group: self.index, stretch, first, duplicates, jumps, content };
+            let part = SamplePart { group: self.index, stretch, first, duplicates, jumps, content };
             // There is a place for every buffer. Without one for a boundary, the writer waits in vain for a time.
-            if parts.try_send(WriterInput::Samples(part)).is_err_and(|error| error.is_disconnected())
+            if parts
+                .try_send(WriterInput::Samples(part))
+                .is_err_and(|error| error.is_disconnected())
             {
                 return false;
             }
@@ -114,11 +113,7 @@ impl GroupCoder {
 }
 
 /// Runs until the intake is gone and everything is encoded.
-pub(super) fn run(
-    mut groups: Vec<GroupCoder>,
-    woken: &Receiver<()>,
-    parts: &Sender<WriterInput>,
-) {
+pub(super) fn run(mut groups: Vec<GroupCoder>, woken: &Receiver<()>, parts: &Sender<WriterInput>) {
     loop {
         groups.retain_mut(|group| group.run(parts));
         if groups.is_empty() {

@@ -167,8 +167,16 @@ impl SampleWakes {
 pub(super) struct SampleReturns {
     pub(super) buffers: Vec<Sender<Vec<u8>>>,
     pub(super) wakes: SampleWakes,
-    /// Whether a thread has ended: nothing more comes from it.
-    pub(super) are_gone: Arc<AtomicBool>,
+    /// By thread, whether it has ended: nothing more comes from it than what is in the queue.
+    are_gone: Arc<[AtomicBool]>,
+}
+
+impl SampleReturns {
+    /// Whether the thread of a group has ended.
+    pub(super) fn is_gone(&self, group: usize) -> bool {
+        let n_threads = self.are_gone.len().max(1);
+        self.are_gone.get(group % n_threads).is_none_or(|gone| gone.load(Ordering::Acquire))
+    }
 }
 
 /// The sampling threads.
@@ -201,17 +209,22 @@ pub(super) fn start(
         for _ in 0..n_buffers {
             back.try_send(Vec::with_capacity(plan.block_bytes_max())).ok();
         }
-        coders[index % n_threads].push(GroupCoder::new(index, *plan, (samples_out, items_out), free));
+        coders[index % n_threads].push(GroupCoder::new(
+            index,
+            *plan,
+            (samples_out, items_out),
+            free,
+        ));
         rings.push((samples, items));
         buffers.push(back);
     }
-    let are_gone = Arc::new(AtomicBool::new(false));
+    let are_gone: Arc<[AtomicBool]> = (0..n_threads).map(|_| AtomicBool::new(false)).collect();
     let (mut wakes, mut handles) = (Vec::new(), Vec::new());
     for (index, coders) in coders.into_iter().enumerate() {
         // One wake-up is enough: the thread looks at all its groups.
         let (wake, woken) = bounded(1);
         wakes.push(wake);
-        let (parts, gone) = (to_writer.clone(), GoneOnDrop(Arc::clone(&are_gone)));
+        let (parts, gone) = (to_writer.clone(), GoneOnDrop(Arc::clone(&are_gone), index));
         handles.push(threads::spawn(&format!("mocapd-smpl-{index}"), move || {
             coder::run(coders, &woken, &parts);
             drop(gone);
@@ -223,11 +236,13 @@ pub(super) fn start(
 }
 
 /// Tells the writer that a thread has ended, also if it panicked: takes then are not closed later than needed.
-struct GoneOnDrop(Arc<AtomicBool>);
+struct GoneOnDrop(Arc<[AtomicBool]>, usize);
 
 impl Drop for GoneOnDrop {
     fn drop(&mut self) {
-        self.0.store(true, Ordering::Release);
+        if let Some(is_gone) = self.0.get(self.1) {
+            is_gone.store(true, Ordering::Release);
+        }
     }
 }
 

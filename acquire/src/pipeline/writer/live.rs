@@ -85,7 +85,8 @@ impl LiveTake {
             Ok((take, samples))
         });
         let TakePlace { base, rows_before } = place;
-        let (take, samples) = started.context("cannot write the take's header").context(NothingRecorded)?;
+        let (take, samples) =
+            started.context("cannot write the take's header").context(NothingRecorded)?;
         let mut take = Self {
             take,
             reply: reply.clone(),

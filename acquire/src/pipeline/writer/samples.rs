@@ -1,12 +1,7 @@
 //! Sampled channels in the writer: they go to the open take behind the stretch that was open when they ended, and into
 //! the pre-roll.
 
-use std::{
-    collections::VecDeque,
-    io::Write,
-    sync::atomic::Ordering,
-    time::Instant,
-};
+use std::{collections::VecDeque, io::Write, time::Instant};
 
 use mocapd_take::{
     TakeError, TakeWriter,
@@ -36,14 +31,7 @@ impl SampleQueue {
     pub(in crate::pipeline) fn new(groups: Vec<SampledGroup>, returns: SampleReturns) -> Self {
         let through = vec![0; groups.len()];
         let held = groups.iter().map(|_| VecDeque::new()).collect();
-        Self {
-            groups,
-            returns,
-            held,
-            through,
-            executed: None,
-            waiting_since: None,
-        }
+        Self { groups, returns, held, through, executed: None, waiting_since: None }
     }
 
     pub(super) fn add(&mut self, part: SamplePart) {
@@ -54,10 +42,14 @@ impl SampleQueue {
         }
     }
 
-    /// Whether all samples up to a boundary are here, or have been waited for long enough.
-    pub(super) fn is_complete(&mut self, boundary: u64) -> bool {
-        let is_here = self.through.iter().all(|&through| through > boundary);
-        if is_here || self.returns.are_gone.load(Ordering::Acquire) {
+    /// Whether all samples up to a boundary are here, or have been waited for long enough. `is_empty` says whether the
+    /// queue to the writer is empty.
+    pub(super) fn is_complete(&mut self, boundary: u64, is_empty: impl Fn() -> bool) -> bool {
+        let is_here = |(group, &through): (usize, &u64)| {
+            // What a thread sent before it ended is in the queue.
+            through > boundary || self.returns.is_gone(group) && is_empty()
+        };
+        if self.through.iter().enumerate().all(is_here) {
             self.waiting_since = None;
             return true;
         }
@@ -108,7 +100,8 @@ impl SamplePart {
 
     /// Memory used by a copy.
     pub(super) fn bytes(&self) -> usize {
-        let block = if let PartContent::Block { block, .. } = &self.content { block.len() } else { 0 };
+        let block =
+            if let PartContent::Block { block, .. } = &self.content { block.len() } else { 0 };
         block + size_of::<Self>()
     }
 

@@ -33,8 +33,7 @@ fn generated(args: &ServeArgs) -> Option<JumpSpec> {
     let mut spec = JumpSpec { seconds, ..JumpSpec::new(seed, rate_hz) };
     spec.n_markers = args.markers.unwrap_or(spec.n_markers);
     spec.noise_mm = args.noise.unwrap_or(spec.noise_mm);
-    spec.occlusion =
-        args.occlusion.map(|fraction| Occlusion { fraction, mean_gap_s: MEAN_GAP_S });
+    spec.occlusion = args.occlusion.map(|fraction| Occlusion { fraction, mean_gap_s: MEAN_GAP_S });
     Some(spec)
 }
 

@@ -176,9 +176,9 @@ struct Electrodes {
 fn electrodes(text: &str) -> Result<Electrodes, String> {
     let parts = text.split_once('@');
     let parsed = parts.and_then(|(n, rate)| Some((n.parse().ok()?, rate_hz(rate).ok()?)));
-    parsed
-        .map(|(n_channels, rate_hz)| Electrodes { n_channels, rate_hz })
-        .ok_or_else(|| format!("'{text}' is not a number of channels and a rate: give one such as 16@2kHz"))
+    parsed.map(|(n_channels, rate_hz)| Electrodes { n_channels, rate_hz }).ok_or_else(|| {
+        format!("'{text}' is not a number of channels and a rate: give one such as 16@2kHz")
+    })
 }
 
 /// Parses a number without a unit; the device checks its range.
@@ -283,7 +283,9 @@ fn device(
             return usage("--wire applies to the link protocol only: an NDI system sends f32");
         }
         DeviceProtocol::Ndi if args.plates.is_some() || !args.emg.is_empty() => {
-            return usage("--plates and --emg apply to the link protocol only: remove --protocol ndi");
+            return usage(
+                "--plates and --emg apply to the link protocol only: remove --protocol ndi",
+            );
         }
         DeviceProtocol::Ndi if script.is_some() => {
             return usage("--faults applies to the link protocol only: remove --protocol ndi");
