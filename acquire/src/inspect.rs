@@ -6,7 +6,7 @@ use mocapd_take::{
     TakeError, TakeEvent, TakeMap, TakeTraversal, chunk,
     index::{Footer, IndexEntry},
     reader::{TakeBytes, TakeInput},
-    record::{Channel, EndingKind, GroupLedger, Header, Ledger, SummaryRecord},
+    record::{Channel, EndingKind, GroupLedger, Header, Ledger, SampleLedger, SummaryRecord},
     statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
     stretch::{ROWS_MAX, Stretch},
     timeline::{LossCauses, Timeline},
@@ -205,7 +205,13 @@ impl Summary {
             TakeHealth::Damaged
         } else {
             let (ledger, ending) = (self.take.ledger.as_ref(), self.take.ending.as_ref());
-            ledger.map_or(TakeHealth::Damaged, |ledger| TakeHealth::of_closed(ledger, ending))
+            let samples = self.take.sample_ledger.as_ref();
+            match ledger.map_or(TakeHealth::Damaged, |l| TakeHealth::of_closed(l, ending)) {
+                TakeHealth::Complete if samples.is_some_and(SampleLedger::lost_anything) => {
+                    TakeHealth::Lossy
+                }
+                health => health,
+            }
         }
     }
 

@@ -396,11 +396,13 @@ impl Intake {
         self.counts.seen()
     }
 
-    /// Whether the next frame might find a ring full, however many are lost before it. For sources that can wait.
+    /// Whether the next frame might find a ring full, however many are lost before it, or the next batch of samples. For
+    /// sources that can wait.
     #[must_use]
     pub fn is_full(&mut self) -> bool {
         // Lost rows beyond the end of the open stretch do not go into the rings.
-        !self.has_room_for(1 + self.open_limit.saturating_sub(self.open_rows) as usize)
+        let rows = 1 + self.open_limit.saturating_sub(self.open_rows) as usize;
+        !self.has_room_for(rows) || self.samples.is_full()
     }
 
     /// The row of the next frame.

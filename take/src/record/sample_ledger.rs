@@ -57,7 +57,7 @@ impl GroupLedger {
     }
 
     /// Adds the counts of the same group in a take that follows.
-    pub(crate) fn add(&mut self, other: &Self) {
+    fn add(&mut self, other: &Self) {
         for (sum, n) in [
             (&mut self.taken, other.taken),
             (&mut self.stored, other.stored),
@@ -83,6 +83,26 @@ pub struct SampleLedger {
     pub groups: Vec<GroupLedger>,
     /// Batches of groups that were not announced when the recording began, or that did not fit their announcement.
     pub batches_refused: u64,
+}
+
+impl SampleLedger {
+    /// Adds the counts of a take that follows, group by group.
+    pub fn add_counters(&mut self, other: &Self) {
+        self.batches_refused = self.batches_refused.saturating_add(other.batches_refused);
+        for group in &other.groups {
+            match self.groups.iter_mut().find(|known| known.group == group.group) {
+                Some(known) => known.add(group),
+                None => self.groups.push(*group),
+            }
+        }
+    }
+
+    /// Whether the take lacks samples that the device took, as far as is known.
+    #[must_use]
+    pub fn lost_anything(&self) -> bool {
+        self.batches_refused > 0
+            || self.groups.iter().any(|group| group.lost() > 0 || group.jumps > 0)
+    }
 }
 
 impl Record for SampleLedger {

@@ -1,6 +1,9 @@
 //! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
 
-use mocapd_drivers::device::{SampleBatch, SampledGroupInfo};
+use mocapd_drivers::{
+    device::{SampleBatch, SampledGroupInfo},
+    link::SAMPLE_VALUES_MAX,
+};
 use mocapd_take::timeline::LossCauses;
 
 use super::{
@@ -113,6 +116,14 @@ impl SampledIntake {
     fn group_mut(&mut self, id: u8) -> Option<&mut GroupIntake> {
         let index = self.by_id.get(usize::from(id)).copied().flatten()?;
         self.groups.get_mut(usize::from(index))
+    }
+
+    /// Whether the next batch of a group might find its ring full. For sources that can wait.
+    pub(in crate::pipeline) fn is_full(&self) -> bool {
+        self.groups.iter().any(|group| {
+            group.samples.vacant() < SAMPLE_VALUES_MAX
+                || group.items.vacant() <= ITEMS_RESERVED + CAUSES.len()
+        })
     }
 
     /// Whether an announcement is that of a known group. Samples of a group that is announced otherwise are refused until
