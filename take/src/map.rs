@@ -135,7 +135,11 @@ impl TakeMap {
             TakeEvent::Subject(subject) => self.subject = Some(*subject),
             TakeEvent::Event(event) => self.events.push(event),
             TakeEvent::Ledger(ledger) => self.ledger = Some(*ledger),
-            TakeEvent::SampleLedger(ledger) => self.sample_ledger = Some(*ledger),
+            TakeEvent::SampleLedger(ledger) => {
+                let parts = self.foreign.iter_mut().filter_map(ForeignPart::sampled_mut);
+                parts.for_each(|part| part.state(&ledger));
+                self.sample_ledger = Some(*ledger);
+            }
             TakeEvent::Clock(clock) => {
                 if let Some(line) = clock.line {
                     self.clock_lines.pop_if(|last| last.0 == clock.segment);

@@ -2,6 +2,7 @@
 
 mod expected;
 pub(super) mod played;
+mod sampled;
 
 use std::fs;
 
@@ -81,6 +82,7 @@ fn agrees(name: &str) {
     }
     texts_agree(&played.report["ledger"], &played.info, &expect);
     take_holds_what_was_sent(&folder, &script, &played);
+    sampled::take_holds_what_was_sent(&folder, &played);
     contradictions_are_reported(&folder, &played, &expect);
 }
 

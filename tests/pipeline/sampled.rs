@@ -440,3 +440,79 @@ fn a_damaged_take_has_no_wrong_samples() {
         assert_eq!(assert_clean(&recovered)[0].stored, n as u64, "byte {at}");
     }
 }
+
+#[test]
+fn parts_have_their_samples_and_joined_again_they_are_those_of_the_take() {
+    use mocapd_take::edit::{EditContext, SourceTake, check_repacked, concat, cut, repack};
+    let motion = crowd(9, 200.0, 12.0);
+    let (mut intake, pipeline) = start(&with_groups(&motion), Vec::new());
+    feed_both(&mut intake, &motion, 0..2400, |group, number| {
+        group.id == 9 || !(300..310).contains(&number)
+    });
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    assert_clean(&take);
+    let new_scratch = || Err(std::io::ErrorKind::Unsupported.into());
+    let context = EditContext { software: "test", new_scratch: &new_scratch, on_rows: &|_| () };
+    let source = |take: &[u8]| SourceTake::read(&mut Cursor::new(take)).unwrap();
+    let cut_to = |rows: std::ops::Range<u64>| {
+        let mut part = Vec::new();
+        let report = cut(&source(&take), Cursor::new(&take), rows, &mut part, &context).unwrap();
+        assert_eq!(report.left_out, [""; 0]);
+        part
+    };
+    let parts = [cut_to(0..777), cut_to(777..778), cut_to(778..2400)];
+    let mut next = [0; 2];
+    for part in &parts {
+        for (group, ledger) in assert_clean(part).iter().enumerate() {
+            // Frame 777 was taken at 3.885 s, which is sample 7770 less the millisecond by which sample 0 came later.
+            assert_true(part, group, next[group]);
+            next[group] += ledger.taken;
+        }
+    }
+    assert_eq!(next, [24_000; 2]);
+    let first = assert_clean(&parts[0])[0];
+    assert_eq!((first.taken, first.lost_on_link), (7768, 200));
+    assert_eq!(assert_clean(&parts[1])[1].taken, 10);
+    let sources: Vec<SourceTake> = parts.iter().map(|part| source(part)).collect();
+    let mut joined = Vec::new();
+    let open = |i: usize| Ok(Cursor::new(parts[i].clone()));
+    let report = concat(&sources, open, &mut joined, &context).unwrap();
+    assert_eq!(report.left_out, [""; 0]);
+    let mut repacked = Vec::new();
+    repack(&source(&take), Cursor::new(&take), None, &mut repacked, &context).unwrap();
+    let checked =
+        check_repacked(&source(&take), Cursor::new(&take), Cursor::new(&repacked), None, &context);
+    assert_eq!(checked.unwrap(), None);
+    for other in [&joined, &repacked] {
+        assert_clean(other);
+        for group in 0..2 {
+            assert_eq!(assert_true(other, group, 0), [23_800, 24_000][group]);
+        }
+        let differing = recorded_difference(&take, other);
+        assert_eq!(differing, [""; 0]);
+    }
+    assert_eq!(recorded_difference(&take, &parts[0]).len(), 2);
+    // So is a batch that one of them lacks.
+    assert_eq!(recorded_difference(&take, &one_batch_less(&motion)).len(), 1);
+}
+
+/// The same recording without one batch of the second group.
+fn one_batch_less(motion: &Motion) -> Vec<u8> {
+    let (mut intake, pipeline) = start(&with_groups(motion), Vec::new());
+    feed_both(&mut intake, motion, 0..2400, |group, number| {
+        group.id == 9 && number != 700 || group.id == 3 && !(300..310).contains(&number)
+    });
+    intake.finish();
+    pipeline.finish().unwrap().1
+}
+
+fn recorded_difference(a: &[u8], b: &[u8]) -> Vec<String> {
+    let map = |take: &[u8]| TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let (one, other) = (map(a), map(b));
+    let found = mocapd_take::compare::compare_recorded(
+        (&one, &mut Cursor::new(a)),
+        (&other, &mut Cursor::new(b)),
+    );
+    found.unwrap().into_iter().map(|difference| difference.b.unwrap_or_default()).collect()
+}

@@ -131,6 +131,7 @@ impl Writer {
     /// finish; what was written before stays.
     pub(super) fn run(mut self, heartbeat: &HeartbeatHandle) -> anyhow::Result<()> {
         let mut idle_since = Instant::now();
+        let mut upkeep = Instant::now();
         let progress = Arc::clone(&self.progress);
         self.with_take(|take, _| {
             take.poll_disk(&progress);
@@ -145,29 +146,25 @@ impl Writer {
                     self.assembler.add(part);
                 }
                 Ok(WriterInput::Samples(part)) => {
-                    idle_since = Instant::now();
                     self.samples.add(part);
                     heartbeat.at_disk();
                     self.write_samples(self.assembler.next_stretch);
                 }
-                Err(RecvTimeoutError::Timeout) => {
-                    heartbeat.at_disk();
-                    let is_idle = idle_since.elapsed() >= sync_after;
-                    self.with_take(|take, _| {
-                        take.poll_disk(&progress);
-                        take.check_file(&progress);
-                        if is_idle { take.sync_pending() } else { Ok(()) }
-                    });
-                    let failed = progress.failed.load(Ordering::Relaxed);
-                    let has_no_take = self.single_take && self.live.is_none();
-                    if failed && !has_no_take && idle_since.elapsed() > PARTS_TIMEOUT {
-                        self.with_take(|_, _| Err(ResamplerFailed.into()));
-                        return Err(ResamplerFailed.into());
-                    }
-                }
+                Err(RecvTimeoutError::Timeout) => heartbeat.at_disk(),
                 // Not expected: the groups hold the senders, and the writer keeps the groups alive through their
                 // wake-ups.
                 Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads have ended"),
+            }
+            // Samples may come without frames: their file is synced and looked at as well.
+            if upkeep.elapsed() >= sync_after.min(FILE_CHECK_INTERVAL) {
+                upkeep = Instant::now();
+                self.keep_up(idle_since.elapsed() >= sync_after);
+                let failed = progress.failed.load(Ordering::Relaxed);
+                let has_no_take = self.single_take && self.live.is_none();
+                if failed && !has_no_take && idle_since.elapsed() > PARTS_TIMEOUT {
+                    self.with_take(|_, _| Err(ResamplerFailed.into()));
+                    return Err(ResamplerFailed.into());
+                }
             }
             while let Some(last) = self.assembler.front_is_last() {
                 heartbeat.at_disk();
@@ -186,6 +183,16 @@ impl Writer {
                 }
             }
         }
+    }
+
+    /// Looks at the disk and the file, and syncs what no stretch has synced. `is_idle`: no stretch came for a while.
+    fn keep_up(&mut self, is_idle: bool) {
+        let progress = Arc::clone(&self.progress);
+        self.with_take(|take, _| {
+            take.poll_disk(&progress);
+            take.check_file(&progress);
+            if is_idle { take.sync_pending() } else { Ok(()) }
+        });
     }
 
     /// The ending of a take that is open when the reading is over.

@@ -43,6 +43,10 @@ impl Numbered {
         }
     }
 
+    fn is_like(self, other: Self) -> bool {
+        matches!(self, Self::Frame(_)) == matches!(other, Self::Frame(_))
+    }
+
     /// The number of a message before it, of the same kind.
     fn back(self, by: u64) -> u64 {
         match self {
@@ -58,7 +62,7 @@ type Damage = fn(u8, usize, &mut Vec<u8>);
 /// A frame or batch that is held back.
 #[derive(Debug)]
 struct LateFrame {
-    /// How many frames and batches go before it.
+    /// How many of its kind go before it.
     frames_left: u32,
     number: Numbered,
     bytes: Vec<u8>,
@@ -198,7 +202,7 @@ impl WireFaults {
             }
             MessageKind::Hello => self.garbage(),
             // No frame follows the last one, so late frames are sent now.
-            MessageKind::End => self.release(u32::MAX),
+            MessageKind::End => self.release(None, u32::MAX),
             MessageKind::Other => {}
         }
         self.n_others += 1;
@@ -245,13 +249,14 @@ impl WireFaults {
                 }
             }
         }
-        self.release(1);
+        self.release(Some(number), 1);
     }
 
-    /// Counts `frames` as passed, and sends the late frames that are due.
-    fn release(&mut self, frames: u32) {
-        for frame in &mut self.late {
-            frame.frames_left = frame.frames_left.saturating_sub(frames);
+    /// Counts `frames` as passed, of the kind of `like` or of all, and sends the late ones that are due.
+    fn release(&mut self, like: Option<Numbered>, frames: u32) {
+        let is_like = |late: &LateFrame| like.is_none_or(|like| like.is_like(late.number));
+        for late in self.late.iter_mut().filter(|late| is_like(late)) {
+            late.frames_left = late.frames_left.saturating_sub(frames);
         }
         while let Some(due) = self.late.iter().position(|frame| frame.frames_left == 0) {
             let LateFrame { number, bytes, .. } = self.late.remove(due);

@@ -3,7 +3,7 @@
 use bincode::{Decode, Encode};
 
 use super::Record;
-use crate::chunk::types;
+use crate::{chunk::types, sampled::SampleContent, timeline::LossCauses};
 
 /// The account of a group. All counts are samples of each channel, except [`jumps`](Self::jumps).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Encode, Decode)]
@@ -54,6 +54,27 @@ impl GroupLedger {
     #[must_use]
     pub fn closes(&self) -> bool {
         self.taken == self.stored.saturating_add(self.lost())
+    }
+
+    /// Counts samples of the group that are in a take, or that it states as lost.
+    pub(crate) fn count(&mut self, content: SampleContent, n: u64) {
+        let counter = match content {
+            SampleContent::Key | SampleContent::Continued => &mut self.stored,
+            // Each run has one cause, except that of a later version.
+            SampleContent::Lost(LossCauses::NOT_RECEIVED) => &mut self.lost_on_link,
+            SampleContent::Lost(LossCauses::DROPPED_BY_DEVICE) => &mut self.dropped_by_device,
+            SampleContent::Lost(LossCauses::RING_FULL) => &mut self.lost_ring_full,
+            SampleContent::Lost(LossCauses::DISCONNECTED) => &mut self.unknown_after_disconnect,
+            SampleContent::Lost(_) => &mut self.lost_other,
+        };
+        *counter = counter.saturating_add(n);
+        self.taken = self.taken.saturating_add(n);
+    }
+
+    /// The account of the same samples where those that were stored are lost.
+    pub(crate) fn without_samples(&self) -> Self {
+        let lost_other = self.lost_other.saturating_add(self.stored);
+        Self { stored: 0, lost_other, ..*self }
     }
 
     /// Adds the counts of the same group in a take that follows.

@@ -66,13 +66,32 @@ impl KeptSamples {
                 kept.add_group(take, group, recovered);
             }
         }
-        if let Some(ledger) = &mut kept.ledger {
-            let stated = take.sample_ledger.as_ref();
-            ledger.finished = true;
-            ledger.groups.sort_by_key(|group| group.group);
-            ledger.batches_refused = stated.map_or(0, |stated| stated.batches_refused);
-        }
+        kept.close_ledger(take.sample_ledger.as_ref());
         Ok(kept)
+    }
+
+    /// Completes the ledger with what only the last one of the file states: batches that were refused, and groups whose
+    /// description is lost, and with it all their samples.
+    fn close_ledger(&mut self, stated: Option<&SampleLedger>) {
+        if stated.is_none() && self.ledger.is_none() {
+            return;
+        }
+        let ledger = self.ledger.get_or_insert_default();
+        ledger.finished = true;
+        if let Some(stated) = stated {
+            ledger.batches_refused = stated.batches_refused;
+            let is_kept =
+                |group: &GroupLedger| ledger.groups.iter().any(|g| g.group == group.group);
+            let lost: Vec<&GroupLedger> =
+                stated.groups.iter().filter(|group| !is_kept(group)).collect();
+            for group in lost {
+                ledger.groups.push(group.without_samples());
+                if !self.kinds.iter().any(|known| known == part_name(RECORDED)) {
+                    self.kinds.push(part_name(RECORDED).to_owned());
+                }
+            }
+        }
+        ledger.groups.sort_by_key(|group| group.group);
     }
 
     fn add_kind(&mut self, kind: &str) {

@@ -2,7 +2,7 @@
 
 use std::{
     convert::Infallible,
-    io::{self, Read, Seek, SeekFrom},
+    io::{self, Read, Seek, SeekFrom, Write},
     sync::Arc,
 };
 
@@ -12,12 +12,12 @@ use super::{
     RECORDED, SampleAnchor, SampleClock, SampleContent, SampleSpan, SampleTimes, SamplesChunk, fits,
 };
 use crate::{
-    TakeError,
+    TakeError, TakeWriter,
     foreign::content::{Content, ScratchFile, Spool},
     interchange::c3d::columns::{
         ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered, word,
     },
-    record::{GroupLedger, SampleForm, SampledGroup},
+    record::{GroupLedger, SAMPLES_MAX, SampleForm, SampleLedger, SampledGroup},
     timeline::LossCauses,
 };
 
@@ -49,6 +49,8 @@ pub struct GroupSamples {
     anchors: Vec<SampleAnchor>,
     /// File offsets of the chunks that state them.
     times_at: Vec<u64>,
+    /// The number of samples that a ledger states.
+    n_stated: u64,
     /// Size of all its chunks.
     pub stored_bytes: u64,
     /// File offset of the chunk that describes it.
@@ -77,14 +79,21 @@ impl GroupSamples {
     /// A group whose chunk is at file offset `offset` and has `chunk_bytes`.
     pub(crate) fn new(group: SampledGroup, offset: u64, chunk_bytes: u64) -> Self {
         let (chunks, anchors, times_at) = (Vec::new(), Vec::new(), Vec::new());
-        Self { group, chunks, anchors, times_at, stored_bytes: chunk_bytes, offset }
+        Self { group, chunks, anchors, times_at, n_stated: 0, stored_bytes: chunk_bytes, offset }
     }
 
     /// Samples of each channel, lost ones included.
     #[must_use]
     pub fn n_samples(&self) -> u64 {
         let found = self.chunks.last().map_or(0, |chunk| chunk.span.end());
-        self.group.n_samples.unwrap_or(found)
+        self.group.n_samples.unwrap_or(found.max(self.n_stated))
+    }
+
+    /// A ledger states that the take had this many samples by then.
+    fn state(&mut self, ledger: &GroupLedger) {
+        if self.group.kind == RECORDED && ledger.taken <= SAMPLES_MAX {
+            self.n_stated = self.n_stated.max(ledger.taken);
+        }
     }
 
     /// Adds a chunk. Returns whether it belongs to the group: its samples follow those before.
@@ -138,20 +147,8 @@ impl GroupSamples {
     pub(crate) fn ledger(&self, counts: impl Fn(u64) -> bool) -> GroupLedger {
         let mut ledger = GroupLedger { group: self.group.number, ..GroupLedger::default() };
         for chunk in self.chunks.iter().filter(|chunk| counts(chunk.offset)) {
-            let counter = match chunk.span.content {
-                SampleContent::Key | SampleContent::Continued => &mut ledger.stored,
-                // Each run has one cause, except that of a later version.
-                SampleContent::Lost(LossCauses::NOT_RECEIVED) => &mut ledger.lost_on_link,
-                SampleContent::Lost(LossCauses::DROPPED_BY_DEVICE) => &mut ledger.dropped_by_device,
-                SampleContent::Lost(LossCauses::RING_FULL) => &mut ledger.lost_ring_full,
-                SampleContent::Lost(LossCauses::DISCONNECTED) => {
-                    &mut ledger.unknown_after_disconnect
-                }
-                SampleContent::Lost(_) => &mut ledger.lost_other,
-            };
-            *counter = counter.saturating_add(chunk.span.n);
+            ledger.count(chunk.span.content, chunk.span.n);
         }
-        ledger.taken = ledger.stored.saturating_add(ledger.lost());
         ledger
     }
 
@@ -159,6 +156,29 @@ impl GroupSamples {
     #[must_use]
     pub fn found_ledger(&self) -> GroupLedger {
         self.ledger(|_| true)
+    }
+
+    /// Copies its samples and times into another take, with numbers of samples and of segments that are higher by these.
+    pub(crate) fn copy_to<W: Write>(
+        &self,
+        input: &mut (impl Read + Seek),
+        take: &mut TakeWriter<W>,
+        (by, by_segment): (u64, u32),
+    ) -> Result<(), TakeError> {
+        let group = self.group.number;
+        let mut anchors = self.anchors.iter().peekable();
+        let mut block = Vec::new();
+        for chunk in &self.chunks {
+            while let Some(anchor) = anchors.next_if(|anchor| anchor.number < chunk.span.end()) {
+                take.sample_time(group, &anchor.moved(by, by_segment))?;
+            }
+            input.seek(SeekFrom::Start(chunk.block_at))?;
+            block.clear();
+            input.by_ref().take(chunk.block_bytes).read_to_end(&mut block)?;
+            let first = chunk.span.first.saturating_add(by);
+            take.samples(&SampleSpan { first, ..chunk.span }, &block)?;
+        }
+        anchors.try_for_each(|anchor| take.sample_time(group, &anchor.moved(by, by_segment)))
     }
 
     /// Decodes all samples of the group. `each` receives the number of the first sample, the number of samples of each
@@ -388,6 +408,14 @@ impl SampledPart {
         let mut groups = self.groups.iter_mut();
         let found = groups.find(|found| found.group.number == times.group);
         found.is_some_and(|group| group.push_times(times, offset, bytes))
+    }
+
+    /// Adds what a ledger states of its groups.
+    pub(crate) fn state(&mut self, ledger: &SampleLedger) {
+        for group in &mut self.groups {
+            let stated = ledger.groups.iter().find(|of| of.group == group.group.number);
+            stated.into_iter().for_each(|stated| group.state(stated));
+        }
     }
 
     /// Samples of each channel, lost ones included.

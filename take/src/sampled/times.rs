@@ -24,6 +24,18 @@ pub struct SampleAnchor {
     pub segment: u32,
 }
 
+impl SampleAnchor {
+    /// The anchor in a take in which numbers of samples and of segments are higher by these.
+    pub(super) fn moved(&self, by: u64, by_segment: u32) -> Self {
+        Self {
+            number: self.number.saturating_add(by),
+            run_start: self.run_start.saturating_add(by),
+            segment: self.segment.saturating_add(by_segment),
+            ..*self
+        }
+    }
+}
+
 /// A SAMPLE_TIMES chunk: anchors of one group in one run, in order.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SampleTimes {

@@ -68,6 +68,8 @@ struct GroupIntake {
     /// Blocks since the last key block, and whether the next one has to be a key block.
     since_key: u32,
     needs_key: bool,
+    /// Whether a block of the open stretch has ended.
+    has_early_block: bool,
 }
 
 /// The block that is being filled.
@@ -108,6 +110,7 @@ impl SampledIntake {
                 begins_run: true,
                 since_key: 0,
                 needs_key: true,
+                has_early_block: false,
             }
         });
         Self { groups: groups.collect(), by_id, wakes }
@@ -141,6 +144,7 @@ impl SampledIntake {
         stretch: u64,
         segment: u32,
     ) -> BatchOutcome {
+        let index = self.by_id.get(usize::from(batch.group)).copied().flatten();
         let Some(group) = self.group_mut(batch.group) else { return BatchOutcome::Refused };
         let fits = usize::from(batch.n_channels) == group.info.channels.len()
             && batch.form == group.info.form
@@ -148,7 +152,12 @@ impl SampledIntake {
         if !fits {
             return BatchOutcome::Refused;
         }
-        group.batch(batch, stretch, segment);
+        // While no stretch ends, nothing else wakes its thread.
+        if group.batch(batch, stretch, segment)
+            && let Some(index) = index
+        {
+            self.wakes.wake(index.into());
+        }
         BatchOutcome::Counted
     }
 
@@ -162,8 +171,10 @@ impl SampledIntake {
         segment: u32,
     ) {
         for (index, group) in self.groups.iter_mut().enumerate() {
-            group.needs_key |= key;
-            group.end_block(stretch, false, segment);
+            // A take may begin with this stretch, and so with its first block.
+            group.needs_key |= key && !group.has_early_block;
+            group.end_block(stretch, segment);
+            group.has_early_block = false;
             // What was lost belongs to the take that ends here.
             group.state_pending(stretch);
             // Behind a boundary a take may begin.
@@ -183,12 +194,13 @@ impl SampledIntake {
 }
 
 impl GroupIntake {
-    fn batch(&mut self, batch: &SampleBatch<'_>, stretch: u64, segment: u32) {
+    /// Returns whether there is something to encode.
+    fn batch(&mut self, batch: &SampleBatch<'_>, stretch: u64, segment: u32) -> bool {
         let n = batch.n_samples() as u32;
         match self.counter.step(batch) {
             BatchStep::Duplicate => {
                 self.duplicates += u64::from(n);
-                return;
+                return false;
             }
             BatchStep::Jump => {
                 self.jumps += 1;
@@ -200,15 +212,19 @@ impl GroupIntake {
             }
         }
         if n == 0 {
-            return;
+            return false;
         }
         if self.samples.vacant() < batch.samples.len() || self.items.vacant() <= ITEMS_RESERVED {
             self.add_lost(n.into(), LossCauses::RING_FULL);
-            return;
+            return false;
         }
         let is_apart = self.begins_run || self.pending.iter().any(|&n| n > 0);
-        if is_apart || self.open.is_some_and(|open| open.n + n > self.rows_max) {
-            self.end_block(stretch, true, segment);
+        let is_ended = is_apart || self.open.is_some_and(|open| open.n + n > self.rows_max);
+        if is_ended {
+            // Whether a take may begin with this stretch is not known yet: its first block is a key.
+            self.needs_key |= self.open.is_some() && !self.has_early_block;
+            self.has_early_block |= self.open.is_some();
+            self.end_block(stretch, segment);
             self.state_pending(stretch);
         }
         if std::mem::take(&mut self.begins_run) {
@@ -218,6 +234,7 @@ impl GroupIntake {
         self.open.get_or_insert(open).n += n;
         self.next += u64::from(n);
         self.samples.push_slice(batch.samples);
+        is_ended
     }
 
     fn add_lost(&mut self, n: u64, causes: LossCauses) {
@@ -226,15 +243,14 @@ impl GroupIntake {
         }
     }
 
-    /// Ends the open block; `early`: before its stretch.
-    fn end_block(&mut self, stretch: u64, early: bool, segment: u32) {
+    /// Ends the open block.
+    fn end_block(&mut self, stretch: u64, segment: u32) {
         let Some(OpenBlock { n, device_ticks }) = self.open.take() else { return };
         let segment = *self.segment.get_or_insert(segment);
         let time = BlockTime { device_ticks, run_start: self.run_start, segment };
-        let key = self.needs_key || early || self.since_key + 1 >= KEY_BLOCKS;
+        let key = self.needs_key || self.since_key + 1 >= KEY_BLOCKS;
         self.since_key = if key { 0 } else { self.since_key + 1 };
-        // Where a stretch becomes a key is known at its end: the block after an early one may have to be a key, too.
-        self.needs_key = early;
+        self.needs_key = false;
         self.push_at(self.next - u64::from(n), stretch, ItemContent::Block { n, key, time });
     }
 

@@ -42,8 +42,13 @@ use super::{
 };
 use crate::threads;
 
-/// Length of a group's ring in seconds, as those of the markers. It has room for two of the longest batches in any case.
+/// Length of a group's ring in seconds, as those of the markers. It has room for [`RING_BLOCKS`] of the longest batches in
+/// any case.
 const RING_S: f64 = 2.0;
+
+/// Blocks that a ring has room for: one that is filled, one that is encoded, and two more for a thread that the system does
+/// not run for a while.
+const RING_BLOCKS: usize = 4;
 
 /// Blocks and runs of lost samples that wait to be encoded: those of 2 s of the shortest stretches, 50 ms, with a loss
 /// behind each of 20 batches a second, ten times. If there are more, the batch is dropped as if the ring were full.
@@ -136,11 +141,14 @@ impl GroupPlan {
         let n_channels = group.channels.len();
         let rate_hz = f64::from(group.rate_millihertz) / 1000.0;
         let ring_rows = (RING_S * rate_hz).ceil() as usize;
-        let batch_rows = SAMPLE_VALUES_MAX / n_channels.max(1);
-        // A block ends with its stretch; a longer one would have to be held longer.
-        let stretch_rows = (stretch.as_secs_f64() * rate_hz).ceil() as u64 + batch_rows as u64;
-        let rows_max = stretch_rows.min(block_rows_max(n_channels)).min(BLOCK_ROWS_MAX);
-        let ring_values = (ring_rows * n_channels).max(2 * SAMPLE_VALUES_MAX);
+        let ring_values = (ring_rows * n_channels).max(RING_BLOCKS * SAMPLE_VALUES_MAX);
+        // A block ends with its stretch, or before it fills too much of the ring, which it leaves only as a whole.
+        let stretch_rows = (stretch.as_secs_f64() * rate_hz).ceil() as u64;
+        let of_ring = (ring_values / n_channels.max(1) / RING_BLOCKS) as u64;
+        let held_max = block_rows_max(n_channels).min(BLOCK_ROWS_MAX);
+        // The longest batch fits into a block.
+        let batch_rows = (SAMPLE_VALUES_MAX / n_channels.max(1)) as u64;
+        let rows_max = stretch_rows.min(of_ring).max(batch_rows).min(held_max);
         Self { n_channels, ring_values, rows_max: rows_max.max(1) as u32 }
     }
 
