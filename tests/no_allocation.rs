@@ -21,7 +21,10 @@ use mocapd_acquire::{
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::{
-    device::{DeviceEvent, Frame, MarkerSample, Protocol},
+    device::{
+        DeviceEvent, Frame, MarkerSample, Protocol, SampleBatch, SampledChannelInfo,
+        SampledGroupInfo,
+    },
     link::{DeviceLink, FrameForm, HostLink},
 };
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
@@ -80,7 +83,20 @@ impl TakeOutput for CountingSink {
 const RATE_HZ: f64 = 240.0;
 const TICK_HZ: u64 = 240;
 
-/// The bytes of frames `from..to`, as a pty would bring them.
+/// Samples of a channel in each frame: 2400 Hz.
+const SAMPLES_EACH: u64 = 10;
+
+/// A group of 20 sampled channels.
+fn group() -> SampledGroupInfo {
+    let channel = SampledChannelInfo { name: "EMG".to_owned(), scale: 1.0, ..Default::default() };
+    SampledGroupInfo {
+        rate_millihertz: 2_400_000,
+        channels: vec![channel; 20],
+        ..SampledGroupInfo::default()
+    }
+}
+
+/// The bytes of frames `from..to` and of a batch of samples for each, as a pty would bring them.
 fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
     let mut link = DeviceLink::new();
     let mut out = Vec::new();
@@ -95,6 +111,19 @@ fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
         let frame =
             Frame { seq: seq as u32, device_ticks: seq as u64, timecode: None, markers: &markers };
         link.frame(FrameForm::Float, &frame, &mut out).unwrap();
+        let first = seq as u64 * SAMPLES_EACH;
+        let sample = |i: u64| f32::from((i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 55) as u16);
+        let samples: Vec<f32> = (first * 20..(first + SAMPLES_EACH) * 20).map(sample).collect();
+        let batch = SampleBatch {
+            group: 0,
+            number: seq as u32,
+            first,
+            device_ticks: seq as u64,
+            form: Default::default(),
+            n_channels: 20,
+            samples: &samples,
+        };
+        link.samples(&batch, &mut out).unwrap();
     }
     out
 }
@@ -102,11 +131,15 @@ fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
 fn feed(link: &mut HostLink, intake: &mut Intake, bytes: &[u8]) {
     for piece in bytes.chunks(4095) {
         link.push(piece, &mut |event| {
-            if let DeviceEvent::Frame(frame) = event {
-                while intake.is_full() {
-                    std::thread::yield_now();
+            while intake.is_full() {
+                std::thread::yield_now();
+            }
+            match event {
+                DeviceEvent::Frame(frame) => {
+                    intake.frame(&frame, frame.device_ticks * 1_000_000_000 / TICK_HZ);
                 }
-                intake.frame(&frame, frame.device_ticks * 1_000_000_000 / TICK_HZ);
+                DeviceEvent::Samples(batch) => intake.samples(&batch),
+                _ => {}
             }
         });
     }
@@ -136,7 +169,10 @@ fn the_sample_path_does_not_allocate_after_the_start() {
     ] {
         let codec = Settings { kind, tolerance: Tolerance::from_mm(0.5).unwrap() };
         let channels = header::channels(&motion.info.markers);
-        let config = PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels);
+        let config = PipelineConfig {
+            sampled: vec![group()],
+            ..PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels)
+        };
         let mut header = header::new(&codec, RATE_HZ).unwrap();
         header.channels.clone_from(&config.channels);
         let stretches = Arc::new(AtomicU64::new(0));
@@ -157,6 +193,8 @@ fn the_sample_path_does_not_allocate_after_the_start() {
         intake.finish();
         let (written, _) = pipeline.finish().unwrap();
         assert_eq!(written.ledger.recorded, 504 + 20 * 120);
-        assert_eq!(allocations, 0, "{kind}: 2400 frames of 70 markers");
+        let samples = written.sample_ledger.unwrap().groups[0];
+        assert_eq!((samples.stored, samples.lost()), ((504 + 20 * 120) * SAMPLES_EACH, 0));
+        assert_eq!(allocations, 0, "{kind}: 2400 frames of 70 markers, and 20 sampled channels");
     }
 }

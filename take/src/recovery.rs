@@ -342,6 +342,7 @@ impl RecoveryScan {
             header: Some(Box::new(Header { channels: table, ..header })),
             statistics: Some(self.statistics.clone()),
             order: Some(self.order.clone()).filter(|order| !order.is_identity()),
+            sample_ledger: self.sample_ledger.clone(),
         };
         take.close_with(&self.ledger, &summary)?;
         Ok(take.bytes())

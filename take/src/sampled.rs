@@ -9,7 +9,7 @@ mod tests;
 mod times;
 
 pub(crate) use self::encoder::PartContext;
-pub(crate) use self::part::RecoveredSamples;
+pub(crate) use self::part::{GroupReader, RecoveredSamples};
 pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},

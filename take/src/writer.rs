@@ -49,6 +49,8 @@ pub struct TakeWriter<W> {
     parameters: Parameters,
     /// Groups of sampled channels so far.
     n_groups: u32,
+    /// The last ledger of their samples.
+    sample_ledger: Option<SampleLedger>,
     tally: TakeTally,
 }
 
@@ -77,6 +79,7 @@ impl<W: Write> TakeWriter<W> {
             order: None,
             parameters: Parameters::default(),
             n_groups: 0,
+            sample_ledger: None,
             tally: TakeTally::default(),
         };
         writer.tally.announce(header.channels.len());
@@ -257,20 +260,37 @@ impl<W: Write> TakeWriter<W> {
         self.payload.clear();
         span.put(&mut self.payload);
         self.payload.extend_from_slice(block);
-        let payload = std::mem::take(&mut self.payload);
-        let written = self.chunk(types::SAMPLES, &payload);
-        self.payload = payload;
-        written
+        self.own_payload(types::SAMPLES)
     }
 
-    /// Writes the time of a sample of a group.
+    /// Writes the time of a sample of a group, and with `later` the number and the ticks of a later one in its run.
     ///
     /// # Errors
     /// `Io`.
-    pub fn sample_time(&mut self, group: u32, anchor: &SampleAnchor) -> Result<(), TakeError> {
-        let mut payload = Vec::with_capacity(SampleTimes::BYTES_MAX);
-        SampleTimes::put(group, anchor, &mut payload);
-        self.chunk(types::SAMPLE_TIMES, &payload)
+    pub fn sample_time(
+        &mut self,
+        group: u32,
+        anchor: &SampleAnchor,
+        later: Option<(u64, u64)>,
+    ) -> Result<(), TakeError> {
+        self.payload.clear();
+        SampleTimes::put(group, anchor, later, &mut self.payload);
+        self.own_payload(types::SAMPLE_TIMES)
+    }
+
+    /// Allocates the memory for blocks of samples of up to this size.
+    pub fn reserve_samples(&mut self, block_bytes: usize) {
+        // Head and three numbers precede a block, and the chunk's own head and CRC surround it.
+        self.payload.reserve(block_bytes + 64);
+        self.scratch.reserve(block_bytes + 128);
+    }
+
+    /// Writes a chunk with the payload in `self.payload`, whose memory is kept.
+    fn own_payload(&mut self, kind: u8) -> Result<(), TakeError> {
+        let payload = std::mem::take(&mut self.payload);
+        let written = self.chunk(kind, &payload);
+        self.payload = payload;
+        written
     }
 
     /// Writes the ledger of the samples so far.
@@ -278,6 +298,7 @@ impl<W: Write> TakeWriter<W> {
     /// # Errors
     /// `Io`, `InvalidArgument`.
     pub fn sample_ledger(&mut self, ledger: &SampleLedger) -> Result<(), TakeError> {
+        self.sample_ledger = Some(ledger.clone());
         self.record(ledger)
     }
 
@@ -333,7 +354,8 @@ impl<W: Write> TakeWriter<W> {
         let header = Some(Box::new(std::mem::take(&mut self.header)));
         let statistics = Some(std::mem::take(&mut self.tally).finish(self.n_rows));
         let order = self.order.take();
-        self.close_with(ledger, &SummaryRecord { ending, header, statistics, order })
+        let sample_ledger = self.sample_ledger.take();
+        self.close_with(ledger, &SummaryRecord { ending, header, statistics, order, sample_ledger })
     }
 
     /// Closes the take like [`close`](Self::close), with another summary.
@@ -347,6 +369,7 @@ impl<W: Write> TakeWriter<W> {
         let only_ending = || SummaryRecord {
             ending: summary.ending.clone(),
             order: summary.order.clone(),
+            sample_ledger: summary.sample_ledger.clone(),
             ..Default::default()
         };
         let payload = summary.to_payload().or_else(|_| only_ending().to_payload())?;

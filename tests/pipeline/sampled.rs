@@ -11,6 +11,7 @@ use mocapd_acquire::{
 use mocapd_drivers::device::{SampleBatch, SampleForm, SampledChannelInfo, SampledGroupInfo};
 use mocapd_take::{
     TakeMap,
+    chunk::types,
     motion::Motion,
     record::{EndingKind, GroupLedger},
     recovery::RecoveryScan,
@@ -283,7 +284,7 @@ fn groups_that_contradict_their_announcement_are_refused_and_reported_in_bounds(
     assert_eq!(written.ledger.recorded, 400);
     let ledger = assert_clean(&take)[0];
     assert_true(&take, 0, 0);
-    assert_eq!((ledger.stored, ledger.lost_on_link), (300 * 20, 100 * 20));
+    assert_eq!((ledger.stored, ledger.lost_other, ledger.lost()), (300 * 20, 100 * 20, 100 * 20));
     let (_, map) = read(&take, 0);
     assert_eq!(map.sample_ledger.unwrap().batches_refused, 2 * 400 + 100);
     let texts = map.events.iter().filter(|event| event.text.contains("sampled channels"));
@@ -301,8 +302,9 @@ fn more_samples_than_can_be_encoded_are_dropped_in_whole_batches_and_no_frame_is
     // Minutes of samples in a second of frames: far more than a processor encodes in the time of the test.
     let samples: Vec<f32> = (0..256 * 64).map(|i| f32::from((i * 7919 % 251) as u8)).collect();
     let mut first = 0_u64;
+    // The rings of the frames have room for all of them.
     for seq in 0..120 {
-        feed_all(&mut intake, &motion, [seq]);
+        feed(&mut intake, &motion, seq);
         for _ in 0..200 {
             intake.samples(&SampleBatch {
                 group: group.id,
@@ -425,19 +427,28 @@ fn a_damaged_take_has_no_wrong_samples() {
     }
     intake.finish();
     let (_, take) = pipeline.finish().unwrap();
-    for at in 0..take.len() {
+    let places = crate::support::places(&take);
+    let header = places[0].1.end;
+    let ledgers = places.iter().filter(|(kind, _)| *kind == types::SAMPLE_LEDGER);
+    let last_ledger = ledgers.last().unwrap().1.clone();
+    for at in header..take.len() {
         let mut damaged = take.clone();
         damaged[at] ^= 1 << (at % 8);
-        let Ok(map) = TakeMap::scan(&mut Cursor::new(&damaged)) else { continue };
-        if map.recorded_groups().next().is_none() {
-            continue;
-        }
-        let n = assert_true(&damaged, 0, 0);
+        let map = TakeMap::scan(&mut Cursor::new(&damaged)).unwrap();
         let scan = RecoveryScan::read(&damaged[..]).unwrap();
         let mut recovered = Vec::new();
         scan.write(Cursor::new(&damaged), &mut recovered, "test").unwrap();
-        assert_eq!(assert_true(&recovered, 0, 0), n, "byte {at}");
-        assert_eq!(assert_clean(&recovered)[0].stored, n as u64, "byte {at}");
+        let ledger = assert_clean(&recovered)[0];
+        // Every sample is still known to have been taken, unless no other ledger states the last of them.
+        let is_stated = !last_ledger.contains(&at);
+        assert!(ledger.taken == 800 || !is_stated, "byte {at}: {ledger:?}");
+        let mut n = 0;
+        if map.recorded_groups().next().is_some() {
+            n = assert_true(&damaged, 0, 0);
+            assert_eq!(assert_true(&recovered, 0, 0), n, "byte {at}");
+        }
+        assert_eq!(ledger.stored, n as u64, "byte {at}");
+        assert_eq!(ledger.lost_other, ledger.taken - n as u64, "byte {at}");
     }
 }
 
@@ -515,4 +526,73 @@ fn recorded_difference(a: &[u8], b: &[u8]) -> Vec<String> {
         (&other, &mut Cursor::new(b)),
     );
     found.unwrap().into_iter().map(|difference| difference.b.unwrap_or_default()).collect()
+}
+
+/// Stretches longer than the ring: blocks end before it is full.
+#[test]
+fn long_stretches_lose_no_samples() {
+    let motion = jump(10, 200.0, 25.0);
+    let mut config = with_groups(&motion);
+    config.stretch = Duration::from_secs(10);
+    let (mut intake, pipeline) = start(&config, Vec::new());
+    feed_both(&mut intake, &motion, 0..5000, |_, _| true);
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    for (group, ledger) in assert_clean(&take).iter().enumerate() {
+        assert_eq!((assert_true(&take, group, 0), ledger.lost()), (50_000, 0));
+    }
+}
+
+/// A camera that waits for its trigger while the plates run: four seconds of real time.
+#[test]
+fn samples_without_frames_are_recorded_and_synced() {
+    let motion = jump(11, 200.0, 1.0);
+    let (mut intake, pipeline) = start(&with_groups(&motion), Vec::new());
+    feed_both(&mut intake, &motion, 0..20, |_, _| true);
+    let group = &groups()[0];
+    // 40 s of samples in four: the ring has room for less than a tenth of them.
+    for number in 10..4000_u64 {
+        send(&mut intake, group, number as u32, number * BATCH);
+        intake.tick(5_000_000 + number * 10_000_000);
+        if number.is_multiple_of(10) {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    let ledger = assert_clean(&take)[0];
+    assert_eq!((assert_true(&take, 0, 0), ledger.lost()), (80_000, 0));
+}
+
+/// What only the ledger knows of lost samples: how many there were at the end, and a group without its description.
+#[test]
+fn a_recovered_take_says_what_is_lost_at_the_end_and_with_a_description() {
+    let motion = jump(12, 200.0, 2.0);
+    let (mut intake, pipeline) = start(&with_groups(&motion), Vec::new());
+    feed_both(&mut intake, &motion, 0..400, |_, _| true);
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    let places = crate::support::places(&take);
+    let last = places.iter().rfind(|(kind, _)| *kind == types::SAMPLES).unwrap();
+    let first = places.iter().find(|(kind, _)| *kind == types::SAMPLED_GROUP).unwrap();
+    for (place, is_description) in [(last, false), (first, true)] {
+        let mut damaged = take.clone();
+        damaged[place.1.start + 8] ^= 4;
+        let map = TakeMap::scan(&mut Cursor::new(&damaged)).unwrap();
+        assert!(map.damaged && !map.problems.is_empty());
+        let scan = RecoveryScan::read(&damaged[..]).unwrap();
+        assert!(scan.lost_anything() && !scan.loss_summary().is_empty());
+        let mut recovered = Vec::new();
+        scan.write(Cursor::new(&damaged), &mut recovered, "test").unwrap();
+        let ledgers = assert_clean(&recovered);
+        assert_eq!(ledgers.len(), 2);
+        assert!(ledgers.iter().all(|ledger| ledger.taken == 4000), "{ledgers:?}");
+        let lost = ledgers.iter().map(|ledger| ledger.lost_other).sum::<u64>();
+        if is_description {
+            assert_eq!([ledgers[0].stored, ledgers[1].stored], [0, 4000]);
+            assert_eq!(lost, 4000);
+        } else {
+            assert!((100..=1000).contains(&lost), "{lost}");
+        }
+    }
 }

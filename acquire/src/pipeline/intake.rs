@@ -78,6 +78,8 @@ pub struct Intake {
     /// Arrival of the open stretch's first row, in host nanoseconds, and the longest time it may stay open.
     open_since_ns: u64,
     open_ns_max: u64,
+    /// When blocks of samples last ended without a stretch.
+    blocks_since_ns: u64,
     /// The open stretch's first recorded row, and the arrival of its last.
     open_first: FrameTimes,
     last_arrival_ns: u64,
@@ -163,6 +165,7 @@ impl Intake {
             next_key_row: 0,
             splits: SplitSchedule::Never,
             open_since_ns: 0,
+            blocks_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
             open_first: FrameTimes::default(),
             last_arrival_ns: 0,
@@ -238,7 +241,7 @@ impl Intake {
 
     /// Accepts a batch of samples: all of it goes into the ring of its group, or is counted as lost.
     pub fn samples(&mut self, batch: &SampleBatch<'_>) {
-        let segment = self.clocks.status().segment;
+        let segment = self.clocks.segment();
         if self.samples.batch(batch, self.feed.next_stretch(), segment) == BatchOutcome::Refused {
             self.counts.batches_refused += 1;
             if self.counts.batches_refused == 1 {
@@ -274,6 +277,11 @@ impl Intake {
         self.execute_commands(now_ns);
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
+        }
+        // Without frames no stretch ends the blocks of samples.
+        if self.open_rows == 0 && now_ns.saturating_sub(self.blocks_since_ns) > self.open_ns_max {
+            self.blocks_since_ns = now_ns;
+            self.samples.end_blocks(self.feed.next_stretch(), self.clocks.segment());
         }
     }
 

@@ -60,6 +60,8 @@ pub(super) struct Writer {
     buffers_back: Vec<Sender<PartBuffer>>,
     wakes: WakeQueue,
     samples: SampleQueue,
+    /// Whether the present boundary is executed without some samples before it.
+    misses_samples: bool,
     progress: Arc<PipelineProgress>,
     assembler: StretchAssembler,
     payload: Vec<u8>,
@@ -100,6 +102,7 @@ impl Writer {
             buffers_back,
             wakes,
             samples,
+            misses_samples: false,
             progress: Arc::clone(progress),
             assembler: StretchAssembler::new(plan),
             payload: Vec::with_capacity(plan.stretch_bytes_max()),
@@ -120,7 +123,7 @@ impl Writer {
 
     /// Writes this take alone, from the first stretch on, or divides it.
     pub(super) fn set_single_take(&mut self, mut take: LiveTake, split: Option<Split>) {
-        take.reserve(self.payload.capacity());
+        take.reserve(self.payload.capacity(), self.samples.block_bytes_max());
         self.live = Some(take);
         self.single_take = true;
         self.split = split.map(SplitState::new);
@@ -251,7 +254,8 @@ impl Writer {
             return false;
         }
         self.write_samples(stretch);
-        if is_boundary && self.samples.end_wait(stretch) {
+        self.misses_samples = is_boundary && self.samples.end_wait(stretch);
+        if self.misses_samples {
             self.with_take(|take, _| {
                 take.miss_samples();
                 Ok(())
@@ -407,7 +411,11 @@ impl Writer {
                 // The open take continues, and observers keep seeing that one.
                 let mut clocks = self.clocks.for_saved_take();
                 let progress = PipelineProgress::new(&[]);
-                if let Some(saved) = self.begin_take(*take, &reply, end, &mut clocks, &progress) {
+                let saved = self.begin_take(*take, &reply, end, &mut clocks, &progress);
+                if let Some(mut saved) = saved {
+                    if self.misses_samples {
+                        saved.miss_samples();
+                    }
                     saved.end(&self.counts.in_rows(), &mut clocks, EndingKind::Saved.into());
                 }
             }
@@ -453,7 +461,7 @@ impl Writer {
                 return None;
             }
         };
-        take.reserve(self.payload.capacity());
+        take.reserve(self.payload.capacity(), self.samples.block_bytes_max());
         match self.write_pre_roll(&mut take, from, stretch, clocks, progress) {
             Ok(()) => Some(take),
             Err(error) => {

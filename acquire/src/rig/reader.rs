@@ -102,6 +102,7 @@ impl Rig {
             outages: 0,
             notes: Vec::new(),
             due_until_ns: None,
+            last_samples_ns: 0,
         };
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
@@ -186,7 +187,9 @@ impl Rig {
             stalls.report(self.transport.stalls_cleared(), reader.intake, options);
             if stopped_ns.is_none() {
                 self.probe(reader);
-                if silence.is_reported {
+                // A device whose samples come is alive: asking it would stop them.
+                let has_samples = reader.last_samples_ns + SILENCE_MAX.as_nanos() as u64 > now_ns;
+                if silence.is_reported && !has_samples {
                     self.check_alive(reader, silence.last_frame_ns, now_ns);
                 }
                 if let Some(now) = reader.new_hello.take() {
@@ -400,6 +403,8 @@ pub(super) struct Reader<'a> {
     notes: Vec<String>,
     /// When the time is up, by the host's monotonic clock.
     due_until_ns: Option<u64>,
+    /// Arrival of the last batch of samples.
+    last_samples_ns: u64,
 }
 
 impl Reader<'_> {
@@ -431,7 +436,10 @@ impl Reader<'_> {
                     self.intake.publish_latency(&self.latency);
                 }
             }
-            DeviceEvent::Samples(batch) => self.intake.samples(&batch),
+            DeviceEvent::Samples(batch) => {
+                self.last_samples_ns = arrival_ns;
+                self.intake.samples(&batch);
+            }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
             DeviceEvent::SampledGroup(group) => self.intake.announce_group(group),
             DeviceEvent::Status(status) => {

@@ -3,7 +3,10 @@
 use std::io::{Read, Seek};
 
 use super::content::FieldDifference;
-use crate::{TakeError, TakeMap, sampled::GroupSamples};
+use crate::{
+    TakeError, TakeMap,
+    sampled::{GroupReader, GroupSamples},
+};
 
 /// Compares the groups of sampled channels of two recordings: descriptions, samples bit for bit, lost samples, and times
 /// to within a tick. Each difference has the number of a group.
@@ -34,6 +37,11 @@ pub fn compare_recorded(
             differences.push(FieldDifference { field, a: found.0, b: found.1 });
         }
     }
+    let ledger = |map: &TakeMap| map.sample_ledger.as_ref().map(|ledger| format!("{ledger:?}"));
+    if ledger(one) != ledger(other) {
+        let field = "ledger of sampled channels".to_owned();
+        differences.push(FieldDifference { field, a: ledger(one), b: ledger(other) });
+    }
     Ok(differences)
 }
 
@@ -53,12 +61,12 @@ fn describe(group: &GroupSamples) -> String {
     )
 }
 
-type Side<'a, R> = (&'a GroupSamples, &'a TakeMap, &'a mut R);
+type Input<'a, R> = (&'a GroupSamples, &'a TakeMap, &'a mut R);
 
 /// How the samples or times of two groups differ.
 fn difference<A: Read + Seek, B: Read + Seek>(
-    (left, one, a): Side<'_, A>,
-    (right, other, b): Side<'_, B>,
+    (left, one, a): Input<'_, A>,
+    (right, other, b): Input<'_, B>,
 ) -> Result<Option<String>, TakeError> {
     if left.lost() != right.lost() {
         return Ok(Some("others of them lost".to_owned()));
@@ -68,34 +76,66 @@ fn difference<A: Read + Seek, B: Read + Seek>(
     {
         return Ok(None);
     }
-    // Blocks may be divided otherwise, so one side is held: those samples that are there, which both have alike.
     let n_channels = left.group.channels.len();
-    let mut columns: Vec<Vec<u32>> = vec![Vec::new(); n_channels];
-    let undecodable = left.read(a, |_, n, decoded| {
-        let found = decoded.into_iter().flat_map(|samples| samples.chunks_exact(n as usize));
-        for (column, samples) in columns.iter_mut().zip(found) {
-            column.extend(samples.iter().map(|sample| sample.to_bits()));
+    let (mut ours, mut theirs) = (Side::new(left.reader()), Side::new(right.reader()));
+    let mut n_differing = 0_u64;
+    while ours.advance(a)? && theirs.advance(b)? {
+        // Blocks may be divided otherwise: what both have now is compared.
+        let n = ours.left().min(theirs.left());
+        match (&ours.samples, &theirs.samples) {
+            (Some(_), Some(_)) => n_differing += ours.differing(&theirs, n_channels, n),
+            (None, None) => {}
+            _ => return Ok(Some("others of them damaged".to_owned())),
         }
-        Ok(())
-    })?;
-    let (mut at, mut n_differing) = (0, 0_u64);
-    let undecodable_too = right.read(b, |_, n, decoded| {
-        let Some(samples) = decoded else { return Ok(()) };
-        for (column, samples) in columns.iter().zip(samples.chunks_exact(n as usize)) {
-            let theirs = column.get(at..).unwrap_or_default();
-            let differing = theirs.iter().zip(samples).filter(|(a, b)| **a != b.to_bits());
-            n_differing += differing.count() as u64;
-        }
-        at += n as usize;
-        Ok(())
-    })?;
-    if undecodable != undecodable_too {
-        return Ok(Some("others of them damaged".to_owned()));
+        (ours.at, theirs.at) = (ours.at + n, theirs.at + n);
     }
     if n_differing > 0 {
         return Ok(Some(format!("{n_differing} of them different")));
     }
     Ok(times_differ((left, one), (right, other)).then(|| "at other times".to_owned()))
+}
+
+/// One of two groups that are read in step: the run that is compared.
+struct Side<'a> {
+    reader: GroupReader<'a>,
+    /// Samples of each channel in the run, and how many were compared.
+    n: u64,
+    at: u64,
+    /// Channel after channel; `None` if they are lost.
+    samples: Option<Vec<f32>>,
+}
+
+impl<'a> Side<'a> {
+    fn new(reader: GroupReader<'a>) -> Self {
+        Self { reader, n: 0, at: 0, samples: None }
+    }
+
+    fn left(&self) -> u64 {
+        self.n - self.at
+    }
+
+    /// Reads the next run if all of this one was compared. Returns `false` at the end.
+    fn advance(&mut self, input: &mut (impl Read + Seek)) -> Result<bool, TakeError> {
+        while self.left() == 0 {
+            let Some((span, samples)) = self.reader.next(input)? else { return Ok(false) };
+            (self.n, self.at, self.samples) = (span.n, 0, samples.map(<[f32]>::to_vec));
+        }
+        Ok(true)
+    }
+
+    /// How many of the next `n` samples of each channel are not bit-identical.
+    fn differing(&self, other: &Self, n_channels: usize, n: u64) -> u64 {
+        let of = |side: &Self, channel: usize| {
+            let first = channel as u64 * side.n + side.at;
+            let all = side.samples.as_deref().unwrap_or_default();
+            all.get(first as usize..(first + n) as usize).unwrap_or_default().to_vec()
+        };
+        let in_channel = |channel| {
+            let pairs = of(self, channel).into_iter().zip(of(other, channel));
+            pairs.filter(|(a, b)| a.to_bits() != b.to_bits()).count() as u64
+        };
+        (0..n_channels).map(in_channel).sum()
+    }
 }
 
 /// Whether the times of any sample differ by more than a tick: those of all stated ones are compared, and of the ends.

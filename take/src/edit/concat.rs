@@ -292,13 +292,18 @@ fn clocks(sources: &[SourceTake]) -> (Vec<Clock>, Vec<u32>) {
     let mut all: Vec<Clock> = Vec::new();
     let mut kept: Option<&[Clock]> = None;
     let mut firsts = Vec::new();
-    let mut first = 0;
+    let (mut first, mut next) = (0, 0_u32);
     for source in sources {
-        if source.clocks.is_empty() || kept == Some(&source.clocks) {
+        if !source.clocks.is_empty() && kept == Some(&source.clocks) {
             firsts.push(first);
             continue;
         }
-        first = all.last().map_or(0, |clock| clock.segment.saturating_add(1));
+        first = next;
+        // Samples may be of a segment for which there was no time to observe its clock.
+        let of_samples = source.map().recorded_groups().flat_map(|group| group.anchors());
+        let segments = source.clocks.iter().map(|clock| clock.segment);
+        let last = segments.chain(of_samples.map(|anchor| anchor.segment)).max();
+        next = last.map_or(first, |last| first.saturating_add(last).saturating_add(1));
         let renumbered = source
             .clocks
             .iter()

@@ -8,11 +8,12 @@ use std::{
 
 use mocapd_codec::sampled::SampledEncoder;
 
-use super::SourceTake;
+use super::{SourceTake, damaged};
 use crate::{
     TakeError, TakeMap, TakeTraversal, TakeWriter,
+    damage::Problem,
     record::{ClockLine, GroupLedger, SampleLedger, SampledGroup},
-    sampled::{GroupSamples, SampleAnchor, SampleContent, SampleSpan},
+    sampled::{GroupSamples, RECORDED, SampleAnchor, SampleContent, SampleSpan},
     timeline::{LossCauses, RowTime},
     traversal::Decode,
 };
@@ -127,7 +128,11 @@ pub(super) fn cut<W: Write>(
     });
     let [start, end] = ends;
     let (start, end) = (start?.flatten(), end?.flatten());
+    let stated = map.sample_ledger.clone().unwrap_or_default();
     let mut ledger = SampleLedger { finished: true, ..SampleLedger::default() };
+    if *rows == (0..map.n_rows) {
+        ledger.batches_refused = stated.batches_refused;
+    }
     for group in map.recorded_groups() {
         let n = group.n_samples();
         let first = if rows.start == 0 { 0 } else { start.map_or(n, |t| number_at(map, group, t)) };
@@ -136,7 +141,13 @@ pub(super) fn cut<W: Write>(
             _ => n,
         };
         let part = Part { group, numbers: first..last.max(first), tick_hz: tick_hz(map) };
-        ledger.groups.push(part.write(input, take)?);
+        let is_of_group = |of: &&GroupLedger| of.group == group.group.number;
+        let whole = stated.groups.iter().find(is_of_group).copied().unwrap_or_default();
+        let of_part = part.write(input, take)?;
+        ledger.groups.push(match part.numbers == (0..n) {
+            true => GroupLedger { duplicates: whole.duplicates, jumps: whole.jumps, ..of_part },
+            false => of_part,
+        });
     }
     take.sample_ledger(&ledger)
 }
@@ -164,19 +175,30 @@ fn time_of(
 
 /// The first sample that was not taken before a row, by the device's clock in the run that lies where the row does.
 fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
-    let runs = runs(group);
-    // By the host's clock, where there are several runs: the device's may have begun again.
-    let arrival_ns = row.arrival_10us as f64 * 1e4;
-    let begins = |run: &Range<u64>| host_ns(map, group, run.start);
-    let later = runs.iter().position(|run| begins(run).is_some_and(|ns| ns > arrival_ns));
-    let at = later.unwrap_or(runs.len()).saturating_sub(1);
-    let Some(run) = runs.get(at) else { return 0 };
     let (clock, tick_hz) = (group.clock(tick_hz(map)), tick_hz(map) as f64);
     let after_s = |number: u64| {
         let time = clock.at(number)?;
         let ticks = time.device_ticks.wrapping_sub(row.device_ticks).cast_signed() as f64;
         Some((ticks + time.fraction) / tick_hz)
     };
+    // A run without a line in CLOCK may have its row only where its ticks do; others are compared by the host's clock, as
+    // the device's may have begun again.
+    let arrival_ns = row.arrival_10us as f64 * 1e4;
+    let mut run = None;
+    for found in runs(group) {
+        let begins_later = host_ns(map, group, found.start).map(|ns| ns > arrival_ns);
+        let [first_s, last_s] = [found.start, found.end.saturating_sub(1)].map(after_s);
+        let has_ticks =
+            first_s.is_some_and(|s| s <= 0.0) && last_s.is_some_and(|s| s > -APART_S_MAX);
+        match begins_later {
+            Some(true) => break,
+            Some(false) => run = Some(found),
+            None if has_ticks => run = Some(found),
+            // Before all samples, if it is the first.
+            None => run = run.or_else(|| Some(found.start..found.start)),
+        }
+    }
+    let Some(run) = run else { return 0 };
     // A row in an outage lies in no run.
     if after_s(run.end.saturating_sub(1)).is_none_or(|s| s < -APART_S_MAX) {
         return run.end;
@@ -222,7 +244,7 @@ impl Part<'_> {
     ) -> Result<GroupLedger, TakeError> {
         let number = self.group.group.number;
         for anchor in self.anchors() {
-            take.sample_time(number, &anchor)?;
+            take.sample_time(number, &anchor, None)?;
         }
         let lost = self.group.lost();
         let causes_at = |first: u64| {
@@ -233,7 +255,7 @@ impl Part<'_> {
         let (mut since_key, mut needs_key) = (0, true);
         let mut ledger = GroupLedger { group: number, ..GroupLedger::default() };
         let mut outcome = Ok(());
-        self.group.read(input, |first, n, decoded| {
+        let undecodable = self.group.read(input, |first, n, decoded| {
             let kept = first.max(self.numbers.start)..(first + n).min(self.numbers.end);
             if kept.start >= kept.end || outcome.is_err() {
                 return Ok(());
@@ -261,6 +283,9 @@ impl Part<'_> {
             ledger.count(content, n_kept);
             Ok(())
         })?;
+        if let Some(found) = undecodable.first() {
+            return Err(damaged(&Problem::of_samples(RECORDED, found)));
+        }
         outcome.map(|()| ledger)
     }
 

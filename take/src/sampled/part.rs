@@ -21,9 +21,9 @@ use crate::{
     timeline::LossCauses,
 };
 
-/// Most SAMPLES chunks that a reader remembers of a part, in 64 MiB: a group of a recording has one in half a second,
-/// which makes six days. Only a crafted file has more.
-const CHUNKS_MAX: usize = 1 << 20;
+/// Most SAMPLES chunks that a reader remembers of a part, in 256 MiB: a group of a recording has one in half a second,
+/// which makes 24 days, and two of the shortest stretches. Only a crafted file has more.
+const CHUNKS_MAX: usize = 1 << 22;
 
 /// Samples that a take does not have, of all channels of a group.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -170,7 +170,7 @@ impl GroupSamples {
         let mut block = Vec::new();
         for chunk in &self.chunks {
             while let Some(anchor) = anchors.next_if(|anchor| anchor.number < chunk.span.end()) {
-                take.sample_time(group, &anchor.moved(by, by_segment))?;
+                take.sample_time(group, &anchor.moved(by, by_segment), None)?;
             }
             input.seek(SeekFrom::Start(chunk.block_at))?;
             block.clear();
@@ -178,7 +178,7 @@ impl GroupSamples {
             let first = chunk.span.first.saturating_add(by);
             take.samples(&SampleSpan { first, ..chunk.span }, &block)?;
         }
-        anchors.try_for_each(|anchor| take.sample_time(group, &anchor.moved(by, by_segment)))
+        anchors.try_for_each(|anchor| take.sample_time(group, &anchor.moved(by, by_segment), None))
     }
 
     /// Decodes all samples of the group. `each` receives the number of the first sample, the number of samples of each
@@ -291,6 +291,23 @@ impl GroupSamples {
         kept
     }
 
+    /// Decodes its samples run by run.
+    pub(crate) fn reader(&self) -> GroupReader<'_> {
+        let mut runs = Vec::new();
+        let Ok(()) = self.runs(|run| {
+            runs.push(match run {
+                SampleRun::Block(chunk) => (chunk.span, Some((chunk.block_at, chunk.block_bytes))),
+                SampleRun::Lost { first, n, causes } => {
+                    let content = SampleContent::Lost(causes.unwrap_or(LossCauses::DAMAGED));
+                    (SampleSpan { group: self.group.number, first, n, content }, None)
+                }
+            });
+            Ok::<_, Infallible>(())
+        });
+        let (decoder, block) = (SampledDecoder::new(), Vec::new());
+        GroupReader { group: self, runs: runs.into_iter(), decoder, block }
+    }
+
     /// Decodes all samples in order. `each` receives the number of samples of each channel and the samples, channel
     /// after channel, or `None` where they are lost. Returns those whose blocks cannot be decoded.
     pub(crate) fn decode(
@@ -325,6 +342,37 @@ impl GroupSamples {
             Ok::<_, TakeError>(())
         })?;
         Ok(undecodable)
+    }
+}
+
+/// Decodes the samples of a group one run after another, so that two groups can be read in step.
+#[derive(Debug)]
+pub(crate) struct GroupReader<'a> {
+    group: &'a GroupSamples,
+    /// With the place of the block, unless the samples are lost.
+    runs: std::vec::IntoIter<(SampleSpan, Option<(u64, u64)>)>,
+    decoder: SampledDecoder,
+    block: Vec<u8>,
+}
+
+impl GroupReader<'_> {
+    /// The next run: its span and its samples, channel after channel, or `None` where they are lost or cannot be decoded.
+    pub(crate) fn next(
+        &mut self,
+        input: &mut (impl Read + Seek),
+    ) -> Result<Option<(SampleSpan, Option<&[f32]>)>, TakeError> {
+        let Some((span, place)) = self.runs.next() else { return Ok(None) };
+        let Some((at, bytes)) = place else { return Ok(Some((span, None))) };
+        input.seek(SeekFrom::Start(at))?;
+        self.block.clear();
+        input.by_ref().take(bytes).read_to_end(&mut self.block)?;
+        let n_channels = self.block.first().map(|head| usize::from(head & 0x7f));
+        let fits = n_channels == Some(self.group.group.channels.len());
+        let block = if fits { &self.block[..] } else { &[] };
+        let is_key = span.content == SampleContent::Key;
+        let decoded = self.decoder.decode(block, span.n as usize, is_key).ok();
+        let form = self.group.group.form;
+        Ok(Some((span, decoded.filter(|samples| are_of_form(samples, form)))))
     }
 }
 

@@ -4,6 +4,10 @@ use crate::{TakeError, record::SAMPLES_MAX, varint};
 
 const NAME: &str = "times of samples";
 
+/// Time between two anchors from which on their line goes on beyond them, in seconds. Devices stamp batches up to some
+/// milliseconds late, so that a line over less time is steeper or flatter than the rate that the group states.
+const APART_S: f64 = 10.0;
+
 /// The version of the payload.
 const VERSION: u16 = 1;
 
@@ -46,11 +50,13 @@ pub struct SampleTimes {
 }
 
 impl SampleTimes {
-    /// Maximum number of bytes of a payload with one anchor: its version and five varints.
-    pub(crate) const BYTES_MAX: usize = 2 + 5 * 10;
-
-    /// Appends the payload of a chunk with one anchor.
-    pub(crate) fn put(group: u32, anchor: &SampleAnchor, out: &mut Vec<u8>) {
+    /// Appends the payload of a chunk with an anchor and, in the same run, the number and time of a later sample.
+    pub(crate) fn put(
+        group: u32,
+        anchor: &SampleAnchor,
+        later: Option<(u64, u64)>,
+        out: &mut Vec<u8>,
+    ) {
         out.extend_from_slice(&VERSION.to_le_bytes());
         let after_start = anchor.number.saturating_sub(anchor.run_start);
         for number in [
@@ -61,6 +67,10 @@ impl SampleTimes {
             anchor.device_ticks,
         ] {
             varint::put(out, number);
+        }
+        if let Some((number, device_ticks)) = later.filter(|later| later.0 > anchor.number) {
+            varint::put(out, number - anchor.number);
+            varint::put(out, zigzag(device_ticks.wrapping_sub(anchor.device_ticks)));
         }
     }
 
@@ -106,6 +116,11 @@ impl SampleTimes {
     }
 }
 
+fn zigzag(value: u64) -> u64 {
+    let value = value.cast_signed();
+    (value << 1 ^ value >> 63).cast_unsigned()
+}
+
 fn unzigzag(value: u64) -> u64 {
     value >> 1 ^ (value & 1).wrapping_neg()
 }
@@ -124,10 +139,13 @@ pub struct SampleTime {
 }
 
 /// The times of all samples of a group: those of a run lie on the lines between its anchors. Before the first and behind
-/// the last anchor of a run the line through these two goes on; a run with one anchor has the group's rate.
+/// the last anchor of a run the line through these two goes on if they are far enough apart for it; else samples come at
+/// the group's rate.
 #[derive(Debug, Clone, Copy)]
 pub struct SampleClock<'a> {
     anchors: &'a [SampleAnchor],
+    /// Ticks between two anchors from which on their line goes on beyond them.
+    apart_ticks: f64,
     /// Ticks from a sample to the next at the group's rate.
     nominal_ticks: f64,
 }
@@ -136,7 +154,8 @@ impl<'a> SampleClock<'a> {
     /// The clock of a group with `rate_hz`, whose anchors are in ascending order of samples.
     #[must_use]
     pub fn new(anchors: &'a [SampleAnchor], rate_hz: f64, tick_hz: u64) -> Self {
-        Self { anchors, nominal_ticks: tick_hz as f64 / rate_hz }
+        let (apart_ticks, nominal_ticks) = (APART_S * tick_hz as f64, tick_hz as f64 / rate_hz);
+        Self { anchors, apart_ticks, nominal_ticks }
     }
 
     /// The time of a sample; `None` before the first run.
@@ -164,7 +183,7 @@ impl<'a> SampleClock<'a> {
         })
     }
 
-    /// Ticks from a sample to the next over the whole run of an anchor.
+    /// Ticks from a sample to the next over the whole run of an anchor, if it is long enough to measure them.
     fn ticks_each(&self, at: usize) -> f64 {
         let Some(anchor) = self.anchors.get(at) else { return self.nominal_ticks };
         let is_before = |other: &SampleAnchor| other.run_start < anchor.run_start;
@@ -172,7 +191,11 @@ impl<'a> SampleClock<'a> {
         let first = self.anchors.get(self.anchors.partition_point(is_before));
         let last = self.anchors.get(self.anchors.partition_point(is_within).saturating_sub(1));
         match first.zip(last) {
-            Some((first, last)) if last.number > first.number => slope(first, last),
+            Some((first, last)) if last.number > first.number => {
+                let each = slope(first, last);
+                let apart = each * last.number.saturating_sub(first.number) as f64;
+                if apart >= self.apart_ticks { each } else { self.nominal_ticks }
+            }
             _ => self.nominal_ticks,
         }
     }
@@ -201,7 +224,7 @@ mod tests {
     fn a_chunk_round_trips_and_every_cut_is_an_error() {
         for found in [anchor(0, 0, 0), anchor(900, 300, u64::MAX), anchor(SAMPLES_MAX, 7, 5)] {
             let mut payload = Vec::new();
-            SampleTimes::put(3, &found, &mut payload);
+            SampleTimes::put(3, &found, None, &mut payload);
             let times = SampleTimes::from_payload(&payload, 0).unwrap();
             assert_eq!(times, SampleTimes { group: 3, anchors: vec![found] });
             for cut in 0..payload.len() {
@@ -214,37 +237,46 @@ mod tests {
     }
 
     #[test]
-    fn a_chunk_with_several_anchors_is_read() {
+    fn a_chunk_with_several_anchors_is_read_as_documented() {
         let mut payload = Vec::new();
-        SampleTimes::put(0, &anchor(10, 10, 1000), &mut payload);
         // 5 samples and 49 ticks later, and 1 sample later at 10 ticks before that.
-        payload.extend([5, 98, 1, 19]);
+        SampleTimes::put(0, &anchor(10, 10, 1000), Some((15, 1049)), &mut payload);
+        payload.extend([1, 19]);
         let times = SampleTimes::from_payload(&payload, 0).unwrap();
         let expected = [anchor(10, 10, 1000), anchor(15, 10, 1049), anchor(16, 10, 1039)];
         assert_eq!(times.anchors, expected);
+        let mut documented = Vec::new();
+        SampleTimes::put(0, &anchor(40, 0, 20_000), Some((60, 30_010)), &mut documented);
+        let text = include_str!("../../../docs/take-format.md");
+        let (_, example) = text.split_once("A SAMPLE_TIMES of group 0").unwrap();
+        let lines = example.lines().skip(2).map_while(|line| line.strip_prefix("    "));
+        let words = lines.flat_map(|line| line.split("  ").next().unwrap().split_whitespace());
+        let bytes: Vec<u8> = words.map(|word| u8::from_str_radix(word, 16).unwrap()).collect();
+        assert_eq!(documented, bytes);
         payload.extend([0, 2]);
         assert!(SampleTimes::from_payload(&payload, 0).is_err(), "the same sample again");
     }
 
-    /// 100 Hz by a clock of 1000 Hz that runs 1 % fast from the second anchor on; then the clock jumps back.
+    /// 100 Hz by a clock of 1000 Hz that runs 1 % fast from the second anchor on; then the clock jumps back, and the third
+    /// run is too short to measure the rate.
     #[test]
     fn times_lie_on_the_lines_between_anchors_and_jump_between_runs() {
         let anchors = [
             anchor(0, 0, 5000),
-            anchor(100, 0, 6000),
-            anchor(200, 0, 7010),
-            anchor(250, 250, 100),
-            anchor(300, 250, 600),
+            anchor(1000, 0, 15_000),
+            anchor(2000, 0, 25_100),
+            anchor(2500, 2500, 100),
+            anchor(2550, 2500, 700),
         ];
         let clock = SampleClock::new(&anchors, 100.0, 1000);
         let at = |number| seconds(&clock, number).unwrap();
-        assert_eq!([at(0), at(50), at(100)], [5.0, 5.5, 6.0]);
-        assert!((at(150) - 6.505).abs() < 1e-9);
+        assert_eq!([at(0), at(500), at(1000)], [5.0, 10.0, 15.0]);
+        assert!((at(1500) - 20.05).abs() < 1e-9);
         // Behind the last anchor of a run, over all of which a sample took 10.05 ticks.
-        assert!((at(240) - (7.010 + 40.0 * 0.010_05)).abs() < 1e-9);
-        assert_eq!([at(250), at(260), at(310)], [0.1, 0.2, 0.7]);
-        assert_eq!(clock.at(249).unwrap().segment, 0);
-        assert_eq!(clock.at(250).unwrap().segment, 250);
+        assert!((at(2400) - (25.1 + 400.0 * 0.010_05)).abs() < 1e-9);
+        assert_eq!([at(2500), at(2525), at(2550), at(2560)], [0.1, 0.4, 0.7, 0.8]);
+        assert_eq!(clock.at(2499).unwrap().segment, 0);
+        assert_eq!(clock.at(2500).unwrap().segment, 2500);
     }
 
     #[test]

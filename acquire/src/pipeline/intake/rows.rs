@@ -166,7 +166,7 @@ impl Intake {
         self.progress.ring_fill_permille.store(fullest, Ordering::Relaxed);
         // Boundaries have no rows.
         let (stretch, is_boundary) = (self.feed.next_stretch(), end.span.n_rows == 0);
-        let segment = self.clocks.status().segment;
+        let segment = self.clocks.segment();
         self.samples.end_stretch(stretch, end.span.key, is_boundary, segment);
         if !self.feed.end_stretch(end, self.counts()) {
             self.progress.failed.store(true, Ordering::Relaxed);

@@ -5,7 +5,7 @@ use mocapd_take::timeline::LossCauses;
 
 /// Numbers at most this many seconds of samples behind are those of a batch that came late or twice: links do not reorder
 /// further. Beyond it the device started again.
-const LATE_S_MAX: f64 = 0.5;
+const LATE_S_MAX: f64 = 0.7;
 
 /// Gaps up to this many seconds are never doubted, whatever the clock says: a few batches.
 const DOUBTED_S_MIN: f64 = 0.5;

@@ -13,12 +13,19 @@ use super::{
 };
 
 /// The causes of losses that have not been stated yet, in the order in which they are stated.
-const CAUSES: [LossCauses; 4] = [
+const CAUSES: [LossCauses; 5] = [
+    REFUSED,
     LossCauses::DISCONNECTED,
     LossCauses::DROPPED_BY_DEVICE,
     LossCauses::NOT_RECEIVED,
     LossCauses::RING_FULL,
 ];
+
+/// The cause of samples that arrived and were refused, which has no name of its own.
+const REFUSED: LossCauses = LossCauses(0);
+
+/// Numbers of samples stay below this, half of what a take can hold: a device whose numbers go further jumped.
+const NUMBERS_MAX: u64 = 1 << 49;
 
 /// Stretches over which the segment of the device's clock has to differ from that of a run before another run begins:
 /// frames and batches that show a jump of the clock come within one.
@@ -48,7 +55,7 @@ struct GroupIntake {
     info: SampledGroupInfo,
     /// Whether the device announced it otherwise since.
     is_contradicted: bool,
-    rows_max: u32,
+    plan: GroupPlan,
     samples: RingProducer<f32>,
     items: RingProducer<SampleItem>,
     counter: SampleCounter,
@@ -67,6 +74,7 @@ struct GroupIntake {
     begins_run: bool,
     /// Blocks since the last key block, and whether the next one has to be a key block.
     since_key: u32,
+    key_at: u64,
     needs_key: bool,
     /// Whether a block of the open stretch has ended.
     has_early_block: bool,
@@ -77,6 +85,8 @@ struct GroupIntake {
 struct OpenBlock {
     n: u32,
     device_ticks: u64,
+    /// The sample at which the last batch began, and its time.
+    last_batch: (u32, u64),
 }
 
 impl SampledIntake {
@@ -95,7 +105,7 @@ impl SampledIntake {
             GroupIntake {
                 info: info.clone(),
                 is_contradicted: false,
-                rows_max: plan.rows_max,
+                plan: *plan,
                 samples,
                 items,
                 counter: SampleCounter::new(rate_hz, tick_hz),
@@ -109,6 +119,7 @@ impl SampledIntake {
                 segment_stretches: 0,
                 begins_run: true,
                 since_key: 0,
+                key_at: 0,
                 needs_key: true,
                 has_early_block: false,
             }
@@ -146,10 +157,12 @@ impl SampledIntake {
     ) -> BatchOutcome {
         let index = self.by_id.get(usize::from(batch.group)).copied().flatten();
         let Some(group) = self.group_mut(batch.group) else { return BatchOutcome::Refused };
-        let fits = usize::from(batch.n_channels) == group.info.channels.len()
-            && batch.form == group.info.form
-            && !group.is_contradicted;
+        let fits = group.has_shape_of(batch) && !group.is_contradicted;
         if !fits {
+            // One of another shape or form need not be of this series.
+            if group.is_contradicted && group.has_shape_of(batch) {
+                group.refuse(batch);
+            }
             return BatchOutcome::Refused;
         }
         // While no stretch ends, nothing else wakes its thread.
@@ -187,6 +200,15 @@ impl SampledIntake {
         }
     }
 
+    /// Ends the open blocks while no stretch is open that would end them.
+    pub(in crate::pipeline) fn end_blocks(&mut self, stretch: u64, segment: u32) {
+        for (index, group) in self.groups.iter_mut().enumerate() {
+            if group.end_early(stretch, segment) {
+                self.wakes.wake(index);
+            }
+        }
+    }
+
     /// The device was away or started again: its numbers may begin again.
     pub(in crate::pipeline) fn rejoin(&mut self) {
         self.groups.iter_mut().for_each(|group| group.counter.rejoin());
@@ -194,22 +216,47 @@ impl SampledIntake {
 }
 
 impl GroupIntake {
-    /// Returns whether there is something to encode.
-    fn batch(&mut self, batch: &SampleBatch<'_>, stretch: u64, segment: u32) -> bool {
-        let n = batch.n_samples() as u32;
+    fn has_shape_of(&self, batch: &SampleBatch<'_>) -> bool {
+        let n_channels = self.info.channels.len();
+        usize::from(batch.n_channels) == n_channels && batch.form == self.info.form
+    }
+
+    /// Counts the samples of a batch that cannot be stored.
+    fn refuse(&mut self, batch: &SampleBatch<'_>) {
+        if self.follow(batch) {
+            self.add_lost(batch.n_samples() as u64, REFUSED);
+        }
+    }
+
+    /// Follows the numbers of a batch, and counts what is missing before it. Returns `false` if it came before.
+    fn follow(&mut self, batch: &SampleBatch<'_>) -> bool {
         match self.counter.step(batch) {
             BatchStep::Duplicate => {
-                self.duplicates += u64::from(n);
+                self.duplicates += batch.n_samples() as u64;
                 return false;
             }
-            BatchStep::Jump => {
-                self.jumps += 1;
-                self.begins_run = true;
-            }
-            BatchStep::Next { missing, causes, continues } => {
+            BatchStep::Next { missing, causes, continues } if self.has_numbers_for(missing) => {
                 self.add_lost(missing, causes);
                 self.begins_run |= !continues;
             }
+            BatchStep::Jump | BatchStep::Next { .. } => {
+                self.jumps += 1;
+                self.begins_run = true;
+            }
+        }
+        true
+    }
+
+    fn has_numbers_for(&self, missing: u64) -> bool {
+        let pending = self.pending.iter().fold(missing, |sum, n| sum.saturating_add(*n));
+        self.next.saturating_add(pending) < NUMBERS_MAX
+    }
+
+    /// Returns whether there is something to encode.
+    fn batch(&mut self, batch: &SampleBatch<'_>, stretch: u64, segment: u32) -> bool {
+        let n = batch.n_samples() as u32;
+        if !self.follow(batch) {
+            return false;
         }
         if n == 0 {
             return false;
@@ -219,19 +266,21 @@ impl GroupIntake {
             return false;
         }
         let is_apart = self.begins_run || self.pending.iter().any(|&n| n > 0);
-        let is_ended = is_apart || self.open.is_some_and(|open| open.n + n > self.rows_max);
+        let is_ended = is_apart
+            || self.open.is_some_and(|open| {
+                open.n >= self.plan.rows_due || open.n + n > self.plan.rows_max
+            });
         if is_ended {
-            // Whether a take may begin with this stretch is not known yet: its first block is a key.
-            self.needs_key |= self.open.is_some() && !self.has_early_block;
-            self.has_early_block |= self.open.is_some();
-            self.end_block(stretch, segment);
-            self.state_pending(stretch);
+            self.end_early(stretch, segment);
         }
         if std::mem::take(&mut self.begins_run) {
             (self.run_start, self.segment, self.segment_stretches) = (self.next, None, 0);
         }
-        let open = OpenBlock { n: 0, device_ticks: batch.device_ticks };
-        self.open.get_or_insert(open).n += n;
+        let ticks = batch.device_ticks;
+        let open = OpenBlock { n: 0, device_ticks: ticks, last_batch: (0, ticks) };
+        let open = self.open.get_or_insert(open);
+        open.last_batch = (open.n, ticks);
+        open.n += n;
         self.next += u64::from(n);
         self.samples.push_slice(batch.samples);
         is_ended
@@ -243,12 +292,28 @@ impl GroupIntake {
         }
     }
 
+    /// Ends the open block before its stretch, and states what was lost. Returns whether there is something to encode.
+    fn end_early(&mut self, stretch: u64, segment: u32) -> bool {
+        let is_open = self.open.is_some();
+        // Whether a take may begin with this stretch is not known yet: its first block is a key.
+        self.needs_key |= is_open && !self.has_early_block;
+        self.has_early_block |= is_open;
+        self.end_block(stretch, segment);
+        self.state_pending(stretch);
+        is_open
+    }
+
     /// Ends the open block.
     fn end_block(&mut self, stretch: u64, segment: u32) {
-        let Some(OpenBlock { n, device_ticks }) = self.open.take() else { return };
+        let Some(OpenBlock { n, device_ticks, last_batch }) = self.open.take() else { return };
         let segment = *self.segment.get_or_insert(segment);
-        let time = BlockTime { device_ticks, run_start: self.run_start, segment };
-        let key = self.needs_key || self.since_key + 1 >= KEY_BLOCKS;
+        let time = BlockTime { device_ticks, last_batch, run_start: self.run_start, segment };
+        // Up to the end of this block.
+        let is_late = self.next.saturating_sub(self.key_at) > self.plan.key_rows;
+        let key = self.needs_key || is_late || self.since_key + 1 >= KEY_BLOCKS;
+        if key {
+            self.key_at = self.next - u64::from(n);
+        }
         self.since_key = if key { 0 } else { self.since_key + 1 };
         self.needs_key = false;
         self.push_at(self.next - u64::from(n), stretch, ItemContent::Block { n, key, time });

@@ -63,11 +63,15 @@ const ITEMS_RESERVED: usize = 64;
 const BUFFERS_MAX: usize = 64;
 const BUFFERS_MIN: usize = 4;
 
+/// Parts of a group that can be under way to the writer: its buffers, and boundaries.
+pub(super) const HELD_MAX: usize = BUFFERS_MAX + ITEMS_RESERVED;
+
 /// Limit of the buffers of all groups. They become resident only as far as they are filled.
 const MEMORY_BYTES: usize = 1 << 30;
 
-/// Key blocks are at most this many blocks apart: the format's limit.
+/// Key blocks are at most this many blocks, and seconds, apart: the format's limits.
 const KEY_BLOCKS: u32 = 8;
+const KEY_S: f64 = 10.0;
 
 /// How long a take that is to be closed waits for its last samples. Meanwhile stretches wait in memory, a third of what
 /// fits there.
@@ -101,6 +105,8 @@ enum ItemContent {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct BlockTime {
     pub(super) device_ticks: u64,
+    /// The sample at which its last batch began, counted in the block, and its time.
+    pub(super) last_batch: (u32, u64),
     /// Number of the first sample of its run since the pipeline began.
     pub(super) run_start: u64,
     pub(super) segment: u32,
@@ -134,6 +140,10 @@ struct GroupPlan {
     ring_values: usize,
     /// Most samples of a channel in a block.
     rows_max: u32,
+    /// Samples of a channel at which a block ends, before the next batch: those of a stretch.
+    rows_due: u32,
+    /// Samples of a channel in ten seconds, which key blocks are apart at most.
+    key_rows: u64,
 }
 
 impl GroupPlan {
@@ -148,8 +158,10 @@ impl GroupPlan {
         let held_max = block_rows_max(n_channels).min(BLOCK_ROWS_MAX);
         // The longest batch fits into a block.
         let batch_rows = (SAMPLE_VALUES_MAX / n_channels.max(1)) as u64;
-        let rows_max = stretch_rows.min(of_ring).max(batch_rows).min(held_max);
-        Self { n_channels, ring_values, rows_max: rows_max.max(1) as u32 }
+        let rows_due = stretch_rows.min(of_ring).min(held_max.saturating_sub(batch_rows)).max(1);
+        let rows_max = (rows_due + batch_rows).min(held_max).max(1) as u32;
+        let key_rows = (KEY_S * rate_hz) as u64;
+        Self { n_channels, ring_values, rows_max, rows_due: rows_due as u32, key_rows }
     }
 
     fn block_bytes_max(&self) -> usize {
@@ -175,6 +187,8 @@ impl SampleWakes {
 pub(super) struct SampleReturns {
     pub(super) buffers: Vec<Sender<Vec<u8>>>,
     pub(super) wakes: SampleWakes,
+    /// Size of the largest block.
+    pub(super) block_bytes_max: usize,
     /// By thread, whether it has ended: nothing more comes from it than what is in the queue.
     are_gone: Arc<[AtomicBool]>,
 }
@@ -194,7 +208,7 @@ pub(super) struct SamplingThreads(Vec<std::thread::JoinHandle<()>>);
 /// Number of places that sampled channels need in the queue to the writer, so that sending never waits: one for each
 /// buffer, and some for boundaries, without which the writer waits for a time.
 pub(super) fn parts_max(groups: &[SampledGroupInfo]) -> usize {
-    groups.len() * (BUFFERS_MAX + ITEMS_RESERVED)
+    groups.len() * HELD_MAX
 }
 
 /// Allocates the memory of all groups and starts their threads.
@@ -240,7 +254,9 @@ pub(super) fn start(
     }
     let wakes = SampleWakes(wakes);
     let intake = SampledIntake::new(groups, &plans, rings, tick_hz, wakes.clone());
-    Ok((intake, SampleReturns { buffers, wakes, are_gone }, SamplingThreads(handles)))
+    let block_bytes_max = plans.iter().map(GroupPlan::block_bytes_max).max().unwrap_or(0);
+    let returns = SampleReturns { buffers, wakes, block_bytes_max, are_gone };
+    Ok((intake, returns, SamplingThreads(handles)))
 }
 
 /// Tells the writer that a thread has ended, also if it panicked: takes then are not closed later than needed.
@@ -263,8 +279,8 @@ impl SamplingThreads {
 
 /// The groups as takes describe them.
 pub(super) fn records(groups: &[SampledGroupInfo]) -> Vec<SampledGroup> {
-    let record = |(number, group): (usize, &SampledGroupInfo)| SampledGroup {
-        number: number as u32,
+    let record = |group: &SampledGroupInfo| SampledGroup {
+        number: group.id.into(),
         kind: RECORDED.to_owned(),
         form: match group.form {
             mocapd_drivers::device::SampleForm::Int16 => SampleForm::Int16,
@@ -286,7 +302,7 @@ pub(super) fn records(groups: &[SampledGroupInfo]) -> Vec<SampledGroup> {
             .collect(),
         ..SampledGroup::default()
     };
-    groups.iter().enumerate().map(record).collect()
+    groups.iter().map(record).collect()
 }
 
 type Rings = (RingProducer<f32>, RingProducer<SampleItem>);

@@ -114,9 +114,10 @@ impl LiveTake {
         Ok(take)
     }
 
-    /// Allocates the buffers.
-    pub(super) fn reserve(&mut self, stretch_bytes: usize) {
+    /// Allocates the buffers, for stretches and blocks of samples of up to these sizes.
+    pub(super) fn reserve(&mut self, stretch_bytes: usize, block_bytes: usize) {
         self.shifted.reserve(stretch_bytes);
+        self.take.reserve_samples(block_bytes);
     }
 
     pub(super) fn channel(&mut self, channel: &Channel) -> anyhow::Result<()> {

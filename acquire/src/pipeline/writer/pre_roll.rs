@@ -98,8 +98,13 @@ impl PreRollBuffer {
         self.bytes += part.bytes();
         self.sample_bytes += part.bytes();
         self.samples.push_back(part);
-        // While no frame comes, no stretch does either, and nothing else drops them.
-        while self.sample_bytes > self.bytes_max
+        self.evict_samples();
+    }
+
+    /// Drops the oldest samples while they need more than half of the memory: frames are kept before them. While no frame
+    /// comes, no stretch does either, and nothing else drops them.
+    fn evict_samples(&mut self) {
+        while self.sample_bytes > self.bytes_max / 2
             && let Some(oldest) = self.samples.pop_front()
         {
             self.bytes -= oldest.bytes();
@@ -177,6 +182,7 @@ impl PreRollBuffer {
     /// Drops stretches that are older than configured, up to a key at a time.
     fn trim(&mut self, newest_ns: u64, newest: u64) {
         let from_ns = newest_ns.saturating_sub(self.time_ns);
+        self.evict_samples();
         let mut over = self.bytes > self.bytes_max;
         while let Some(next_key) = self.next_key() {
             let is_old = self.stretches[next_key].first.arrival_ns <= from_ns;

@@ -10,7 +10,9 @@ use mocapd_take::{
     timeline::LossCauses,
 };
 
-use crate::pipeline::sampled::{PartContent, SAMPLES_WAIT_MAX, SamplePart, SampleReturns};
+use crate::pipeline::sampled::{
+    HELD_MAX, PartContent, SAMPLES_WAIT_MAX, SamplePart, SampleReturns,
+};
 
 /// What the writer knows of sampled channels, and the parts that wait for their stretch.
 #[derive(Debug)]
@@ -30,16 +32,21 @@ pub(in crate::pipeline) struct SampleQueue {
 impl SampleQueue {
     pub(in crate::pipeline) fn new(groups: Vec<SampledGroup>, returns: SampleReturns) -> Self {
         let through = vec![0; groups.len()];
-        let held = groups.iter().map(|_| VecDeque::new()).collect();
+        // No group can be further ahead than it has buffers, and boundaries.
+        let held = groups.iter().map(|_| VecDeque::with_capacity(HELD_MAX)).collect();
         Self { groups, returns, held, through, executed: None, waiting_since: None }
+    }
+
+    /// Size of the largest block.
+    pub(super) fn block_bytes_max(&self) -> usize {
+        self.returns.block_bytes_max
     }
 
     pub(super) fn add(&mut self, part: SamplePart) {
         if matches!(part.content, PartContent::Boundary) {
             self.through[part.group] = part.stretch + 1;
-        } else {
-            self.held[part.group].push_back(part);
         }
+        self.held[part.group].push_back(part);
     }
 
     /// Whether all samples up to a boundary are here, or have been waited for long enough. `is_empty` says whether the
@@ -158,6 +165,11 @@ impl TakeSamples {
         take: &mut TakeWriter<W>,
     ) -> Result<(), TakeError> {
         let Some(group) = self.groups.get_mut(part.group) else { return Ok(()) };
+        if matches!(part.content, PartContent::Boundary) {
+            group.ledger.duplicates += part.duplicates;
+            group.ledger.jumps += u64::from(part.jumps);
+            return Ok(());
+        }
         if group.base.is_none() && matches!(part.content, PartContent::Block { key: false, .. }) {
             // Only in a pre-roll that reached its limit of memory: nothing can be decoded before a key.
             return Ok(());
@@ -185,7 +197,8 @@ impl TakeSamples {
                     device_ticks: time.device_ticks,
                     segment: time.segment,
                 };
-                take.sample_time(number, &anchor)?;
+                let (at, ticks) = time.last_batch;
+                take.sample_time(number, &anchor, Some((first + u64::from(at), ticks)))?;
                 let content = if *key { SampleContent::Key } else { SampleContent::Continued };
                 take.samples(&SampleSpan { group: number, first, n, content }, block)
             }

@@ -133,7 +133,7 @@ impl Writer {
                 return false;
             }
         };
-        next.reserve(self.payload.capacity());
+        next.reserve(self.payload.capacity(), self.samples.block_bytes_max());
         let Some(open) = self.live.take() else { return false };
         let ending = TakeEnding::new(EndingKind::Length, format!("continued in {name}"));
         let is_closed = open.end(&base, &mut self.clocks, ending);

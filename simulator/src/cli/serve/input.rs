@@ -60,9 +60,9 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
 pub(super) fn sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
     let mut sources = Vec::new();
     if let (Some(rate_hz), Some(spec)) = (args.plates, generated(args)) {
-        if args.speed != 1.0 {
+        if args.speed != 1.0 || args.looping {
             return Err(Failure::usage_message(
-                "--plates needs the speed at which the body moves: remove --speed",
+                "--plates needs a motion that is played once, at its own speed: remove --speed and --loop",
             ));
         }
         let plates = Arc::new(ForcePlates::new(&spec).map_err(Failure::usage)?);
