@@ -3,10 +3,13 @@
 //! Every sample is a function of its number in the run, so the ground truth of a recording can be computed again.
 
 use std::f64::consts::TAU;
+use std::fmt;
+use std::str::FromStr;
 use std::sync::Arc;
 
 use mocapd_drivers::device::{SampleForm, SampledChannelInfo, SampledGroupInfo};
 use mocapd_drivers::link::{SAMPLE_VALUES_MAX, SAMPLED_CHANNELS_MAX};
+use mocapd_take::quantity::rate_hz;
 
 use crate::generator::{ForcePlates, PLATE_COMPONENTS, Rng};
 
@@ -16,6 +19,34 @@ const NEWTON_METRES_PER_COUNT: f64 = 0.05;
 
 /// Volts of a count of the electrodes: 10 V over 65 536 counts, and a gain of 1000.
 const VOLTS_PER_COUNT: f64 = 1.525_878_906_25e-7;
+
+/// A stream like that of electrodes, as written on a command line: `16@2kHz`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Electrodes {
+    /// Number of channels.
+    pub n_channels: usize,
+    /// Samples of a channel in a second.
+    pub rate_hz: f64,
+}
+
+impl FromStr for Electrodes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('@');
+        let parsed = parts.and_then(|(n, rate)| Some((n.parse().ok()?, rate_hz(rate).ok()?)));
+        let electrodes = parsed.map(|(n_channels, rate_hz)| Self { n_channels, rate_hz });
+        electrodes.ok_or_else(|| {
+            format!("'{text}' is not a number of channels and a rate: give one such as 16@2kHz")
+        })
+    }
+}
+
+impl fmt::Display for Electrodes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}@{}Hz", self.n_channels, self.rate_hz)
+    }
+}
 
 /// How much device time a batch covers.
 pub(crate) const BATCH_MS: u64 = 10;
@@ -72,14 +103,13 @@ impl SampledSource {
         Self::new(id, channels, rate_hz, Signal::Plates(plates))
     }
 
-    /// `n_channels` electrodes, as counts of 16 bits.
+    /// Electrodes, as counts of 16 bits.
     ///
     /// # Errors
     /// When a number is out of range.
     pub fn electrodes(
         id: u8,
-        n_channels: usize,
-        rate_hz: f64,
+        Electrodes { n_channels, rate_hz }: Electrodes,
         seed: u64,
     ) -> Result<Self, SampledError> {
         let channel = |i: usize| SampledChannelInfo {
@@ -171,7 +201,7 @@ mod tests {
         let plates = Arc::new(ForcePlates::new(&JumpSpec::new(1, 100.0)).unwrap());
         for source in [
             SampledSource::plates(0, plates, 1000.0).unwrap(),
-            SampledSource::electrodes(1, 5, 2000.0, 7).unwrap(),
+            SampledSource::electrodes(1, "5@2kHz".parse().unwrap(), 7).unwrap(),
         ] {
             let (mut whole, mut pieces) = (Vec::new(), Vec::new());
             source.samples(0, 500, &mut whole);
@@ -188,7 +218,8 @@ mod tests {
     #[test]
     fn numbers_out_of_range_are_refused() {
         for (n_channels, rate_hz) in [(0, 1000.0), (65, 1000.0), (1, 0.5), (64, 99_000.0)] {
-            let error = SampledSource::electrodes(0, n_channels, rate_hz, 1).unwrap_err();
+            let error =
+                SampledSource::electrodes(0, Electrodes { n_channels, rate_hz }, 1).unwrap_err();
             assert!(error.to_string().contains("expected"), "{error}");
         }
     }

@@ -74,7 +74,7 @@ pub(super) fn sources() -> Vec<SampledSource> {
     let plates = Arc::new(ForcePlates::new(&JumpSpec::new(1, RATE_HZ)).unwrap());
     vec![
         SampledSource::plates(0, plates, 1000.0).unwrap(),
-        SampledSource::electrodes(1, 5, 2000.0, 9).unwrap(),
+        SampledSource::electrodes(1, "5@2kHz".parse().unwrap(), 9).unwrap(),
     ]
 }
 

@@ -16,7 +16,7 @@ use mocapd_simulator::sampled::SampledSource;
 use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
 use mocapd_take::motion::Motion;
 
-use super::{DeviceProtocol, Electrodes, ServeArgs};
+use super::{DeviceProtocol, ServeArgs};
 use crate::cli::{Failure, files, notify};
 
 /// Default rate of a generated motion: the most common one of optical systems.
@@ -68,13 +68,13 @@ pub(super) fn sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
         let plates = Arc::new(ForcePlates::new(&spec).map_err(Failure::usage)?);
         sources.push(SampledSource::plates(0, plates, rate_hz).map_err(Failure::usage)?);
     }
-    for Electrodes { n_channels, rate_hz } in &args.emg {
+    for electrodes in &args.emg {
         let (id, seed) = (sources.len(), args.generate.map_or(0, |Generated { seed }| seed));
         if id >= GROUPS_MAX {
             let message = format!("a device has at most {GROUPS_MAX} groups of sampled channels");
             return Err(Failure::usage_message(message));
         }
-        let source = SampledSource::electrodes(id as u8, *n_channels, *rate_hz, seed + id as u64);
+        let source = SampledSource::electrodes(id as u8, *electrodes, seed.wrapping_add(id as u64));
         sources.push(source.map_err(Failure::usage)?);
     }
     Ok(sources)

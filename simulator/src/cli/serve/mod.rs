@@ -12,6 +12,7 @@ use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice};
 use mocapd_simulator::faults::{FaultyDevice, Script};
 use mocapd_simulator::line::{ServeOptions, serve};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
+use mocapd_simulator::sampled::Electrodes;
 use mocapd_simulator::source::Generated;
 use mocapd_take::motion::Motion;
 use mocapd_take::quantity::{duration, duration_above_zero, length_mm, rate_hz};
@@ -107,7 +108,7 @@ pub(super) struct ServeArgs {
     #[arg(long, value_name = "HZ", num_args = 0..=1, default_missing_value = "1kHz", value_parser = rate_hz)]
     plates: Option<f64>,
     /// Send a stream like that of electrodes, such as 16@2kHz: the number of channels and their rate (repeatable)
-    #[arg(long, value_name = "N@HZ", value_parser = electrodes)]
+    #[arg(long, value_name = "N@HZ")]
     emg: Vec<Electrodes>,
     /// Log what became of every batch of samples to this CSV file; it must not exist (docs/faults.md)
     #[arg(long, value_name = "FILE")]
@@ -163,22 +164,6 @@ impl ServeArgs {
         let batch = self.batch_ms.map_or(self.batch, Duration::from_millis);
         Some(batch).filter(|batch| !batch.is_zero())
     }
-}
-
-/// A stream like that of electrodes.
-#[derive(Debug, Clone, Copy)]
-struct Electrodes {
-    n_channels: usize,
-    rate_hz: f64,
-}
-
-/// Parses the number and the rate of electrodes; the device checks their ranges.
-fn electrodes(text: &str) -> Result<Electrodes, String> {
-    let parts = text.split_once('@');
-    let parsed = parts.and_then(|(n, rate)| Some((n.parse().ok()?, rate_hz(rate).ok()?)));
-    parsed.map(|(n_channels, rate_hz)| Electrodes { n_channels, rate_hz }).ok_or_else(|| {
-        format!("'{text}' is not a number of channels and a rate: give one such as 16@2kHz")
-    })
 }
 
 /// Parses a number without a unit; the device checks its range.

@@ -12,7 +12,7 @@ fn sources() -> Vec<SampledSource> {
     let plates = Arc::new(ForcePlates::new(&JumpSpec::new(8, 100.0)).unwrap());
     vec![
         SampledSource::plates(0, plates, 1000.0).unwrap(),
-        SampledSource::electrodes(1, 3, 2048.0, 5).unwrap(),
+        SampledSource::electrodes(1, "3@2048Hz".parse().unwrap(), 5).unwrap(),
     ]
 }
 
