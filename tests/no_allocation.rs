@@ -28,7 +28,10 @@ use mocapd_drivers::{
     link::{DeviceLink, FrameForm, HostLink},
 };
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
-use mocapd_take::motion::{Motion, is_gap};
+use mocapd_take::{
+    chunk::types,
+    motion::{Motion, is_gap},
+};
 
 struct Counting;
 
@@ -57,15 +60,15 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Counts the stretches written, so that the test knows when the pipeline is idle.
-struct CountingSink(Arc<AtomicU64>);
+/// Counts the stretches and the blocks of samples written, so that the test knows when the pipeline is idle.
+struct CountingSink([Arc<AtomicU64>; 2]);
 
 impl Write for CountingSink {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.fetch_add(
-            u64::from(bytes[0] == mocapd_take::chunk::types::STRETCH),
-            Ordering::Relaxed,
-        );
+        let counted = [types::STRETCH, types::SAMPLES];
+        for (count, kind) in self.0.iter().zip(counted) {
+            count.fetch_add(u64::from(bytes[0] == kind), Ordering::Relaxed);
+        }
         Ok(bytes.len())
     }
 
@@ -145,9 +148,9 @@ fn feed(link: &mut HostLink, intake: &mut Intake, bytes: &[u8]) {
     }
 }
 
-fn wait_for(stretches: &AtomicU64, wanted: u64) {
+fn wait_for(chunks: &AtomicU64, wanted: u64) {
     let since = Instant::now();
-    while stretches.load(Ordering::Relaxed) < wanted {
+    while chunks.load(Ordering::Relaxed) < wanted {
         assert!(since.elapsed() < Duration::from_secs(60), "the pipeline stands still");
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -175,19 +178,19 @@ fn the_sample_path_does_not_allocate_after_the_start() {
         };
         let mut header = header::new(&codec, RATE_HZ).unwrap();
         header.channels.clone_from(&config.channels);
-        let stretches = Arc::new(AtomicU64::new(0));
+        let written_chunks = [Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0))];
         let (mut intake, pipeline) =
-            Pipeline::start(&config, NewTake::new(CountingSink(Arc::clone(&stretches)), header))
+            Pipeline::start(&config, NewTake::new(CountingSink(written_chunks.clone()), header))
                 .unwrap();
         let mut link = HostLink::new();
 
         feed(&mut link, &mut intake, &warm_up);
-        wait_for(&stretches, 5);
+        written_chunks.iter().for_each(|chunks| wait_for(chunks, 5));
         // The channels allocate per thread at its first wait: let every thread wait once.
         std::thread::sleep(Duration::from_millis(300));
         let before = ALLOCATIONS.load(Ordering::Relaxed);
         feed(&mut link, &mut intake, &measured);
-        wait_for(&stretches, 25);
+        written_chunks.iter().for_each(|chunks| wait_for(chunks, 25));
         let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
 
         intake.finish();

@@ -429,8 +429,8 @@ fn a_damaged_take_has_no_wrong_samples() {
     let (_, take) = pipeline.finish().unwrap();
     let places = crate::support::places(&take);
     let header = places[0].1.end;
-    let ledgers = places.iter().filter(|(kind, _)| *kind == types::SAMPLE_LEDGER);
-    let last_ledger = ledgers.last().unwrap().1.clone();
+    let last = places.iter().rfind(|(kind, _)| *kind == types::SAMPLE_LEDGER);
+    let last_ledger = last.unwrap().1.clone();
     for at in header..take.len() {
         let mut damaged = take.clone();
         damaged[at] ^= 1 << (at % 8);

@@ -4,6 +4,7 @@ use mocapd_drivers::device::SampleBatch;
 use mocapd_drivers::link::batch_bytes_max;
 
 use super::{Device, Queued, Run, SentBatch, frame_after_ns};
+use crate::sampled::SampledSource;
 
 /// What a group of sampled channels has sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -53,7 +54,7 @@ impl Device {
 
     /// Queues a whole batch of a group, or drops it when the queue is full.
     pub(super) fn produce_batch(&mut self, group: usize, run: &Run) {
-        let n = self.settings.sampled.get(group).map_or(0, |source| source.batch_samples());
+        let n = self.settings.sampled.get(group).map_or(0, SampledSource::batch_samples);
         self.put_batch(group, n, run);
     }
 

@@ -14,7 +14,7 @@ use crate::{
     damage::Problem,
     record::{ClockLine, GroupLedger, SampleLedger, SampledGroup},
     sampled::{GroupSamples, RECORDED, SampleAnchor, SampleContent, SampleSpan},
-    timeline::{LossCauses, RowTime},
+    timeline::{LossCauses, RowTime, Timeline},
     traversal::Decode,
 };
 
@@ -165,7 +165,7 @@ fn time_of(
     let mut traversal = TakeTraversal::from_map(input, map, Decode::Groups(Vec::new()))?;
     traversal.seek(row)?;
     while traversal.next_stretch()?.is_some() {
-        let times = traversal.timeline().into_iter().flat_map(|timeline| timeline.recorded());
+        let times = traversal.timeline().into_iter().flat_map(Timeline::recorded);
         if let Some((_, time)) = times.into_iter().find(|(at, _)| *at >= row) {
             return Ok(Some(time));
         }
@@ -195,7 +195,7 @@ fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
             Some(false) => run = Some(found),
             None if has_ticks => run = Some(found),
             // Before all samples, if it is the first.
-            None => run = run.or_else(|| Some(found.start..found.start)),
+            None => run = run.or(Some(found.start..found.start)),
         }
     }
     let Some(run) = run else { return 0 };

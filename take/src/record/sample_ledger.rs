@@ -1,4 +1,4 @@
-//! SAMPLE_LEDGER: what became of the samples of each group of sampled channels.
+//! `SAMPLE_LEDGER`: what became of the samples of each group of sampled channels.
 
 use bincode::{Decode, Encode};
 

@@ -345,6 +345,9 @@ impl GroupSamples {
     }
 }
 
+/// A run of samples, and the samples channel after channel, if they are there.
+pub(crate) type DecodedRun<'a> = (SampleSpan, Option<&'a [f32]>);
+
 /// Decodes the samples of a group one run after another, so that two groups can be read in step.
 #[derive(Debug)]
 pub(crate) struct GroupReader<'a> {
@@ -360,7 +363,7 @@ impl GroupReader<'_> {
     pub(crate) fn next(
         &mut self,
         input: &mut (impl Read + Seek),
-    ) -> Result<Option<(SampleSpan, Option<&[f32]>)>, TakeError> {
+    ) -> Result<Option<DecodedRun<'_>>, TakeError> {
         let Some((span, place)) = self.runs.next() else { return Ok(None) };
         let Some((at, bytes)) = place else { return Ok(Some((span, None))) };
         input.seek(SeekFrom::Start(at))?;

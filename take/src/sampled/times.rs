@@ -1,4 +1,4 @@
-//! SAMPLE_TIMES: when the samples of a recording were taken, by the device's clock.
+//! `SAMPLE_TIMES`: when the samples of a recording were taken, by the device's clock.
 
 use crate::{TakeError, record::SAMPLES_MAX, varint};
 
@@ -40,7 +40,7 @@ impl SampleAnchor {
     }
 }
 
-/// A SAMPLE_TIMES chunk: anchors of one group in one run, in order.
+/// A `SAMPLE_TIMES` chunk: anchors of one group in one run, in order.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SampleTimes {
     /// Number of the group.

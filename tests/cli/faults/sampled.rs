@@ -40,7 +40,7 @@ fn expected(batches: &[&BatchFate]) -> Expected {
                         None => expected.jumps += 1,
                         Some(missing) if next.run != sent.run => expected.unknown += missing,
                         Some(missing) if next.number == sent.number + 1 => {
-                            expected.dropped += missing
+                            expected.dropped += missing;
                         }
                         Some(missing) => expected.lost_on_link += missing,
                     }

@@ -321,9 +321,9 @@ impl GroupIntake {
 
     /// States the losses that are pending, if there is room.
     fn state_pending(&mut self, stretch: u64) {
-        for place in 0..CAUSES.len() {
+        for (place, causes) in CAUSES.into_iter().enumerate() {
             let n = self.pending[place];
-            if n > 0 && self.push(stretch, ItemContent::Lost { n, causes: CAUSES[place] }) {
+            if n > 0 && self.push(stretch, ItemContent::Lost { n, causes }) {
                 self.pending[place] = 0;
                 self.next += n;
                 self.needs_key = true;
