@@ -50,7 +50,7 @@ use self::{
     plan::Plan,
     pool::Pool,
     sampled::SamplingThreads,
-    writer::{LiveTake, SampleQueue, TakePlace, Writer},
+    writer::{LiveTake, SampleQueue, TakePlace, Writer, WriterEndpoints},
 };
 pub use crate::files::TakeOutput;
 use crate::{heartbeat::ThreadRole, threads};
@@ -177,14 +177,9 @@ impl Pipeline {
         };
         let intake = Intake::new(config, &plan, ends)?;
         let samples = SampleQueue::new(sampled::records(&config.sampled), sample_returns);
-        let mut writer = Writer::new(
-            &plan,
-            (parts, from_reader),
-            samples,
-            buffers_back,
-            pool.wakes(),
-            &progress,
-        );
+        let wakes = pool.wakes();
+        let ends = WriterEndpoints { parts, from_reader, samples, buffers_back, wakes };
+        let mut writer = Writer::new(&plan, ends, &progress);
         if let Some((take, split)) = take {
             writer.set_single_take(take, split);
         }

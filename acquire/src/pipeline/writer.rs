@@ -81,15 +81,23 @@ pub(super) struct Writer {
     split: Option<SplitState>,
 }
 
+/// The writer's ends of the queues that it shares with other threads.
+#[derive(Debug)]
+pub(super) struct WriterEndpoints {
+    pub(super) parts: Receiver<WriterInput>,
+    pub(super) from_reader: FromReader,
+    pub(super) samples: SampleQueue,
+    pub(super) buffers_back: Vec<Sender<PartBuffer>>,
+    pub(super) wakes: WakeQueue,
+}
+
 impl Writer {
     pub(super) fn new(
         plan: &Plan,
-        (parts, from_reader): (Receiver<WriterInput>, FromReader),
-        samples: SampleQueue,
-        buffers_back: Vec<Sender<PartBuffer>>,
-        wakes: WakeQueue,
+        ends: WriterEndpoints,
         progress: &Arc<PipelineProgress>,
     ) -> Self {
+        let WriterEndpoints { parts, from_reader, samples, buffers_back, wakes } = ends;
         let mut table = Vec::with_capacity(plan.n_slots);
         table.extend(lock(&progress.channels).iter().map(|channel| (0, channel.clone())));
         Self {

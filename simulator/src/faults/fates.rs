@@ -59,7 +59,7 @@ pub(super) struct FateTracker<T> {
 impl<T> Default for FateTracker<T> {
     fn default() -> Self {
         Self {
-            entries: VecDeque::new(),
+            entries: VecDeque::default(),
             n_produced: 0,
             next: 0,
             last_whole: None,

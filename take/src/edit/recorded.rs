@@ -2,7 +2,7 @@
 //! a part.
 
 use std::{
-    io::{Read, Seek, Write},
+    io::{Read, Seek, SeekFrom, Write},
     ops::Range,
 };
 
@@ -40,9 +40,32 @@ pub(super) fn copy<W: Write>(
     take: &mut TakeWriter<W>,
 ) -> Result<(), TakeError> {
     for group in map.recorded_groups() {
-        group.copy_to(input, take, (0, 0))?;
+        copy_group(group, input, take, (0, 0))?;
     }
     map.sample_ledger.iter().try_for_each(|ledger| take.sample_ledger(ledger))
+}
+
+/// Copies the samples and times of a group, with numbers of samples and of segments that are higher by these.
+fn copy_group<W: Write>(
+    group: &GroupSamples,
+    input: &mut (impl Read + Seek),
+    take: &mut TakeWriter<W>,
+    (by, by_segment): (u64, u32),
+) -> Result<(), TakeError> {
+    let number = group.group.number;
+    let mut anchors = group.anchors().iter().peekable();
+    let mut block = Vec::new();
+    for (span, block_at, block_bytes) in group.stored() {
+        while let Some(anchor) = anchors.next_if(|anchor| anchor.number < span.end()) {
+            take.sample_time(number, &anchor.moved(by, by_segment), None)?;
+        }
+        input.seek(SeekFrom::Start(block_at))?;
+        block.clear();
+        input.by_ref().take(block_bytes).read_to_end(&mut block)?;
+        let first = span.first.saturating_add(by);
+        take.samples(&SampleSpan { first, ..span }, &block)?;
+    }
+    anchors.try_for_each(|anchor| take.sample_time(number, &anchor.moved(by, by_segment), None))
 }
 
 /// Whether the groups of two takes can follow each other.
@@ -91,7 +114,7 @@ impl JoinedSamples {
             return Ok(());
         }
         for (group, next) in map.recorded_groups().zip(&mut self.next) {
-            group.copy_to(input, take, (*next, segment))?;
+            copy_group(group, input, take, (*next, segment))?;
             *next = next.saturating_add(group.n_samples());
         }
         if let Some(ledger) = &map.sample_ledger {

@@ -2,7 +2,7 @@
 
 use std::{
     convert::Infallible,
-    io::{self, Read, Seek, SeekFrom, Write},
+    io::{self, Read, Seek, SeekFrom},
     sync::Arc,
 };
 
@@ -12,7 +12,7 @@ use super::{
     RECORDED, SampleAnchor, SampleClock, SampleContent, SampleSpan, SampleTimes, SamplesChunk, fits,
 };
 use crate::{
-    TakeError, TakeWriter,
+    TakeError,
     foreign::content::{Content, ScratchFile, Spool},
     interchange::c3d::columns::{
         ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered, word,
@@ -158,27 +158,9 @@ impl GroupSamples {
         self.ledger(|_| true)
     }
 
-    /// Copies its samples and times into another take, with numbers of samples and of segments that are higher by these.
-    pub(crate) fn copy_to<W: Write>(
-        &self,
-        input: &mut (impl Read + Seek),
-        take: &mut TakeWriter<W>,
-        (by, by_segment): (u64, u32),
-    ) -> Result<(), TakeError> {
-        let group = self.group.number;
-        let mut anchors = self.anchors.iter().peekable();
-        let mut block = Vec::new();
-        for chunk in &self.chunks {
-            while let Some(anchor) = anchors.next_if(|anchor| anchor.number < chunk.span.end()) {
-                take.sample_time(group, &anchor.moved(by, by_segment), None)?;
-            }
-            input.seek(SeekFrom::Start(chunk.block_at))?;
-            block.clear();
-            input.by_ref().take(chunk.block_bytes).read_to_end(&mut block)?;
-            let first = chunk.span.first.saturating_add(by);
-            take.samples(&SampleSpan { first, ..chunk.span }, &block)?;
-        }
-        anchors.try_for_each(|anchor| take.sample_time(group, &anchor.moved(by, by_segment), None))
+    /// Its chunks of samples: what each holds, and the file offset and size of its block.
+    pub(crate) fn stored(&self) -> impl Iterator<Item = (SampleSpan, u64, u64)> {
+        self.chunks.iter().map(|chunk| (chunk.span, chunk.block_at, chunk.block_bytes))
     }
 
     /// Decodes all samples of the group. `each` receives the number of the first sample, the number of samples of each

@@ -30,7 +30,7 @@ pub struct SampleAnchor {
 
 impl SampleAnchor {
     /// The anchor in a take in which numbers of samples and of segments are higher by these.
-    pub(super) fn moved(&self, by: u64, by_segment: u32) -> Self {
+    pub(crate) fn moved(&self, by: u64, by_segment: u32) -> Self {
         Self {
             number: self.number.saturating_add(by),
             run_start: self.run_start.saturating_add(by),

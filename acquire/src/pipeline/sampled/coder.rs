@@ -5,15 +5,15 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_codec::{GROUP_CHANNELS, sampled::SampledEncoder};
 
-use super::{FreeBuffers, GroupPlan, ItemContent, PartContent, RingEnds, SampleItem, SamplePart};
-use crate::pipeline::messages::WriterInput;
+use super::{FreeBuffers, GroupPlan, ItemContent, RingEnds, SampleItem};
+use crate::pipeline::messages::{PartContent, SamplePart, WriterInput};
 
 /// How often a thread looks for work without being woken: only if a wake-up came between its last look and its sleep.
 const IDLE: Duration = Duration::from_secs(1);
 
 /// A group, with all its memory.
 #[derive(Debug)]
-pub(super) struct GroupCoder {
+pub(super) struct SampledGroupCoder {
     index: usize,
     plan: GroupPlan,
     rings: RingEnds,
@@ -29,7 +29,7 @@ pub(super) struct GroupCoder {
     is_out_of_step: bool,
 }
 
-impl GroupCoder {
+impl SampledGroupCoder {
     pub(super) fn new(
         index: usize,
         plan: GroupPlan,
@@ -113,7 +113,11 @@ impl GroupCoder {
 }
 
 /// Runs until the intake is gone and everything is encoded.
-pub(super) fn run(mut groups: Vec<GroupCoder>, woken: &Receiver<()>, parts: &Sender<WriterInput>) {
+pub(super) fn run(
+    mut groups: Vec<SampledGroupCoder>,
+    woken: &Receiver<()>,
+    parts: &Sender<WriterInput>,
+) {
     loop {
         groups.retain_mut(|group| group.run(parts));
         if groups.is_empty() {

@@ -7,10 +7,11 @@ use mocapd_drivers::{
 use mocapd_take::timeline::LossCauses;
 
 use super::{
-    BlockTime, GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
+    GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
     SampleWakes,
     counter::{BatchStep, SampleCounter},
 };
+use crate::pipeline::messages::BlockTime;
 
 /// The causes of losses that have not been stated yet, in the order in which they are stated.
 const CAUSES: [LossCauses; 5] = [

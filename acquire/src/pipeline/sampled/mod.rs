@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! reader thread    SampledIntake: batch -> the ring of its group, or lost as a whole; ends blocks with the stretches
-//! sampling threads GroupCoder: ring -> block; a group belongs to one thread
+//! sampling threads SampledGroupCoder: ring -> block; a group belongs to one thread
 //! writer thread    blocks -> take file, behind the stretch that was open when they ended
 //! ```
 //!
@@ -34,10 +34,10 @@ use mocapd_take::{
     timeline::LossCauses,
 };
 
-use self::coder::GroupCoder;
+use self::coder::SampledGroupCoder;
 pub(super) use self::intake::{BatchOutcome, SampledIntake};
 use super::{
-    messages::WriterInput,
+    messages::{BlockTime, WriterInput},
     ring::{RingConsumer, RingProducer, ring},
 };
 use crate::threads;
@@ -98,37 +98,6 @@ enum ItemContent {
     /// Samples that are lost.
     Lost { n: u64, causes: LossCauses },
     /// A boundary of takes, behind all samples that arrived before it.
-    Boundary,
-}
-
-/// The time of the first sample of a block.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct BlockTime {
-    pub(super) device_ticks: u64,
-    /// The sample at which its last batch began, counted in the block, and its time.
-    pub(super) last_batch: (u32, u64),
-    /// Number of the first sample of its run since the pipeline began.
-    pub(super) run_start: u64,
-    pub(super) segment: u32,
-}
-
-/// Samples of a group for the writer.
-#[derive(Debug)]
-pub(super) struct SamplePart {
-    /// Index of the group.
-    pub(super) group: usize,
-    pub(super) stretch: u64,
-    pub(super) first: u64,
-    pub(super) duplicates: u64,
-    pub(super) jumps: u32,
-    pub(super) content: PartContent,
-}
-
-/// What the part has. Buffers return to the group.
-#[derive(Debug)]
-pub(super) enum PartContent {
-    Block { n: u32, key: bool, time: BlockTime, block: Vec<u8> },
-    Lost { n: u64, causes: LossCauses, buffer: Vec<u8> },
     Boundary,
 }
 
@@ -222,7 +191,7 @@ pub(super) fn start(
     let bytes: usize = plans.iter().map(GroupPlan::block_bytes_max).sum();
     let n_buffers = (MEMORY_BYTES / bytes.max(1)).clamp(BUFFERS_MIN, BUFFERS_MAX);
     let n_threads = workers.clamp(1, 8).min(groups.len());
-    let mut coders: Vec<Vec<GroupCoder>> = (0..n_threads).map(|_| Vec::new()).collect();
+    let mut coders: Vec<Vec<SampledGroupCoder>> = (0..n_threads).map(|_| Vec::new()).collect();
     let (mut rings, mut buffers) = (Vec::new(), Vec::new());
     for (index, plan) in plans.iter().enumerate() {
         let (samples, samples_out) = ring(plan.ring_values);
@@ -231,7 +200,7 @@ pub(super) fn start(
         for _ in 0..n_buffers {
             back.try_send(Vec::with_capacity(plan.block_bytes_max())).ok();
         }
-        coders[index % n_threads].push(GroupCoder::new(
+        coders[index % n_threads].push(SampledGroupCoder::new(
             index,
             *plan,
             (samples_out, items_out),

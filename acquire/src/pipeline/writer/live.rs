@@ -26,8 +26,7 @@ use crate::{
         commands::Reply,
         disk::DiskReserve,
         lock,
-        messages::{FrameTimes, PartReport, StretchReport},
-        sampled::SamplePart,
+        messages::{FrameTimes, PartReport, SamplePart, StretchReport},
     },
 };
 

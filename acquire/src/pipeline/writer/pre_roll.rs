@@ -6,8 +6,7 @@ use mocapd_take::{record::Event, stretch::Span};
 
 use crate::pipeline::{
     Counts, PreRollConfig,
-    messages::{FrameTimes, StretchEnd, StretchReport},
-    sampled::SamplePart,
+    messages::{FrameTimes, SamplePart, StretchEnd, StretchReport},
 };
 
 /// Events kept with the stretches: as many as may wait for the writer. Beyond this, the oldest are dropped.
@@ -58,7 +57,7 @@ impl PreRollBuffer {
             bytes_max: config.bytes_max,
             stretches: VecDeque::with_capacity(usual),
             events: VecDeque::with_capacity(EVENTS_MAX),
-            samples: VecDeque::new(),
+            samples: VecDeque::with_capacity(usual),
             sample_bytes: 0,
             bytes: 0,
             cut: false,

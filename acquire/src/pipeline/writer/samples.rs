@@ -10,8 +10,9 @@ use mocapd_take::{
     timeline::LossCauses,
 };
 
-use crate::pipeline::sampled::{
-    HELD_MAX, PartContent, SAMPLES_WAIT_MAX, SamplePart, SampleReturns,
+use crate::pipeline::{
+    messages::{PartContent, SamplePart},
+    sampled::{HELD_MAX, SAMPLES_WAIT_MAX, SampleReturns},
 };
 
 /// What the writer knows of sampled channels, and the parts that wait for their stretch.
