@@ -168,6 +168,7 @@ impl Intake {
         let (stretch, is_boundary) = (self.feed.next_stretch(), end.span.n_rows == 0);
         let segment = self.clocks.segment();
         self.samples.end_stretch(stretch, end.span.key, is_boundary, segment);
+        self.blocks_since_ns = self.now_ns;
         if !self.feed.end_stretch(end, self.counts()) {
             self.progress.failed.store(true, Ordering::Relaxed);
         }
