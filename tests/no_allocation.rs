@@ -60,12 +60,13 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Counts the stretches and the blocks of samples written, so that the test knows when the pipeline is idle.
-struct CountingSink([Arc<AtomicU64>; 2]);
+/// Counts the stretches and the blocks of samples written, so that the test knows when the pipeline is idle, and the
+/// ledgers.
+struct CountingSink([Arc<AtomicU64>; 3]);
 
 impl Write for CountingSink {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let counted = [types::STRETCH, types::SAMPLES];
+        let counted = [types::STRETCH, types::SAMPLES, types::LEDGER];
         for (count, kind) in self.0.iter().zip(counted) {
             count.fetch_add(u64::from(bytes[0] == kind), Ordering::Relaxed);
         }
@@ -156,6 +157,46 @@ fn wait_for(chunks: &AtomicU64, wanted: u64) {
     }
 }
 
+/// The allocations of all threads while the measured frames are recorded, and the ledgers written meanwhile.
+fn allocations(
+    kind: ResamplerKind,
+    motion: &Motion,
+    warm_up: &[u8],
+    measured: &[u8],
+) -> (u64, u64) {
+    let codec = Settings { kind, tolerance: Tolerance::from_mm(0.5).unwrap() };
+    let channels = header::channels(&motion.info.markers);
+    let config = PipelineConfig {
+        sampled: vec![group()],
+        ..PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels)
+    };
+    let mut header = header::new(&codec, RATE_HZ).unwrap();
+    header.channels.clone_from(&config.channels);
+    let written_chunks: [Arc<AtomicU64>; 3] = Default::default();
+    let (mut intake, pipeline) =
+        Pipeline::start(&config, NewTake::new(CountingSink(written_chunks.clone()), header))
+            .unwrap();
+    let mut link = HostLink::new();
+
+    feed(&mut link, &mut intake, warm_up);
+    written_chunks[..2].iter().for_each(|chunks| wait_for(chunks, 5));
+    // The channels allocate per thread at its first wait: let every thread wait once.
+    std::thread::sleep(Duration::from_millis(300));
+    let ledgers_before = written_chunks[2].load(Ordering::Relaxed);
+    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    feed(&mut link, &mut intake, measured);
+    written_chunks[..2].iter().for_each(|chunks| wait_for(chunks, 25));
+    let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
+    let ledgers = written_chunks[2].load(Ordering::Relaxed) - ledgers_before;
+
+    intake.finish();
+    let (written, _) = pipeline.finish().unwrap();
+    assert_eq!(written.ledger.recorded, 504 + 20 * 120);
+    let samples = written.sample_ledger.unwrap().groups[0];
+    assert_eq!((samples.stored, samples.lost()), ((504 + 20 * 120) * SAMPLES_EACH, 0));
+    (allocations, ledgers)
+}
+
 #[test]
 fn the_sample_path_does_not_allocate_after_the_start() {
     let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.1 });
@@ -170,34 +211,10 @@ fn the_sample_path_does_not_allocate_after_the_start() {
         ResamplerKind::Lossless,
         ResamplerKind::LosslessPredictive,
     ] {
-        let codec = Settings { kind, tolerance: Tolerance::from_mm(0.5).unwrap() };
-        let channels = header::channels(&motion.info.markers);
-        let config = PipelineConfig {
-            sampled: vec![group()],
-            ..PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels)
-        };
-        let mut header = header::new(&codec, RATE_HZ).unwrap();
-        header.channels.clone_from(&config.channels);
-        let written_chunks = [Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0))];
-        let (mut intake, pipeline) =
-            Pipeline::start(&config, NewTake::new(CountingSink(written_chunks.clone()), header))
-                .unwrap();
-        let mut link = HostLink::new();
-
-        feed(&mut link, &mut intake, &warm_up);
-        written_chunks.iter().for_each(|chunks| wait_for(chunks, 5));
-        // The channels allocate per thread at its first wait: let every thread wait once.
-        std::thread::sleep(Duration::from_millis(300));
-        let before = ALLOCATIONS.load(Ordering::Relaxed);
-        feed(&mut link, &mut intake, &measured);
-        written_chunks.iter().for_each(|chunks| wait_for(chunks, 25));
-        let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
-
-        intake.finish();
-        let (written, _) = pipeline.finish().unwrap();
-        assert_eq!(written.ledger.recorded, 504 + 20 * 120);
-        let samples = written.sample_ledger.unwrap().groups[0];
-        assert_eq!((samples.stored, samples.lost()), ((504 + 20 * 120) * SAMPLES_EACH, 0));
-        assert_eq!(allocations, 0, "{kind}: 2400 frames of 70 markers, and 20 sampled channels");
+        // A ledger allocates. The second one is written five seconds after the first: on a busy machine that may be here.
+        let results = (0..5).map(|_| allocations(kind, &motion, &warm_up, &measured));
+        let without_ledger = results.into_iter().find(|&(_, ledgers)| ledgers == 0);
+        let n = without_ledger.map(|(allocations, _)| allocations);
+        assert_eq!(n, Some(0), "{kind}: 2400 frames of 70 markers, and 20 sampled channels");
     }
 }

@@ -322,6 +322,7 @@ fn more_samples_than_can_be_encoded_are_dropped_in_whole_batches_and_no_frame_is
     let (written, take) = pipeline.finish().unwrap();
     assert_eq!(written.ledger.recorded, 120);
     assert_eq!(written.ledger.frames_lost(), 0);
+    assert!(written.ledger.closes(), "{:?}", written.ledger);
     let ledger = assert_clean(&take)[0];
     assert_eq!(ledger.taken, first);
     assert!(ledger.lost_ring_full > first / 4, "{ledger:?}");

@@ -258,7 +258,8 @@ impl Writer {
     fn write_samples_before_front(&mut self) -> bool {
         let Some(front) = self.assembler.front() else { return true };
         let (stretch, is_boundary) = (front.stretch, front.end.span.n_rows == 0);
-        if is_boundary && !self.samples.is_complete(stretch, || self.parts.is_empty()) {
+        let is_last = front.end.last;
+        if is_boundary && !self.samples.is_complete(stretch, is_last, || self.parts.is_empty()) {
             return false;
         }
         self.write_samples(stretch);

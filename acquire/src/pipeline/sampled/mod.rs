@@ -74,7 +74,7 @@ const KEY_BLOCKS: u32 = 8;
 const KEY_S: f64 = 10.0;
 
 /// How long a take that is to be closed waits for its last samples. Meanwhile stretches wait in memory, a third of what
-/// fits there.
+/// fits there. At the end of all, how long none may come.
 pub(super) const SAMPLES_WAIT_MAX: Duration = Duration::from_secs(10);
 
 /// An entry in the order of a group's samples.

@@ -26,8 +26,10 @@ pub(in crate::pipeline) struct SampleQueue {
     through: Vec<u64>,
     /// The last boundary that was executed: parts before it that come later belong to no open take.
     executed: Option<u64>,
-    /// When waiting for a boundary began.
+    /// When waiting for a boundary began; for the last one of all, or when the last part came.
     waiting_since: Option<Instant>,
+    /// Whether a part came since the last look at a boundary.
+    has_new: bool,
 }
 
 impl SampleQueue {
@@ -35,7 +37,7 @@ impl SampleQueue {
         let through = vec![0; groups.len()];
         // No group can be further ahead than it has buffers, and boundaries.
         let held = groups.iter().map(|_| VecDeque::with_capacity(HELD_MAX)).collect();
-        Self { groups, returns, held, through, executed: None, waiting_since: None }
+        Self { groups, returns, held, through, executed: None, waiting_since: None, has_new: false }
     }
 
     /// Size of the largest block.
@@ -48,11 +50,18 @@ impl SampleQueue {
             self.through[part.group] = part.stretch + 1;
         }
         self.held[part.group].push_back(part);
+        self.has_new = true;
     }
 
-    /// Whether all samples up to a boundary are here, or have been waited for long enough. `is_empty` says whether the
-    /// queue to the writer is empty.
-    pub(super) fn is_complete(&mut self, boundary: u64, is_empty: impl Fn() -> bool) -> bool {
+    /// Whether all samples up to a boundary are here, or have been waited for long enough: behind the last one of all
+    /// nothing can be late, and the wait lasts while samples come. `is_empty` says whether the queue to the writer is
+    /// empty.
+    pub(super) fn is_complete(
+        &mut self,
+        boundary: u64,
+        is_last: bool,
+        is_empty: impl Fn() -> bool,
+    ) -> bool {
         let is_here = |(group, &through): (usize, &u64)| {
             // What a thread sent before it ended is in the queue.
             through > boundary || self.returns.is_gone(group) && is_empty()
@@ -60,6 +69,9 @@ impl SampleQueue {
         if self.through.iter().enumerate().all(is_here) {
             self.waiting_since = None;
             return true;
+        }
+        if std::mem::take(&mut self.has_new) && is_last {
+            self.waiting_since = None;
         }
         let since = *self.waiting_since.get_or_insert_with(Instant::now);
         since.elapsed() >= SAMPLES_WAIT_MAX
