@@ -7,6 +7,9 @@ use mocapd_take::timeline::LossCauses;
 /// further. Beyond it the device started again.
 const LATE_S_MAX: f64 = 0.7;
 
+/// How much earlier than the numbers say the time of a late batch may be: the batch before may have been stamped late.
+const LATE_STAMP_S: f64 = 0.05;
+
 /// Gaps up to this many seconds are never doubted, whatever the clock says: a few batches.
 const DOUBTED_S_MIN: f64 = 0.5;
 
@@ -92,7 +95,8 @@ impl SampleCounter {
         let ticks = batch.device_ticks.wrapping_sub(expected.device_ticks).cast_signed() as f64;
         let (ahead_s, passed_s) = (ahead as f64 / self.rate_hz, ticks / self.tick_hz);
         if ahead < 0 {
-            let is_late = -ahead_s <= LATE_S_MAX && passed_s <= ahead_s + JITTER_S;
+            let has_its_time = (ahead_s - LATE_STAMP_S..=ahead_s + JITTER_S).contains(&passed_s);
+            let is_late = -ahead_s <= LATE_S_MAX && has_its_time;
             // A device that started again may number as before, but its clock did, too.
             return if is_late && !rejoins { BatchStep::Duplicate } else { BatchStep::Jump };
         }
