@@ -15,8 +15,8 @@ use crate::{
     damage::{LostRows, Problem, push_problem},
     foreign::ForeignPart,
     index::IndexEntry,
-    record::{Channel, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
-    sampled::{GroupSamples, SampledPart},
+    record::{Channel, ClockLine, Event, Header, Ledger, SampleLedger, Subject, TakeEnding},
+    sampled::{GroupSamples, RECORDED, SampledPart},
     statistics::TakeStatistics,
 };
 
@@ -49,6 +49,8 @@ pub struct TakeMap {
     pub events: Vec<Event>,
     /// The last ledger.
     pub ledger: Option<Ledger>,
+    /// The last ledger of the samples of sampled channels; only in recordings that have some.
+    pub sample_ledger: Option<SampleLedger>,
     /// How the take ended; `None` in takes of earlier versions, in imports, and in takes that were cut off.
     pub ending: Option<TakeEnding>,
     /// The statistics that the take states, in column order; `None` in takes of earlier versions, and in those that were cut off.
@@ -71,6 +73,12 @@ pub struct TakeMap {
 }
 
 impl TakeMap {
+    /// The groups of sampled channels of a recording.
+    pub fn recorded_groups(&self) -> impl Iterator<Item = &GroupSamples> {
+        let parts = self.foreign.iter().filter(|part| part.kind == RECORDED);
+        parts.filter_map(ForeignPart::sampled).flat_map(SampledPart::groups)
+    }
+
     /// Decodes the samples of all sampled channels, and adds those that cannot be decoded to the problems. `input` is the
     /// file of the take.
     ///
@@ -127,6 +135,11 @@ impl TakeMap {
             TakeEvent::Subject(subject) => self.subject = Some(*subject),
             TakeEvent::Event(event) => self.events.push(event),
             TakeEvent::Ledger(ledger) => self.ledger = Some(*ledger),
+            TakeEvent::SampleLedger(ledger) => {
+                let parts = self.foreign.iter_mut().filter_map(ForeignPart::sampled_mut);
+                parts.for_each(|part| part.state(&ledger));
+                self.sample_ledger = Some(*ledger);
+            }
             TakeEvent::Clock(clock) => {
                 if let Some(line) = clock.line {
                     self.clock_lines.pop_if(|last| last.0 == clock.segment);
@@ -141,6 +154,11 @@ impl TakeMap {
                 // Those of an import belong to the last part.
                 let mut parts = self.foreign.iter_mut().rev().filter_map(ForeignPart::sampled_mut);
                 let is_known = parts.any(|part| part.push(chunk, chunk_bytes));
+                self.samples_orphaned += u64::from(!is_known);
+            }
+            TakeEvent::SampleTimes(times) => {
+                let mut parts = self.foreign.iter_mut().rev().filter_map(ForeignPart::sampled_mut);
+                let is_known = parts.any(|part| part.push_times(&times, offset, chunk_bytes));
                 self.samples_orphaned += u64::from(!is_known);
             }
             TakeEvent::Summary(summary) => {

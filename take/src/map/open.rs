@@ -85,7 +85,8 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
             | types::INDEX
             | types::FOOTER
             | types::SAMPLED_GROUP
-            | types::SAMPLES => chunks.is_whole(chunk_bytes)?,
+            | types::SAMPLES
+            | types::SAMPLE_TIMES => chunks.is_whole(chunk_bytes)?,
             _ if types::ALL.contains(&kind) => {
                 let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
                 add_record(&mut map, kind, &payload, offset)

@@ -8,7 +8,7 @@ use crate::{
     chunk::types,
     damage::{DamageOrigin, LedgerTotals, LostRows, Problem},
     reader::TakeInput,
-    record::{Channel, EndingKind, Header, Ledger, TakeEnding},
+    record::{Channel, EndingKind, Header, Ledger, SampleLedger, TakeEnding},
     statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
     stretch::{NUMBERS, Span, Stretch},
     traversal::{Decode, LocatedEvent, LostEntries, Progress, TakeTraversal},
@@ -50,6 +50,8 @@ pub struct RecoveryScan {
     pub recorded: u64,
     /// The ledger of the new take.
     pub ledger: Ledger,
+    /// The ledger of the samples of the new take, if it is of a recording that has some.
+    pub sample_ledger: Option<SampleLedger>,
     /// The ending that the new take states: the ending of the old take, or that it was cut off.
     pub ending: Option<TakeEnding>,
     /// Whether the old take was closed: its last ledger exists, if not its footer.
@@ -170,6 +172,8 @@ impl RecoveryScanner {
             // Which samples can be kept is known when all were read.
             TakeEvent::SampledGroup(_) => (types::SAMPLED_GROUP, ChunkAction::Copy(None)),
             TakeEvent::Samples(_) => (types::SAMPLES, ChunkAction::Copy(None)),
+            TakeEvent::SampleTimes(_) => (types::SAMPLE_TIMES, ChunkAction::Copy(None)),
+            TakeEvent::SampleLedger(_) => (types::SAMPLE_LEDGER, ChunkAction::Rewrite),
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
                 self.ledger.mark_ledger();
@@ -281,7 +285,7 @@ impl RecoveryScanner {
                 OutputChunk::Copied {
                     offset,
                     len,
-                    kind: kind @ (types::SAMPLED_GROUP | types::SAMPLES),
+                    kind: kind @ (types::SAMPLED_GROUP | types::SAMPLES | types::SAMPLE_TIMES),
                     ..
                 } => {
                     if !samples.keeps(offset) {
@@ -359,6 +363,7 @@ impl RecoveryScanner {
             output: self.output,
             names_lost: self.names_lost,
             samples_lost_of: samples.kinds,
+            sample_ledger: samples.ledger,
             contradicted: self.contradiction.is_some() || lacks_ledger,
         };
         scan.problems.extend(self.contradiction);
