@@ -169,6 +169,7 @@ impl Writer {
             // Samples may come without frames: their file is synced and looked at as well.
             if upkeep.elapsed() >= sync_after.min(FILE_CHECK_INTERVAL) {
                 upkeep = Instant::now();
+                heartbeat.at_disk();
                 self.keep_up(idle_since.elapsed() >= sync_after);
                 let failed = progress.failed.load(Ordering::Relaxed);
                 let has_no_take = self.single_take && self.live.is_none();

@@ -343,6 +343,8 @@ impl Rig {
                 && self.protocol.counters().messages_damaged == damaged
             {
                 self.hello = hello;
+                // Takes and their ledgers have the groups in order of numbers, whatever the order of the answers.
+                sampled.sort_by_key(|group| group.id);
                 (self.markers, self.sampled) = (markers, sampled);
                 return Ok(());
             }
