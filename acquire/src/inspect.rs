@@ -413,14 +413,22 @@ impl ClaimChecker {
         }
     }
 
-    /// Checks the last ledger of sampled channels of a closed take against its samples, and their times.
+    /// Checks the last ledger of sampled channels of a closed take against its samples, and their times. What chunks of
+    /// later versions state, which are not read, is held against nothing.
     fn samples(&mut self, take: &TakeMap) {
         let recovered = |(name, _): &(String, String)| name == mocapd_take::recovery::RECOVERED;
         let is_recovered = take.header.settings.iter().any(recovered);
         let stated = take.sample_ledger.as_ref().map_or(&[][..], |ledger| &ledger.groups);
+        let later = take.later_samples;
         for group in take.recorded_groups() {
             let number = group.group.number;
             let found = group.found_ledger();
+            if found.stored > 0 && group.anchors().is_empty() && !later.times {
+                self.report(format!("no times are stated for the samples of group {number}"));
+            }
+            if later.ledger {
+                continue;
+            }
             let Some(stated) = stated.iter().find(|stated| stated.group == number) else {
                 self.report(format!("no ledger states the samples of group {number}"));
                 continue;
@@ -438,9 +446,9 @@ impl ClaimChecker {
                     found.lost()
                 ));
             }
-            if found.stored > 0 && group.anchors().is_empty() {
-                self.report(format!("no times are stated for the samples of group {number}"));
-            }
+        }
+        if later.groups || later.ledger {
+            return;
         }
         let is_known =
             |of: &GroupLedger| take.recorded_groups().any(|g| g.group.number == of.group);

@@ -12,6 +12,7 @@ pub use self::tail::TakeTail;
 
 use crate::{
     ChannelOrder, TakeError, TakeEvent,
+    chunk::types,
     damage::{LostRows, Problem, push_problem},
     foreign::ForeignPart,
     index::IndexEntry,
@@ -23,6 +24,30 @@ use crate::{
 /// Maximum number of groups of sampled channels that a reader remembers of a take. A C3D file with as many points and
 /// channels as 16 bits can count has 6144.
 const GROUPS_MAX: usize = 1 << 13;
+
+/// Which chunks of sampled channels are of a later version. They are skipped, and nothing is wrong with a take in which
+/// what they state is missing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LaterSamples {
+    /// SAMPLED_GROUP.
+    pub groups: bool,
+    /// SAMPLE_TIMES.
+    pub times: bool,
+    /// SAMPLE_LEDGER.
+    pub ledger: bool,
+}
+
+impl LaterSamples {
+    /// A chunk of this type was skipped.
+    pub(crate) fn skip(&mut self, kind: u8) {
+        match kind {
+            types::SAMPLED_GROUP => self.groups = true,
+            types::SAMPLE_TIMES => self.times = true,
+            types::SAMPLE_LEDGER => self.ledger = true,
+            _ => {}
+        }
+    }
+}
 
 /// Everything in a take but its samples.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -62,6 +87,9 @@ pub struct TakeMap {
     /// Chunks of sampled channels that belong to no group, because the chunk that describes it is damaged or of a later
     /// version.
     pub samples_orphaned: u64,
+    /// Which chunks of sampled channels were skipped because of their version; of groups and times only if the stretches
+    /// were read.
+    pub later_samples: LaterSamples,
     /// Whether the take was closed; a take without a footer was cut off.
     pub finished: bool,
     /// Whether anything damaged or missing was found.

@@ -11,7 +11,7 @@ use mocapd_acquire::{
 use mocapd_drivers::device::{SampleBatch, SampleForm, SampledChannelInfo, SampledGroupInfo};
 use mocapd_take::{
     TakeMap,
-    chunk::types,
+    chunk::{self, ChunkParse, types},
     motion::Motion,
     record::{EndingKind, GroupLedger},
     recovery::RecoveryScan,
@@ -19,7 +19,7 @@ use mocapd_take::{
 };
 
 use super::takes::{PRE_ROLL, ended, feed_all, header, new_take};
-use crate::support::{TICK_HZ, config, crowd, dense, feed, jump, start};
+use crate::support::{TICK_HZ, config, crowd, dense, feed, jump, places, start};
 
 /// Samples of a channel in a batch: 10 ms at 2 kHz.
 const BATCH: u64 = 20;
@@ -120,20 +120,31 @@ fn read(take: &[u8], group: usize) -> (Vec<(u64, Vec<f32>)>, TakeMap) {
 /// Asserts that the samples are those of the device from number `from` on, at their times.
 #[track_caller]
 fn assert_true(take: &[u8], group: usize, from: u64) -> usize {
+    let (n, n_untimed) = assert_true_if_timed(take, group, from);
+    assert_eq!(n_untimed, 0);
+    n
+}
+
+/// The same where some times may be lost. Returns the numbers of samples, and of those without a time.
+#[track_caller]
+fn assert_true_if_timed(take: &[u8], group: usize, from: u64) -> (usize, usize) {
     let (samples, map) = read(take, group);
     let info = &groups()[group];
     let found = map.recorded_groups().nth(group).unwrap();
-    let clock = found.clock(TICK_HZ);
+    let (clock, mut n_untimed) = (found.clock(TICK_HZ), 0);
     for (number, values) in &samples {
         let sent = number + from;
         for (channel, got) in (0..).zip(values) {
             assert_eq!(got.to_bits(), value(info, sent, channel).to_bits(), "sample {sent}");
         }
-        let time = clock.at(*number).unwrap();
+        let Some(time) = clock.at(*number) else {
+            n_untimed += 1;
+            continue;
+        };
         let ticks = time.device_ticks as f64 + time.fraction;
         assert!((ticks - (1_000 + sent * TICKS_EACH) as f64).abs() < 0.01, "{sent}: {time:?}");
     }
-    samples.len()
+    (samples.len(), n_untimed)
 }
 
 #[track_caller]
@@ -428,10 +439,15 @@ fn a_damaged_take_has_no_wrong_samples() {
     }
     intake.finish();
     let (_, take) = pipeline.finish().unwrap();
-    let places = crate::support::places(&take);
+    let places = places(&take);
     let header = places[0].1.end;
     let last = places.iter().rfind(|(kind, _)| *kind == types::SAMPLE_LEDGER);
     let last_ledger = last.unwrap().1.clone();
+    let times: Vec<_> = places
+        .iter()
+        .filter(|place| place.0 == types::SAMPLE_TIMES)
+        .map(|place| &place.1)
+        .collect();
     for at in header..take.len() {
         let mut damaged = take.clone();
         damaged[at] ^= 1 << (at % 8);
@@ -445,8 +461,10 @@ fn a_damaged_take_has_no_wrong_samples() {
         assert!(ledger.taken == 800 || !is_stated, "byte {at}: {ledger:?}");
         let mut n = 0;
         if map.recorded_groups().next().is_some() {
-            n = assert_true(&damaged, 0, 0);
-            assert_eq!(assert_true(&recovered, 0, 0), n, "byte {at}");
+            let n_untimed;
+            (n, n_untimed) = assert_true_if_timed(&damaged, 0, 0);
+            assert_eq!(assert_true_if_timed(&recovered, 0, 0), (n, n_untimed), "byte {at}");
+            assert!(n_untimed == 0 || times.iter().any(|times| times.contains(&at)), "byte {at}");
         }
         assert_eq!(ledger.stored, n as u64, "byte {at}");
         assert_eq!(ledger.lost_other, ledger.taken - n as u64, "byte {at}");
@@ -574,7 +592,7 @@ fn a_recovered_take_says_what_is_lost_at_the_end_and_with_a_description() {
     feed_both(&mut intake, &motion, 0..400, |_, _| true);
     intake.finish();
     let (_, take) = pipeline.finish().unwrap();
-    let places = crate::support::places(&take);
+    let places = places(&take);
     let last = places.iter().rfind(|(kind, _)| *kind == types::SAMPLES).unwrap();
     let first = places.iter().find(|(kind, _)| *kind == types::SAMPLED_GROUP).unwrap();
     for (place, is_description) in [(last, false), (first, true)] {
@@ -595,6 +613,59 @@ fn a_recovered_take_says_what_is_lost_at_the_end_and_with_a_description() {
             assert_eq!(lost, 4000);
         } else {
             assert!((100..=1000).contains(&lost), "{lost}");
+        }
+    }
+}
+
+/// The take with every chunk of one type in a version that this program does not know.
+fn of_later_version(take: &[u8], of: u8) -> Vec<u8> {
+    let mut new = take.to_vec();
+    for (_, place) in places(take).into_iter().filter(|(kind, _)| *kind == of) {
+        let ChunkParse::Whole { payload, .. } = chunk::parse(&take[place.clone()]) else {
+            unreachable!("it was parsed");
+        };
+        let payload_at = payload.as_ptr() as usize - take.as_ptr() as usize;
+        new[payload_at] = 77;
+        let crc_at = place.end - 4;
+        let crc = crc32fast::hash(&new[place.start..crc_at]);
+        new[crc_at..place.end].copy_from_slice(&crc.to_le_bytes());
+    }
+    assert_ne!(new, take);
+    new
+}
+
+#[test]
+fn chunks_of_later_versions_are_held_against_nothing_and_recovered_unchanged() {
+    let motion = jump(6, 200.0, 4.0);
+    let (mut intake, pipeline) = start(&with_groups(&motion), Vec::new());
+    feed_both(&mut intake, &motion, 0..800, |_, number| number % 10 != 3);
+    intake.finish();
+    let take = pipeline.finish().unwrap().1;
+    let stated = assert_clean(&take);
+    assert!(stated.iter().all(|group| group.stored > 0 && group.lost() > 0));
+    for kind in [types::SAMPLED_GROUP, types::SAMPLE_TIMES, types::SAMPLE_LEDGER] {
+        let later = of_later_version(&take, kind);
+        let of_kind = |take: &[u8]| -> Vec<Vec<u8>> {
+            let found = places(take).into_iter().filter(|(found, _)| *found == kind);
+            found.map(|(_, place)| take[place].to_vec()).collect()
+        };
+        let check = |take: &[u8]| {
+            let summary = Summary::read(take).unwrap();
+            let verdict = Verdict::of(&summary);
+            assert!(verdict.problems.is_empty(), "{kind:x}: {:?}", verdict.problems);
+            assert_eq!(verdict.contradictions, [""; 0], "{kind:x}");
+        };
+        check(&later);
+        let scan = RecoveryScan::read(&later[..]).unwrap();
+        assert!(!scan.lost_anything(), "{kind:x}: {:?}", scan.problems);
+        let mut new = Vec::new();
+        scan.write(Cursor::new(&later), &mut new, "test").unwrap();
+        check(&new);
+        assert_eq!(of_kind(&new), of_kind(&later), "{kind:x}");
+        if kind != types::SAMPLE_LEDGER {
+            let ledger = TakeMap::scan(&mut Cursor::new(&new)).unwrap().sample_ledger.unwrap();
+            assert!(ledger.finished);
+            assert_eq!(ledger.groups, stated, "{kind:x}");
         }
     }
 }

@@ -25,6 +25,10 @@ const KEY_BLOCKS: u32 = 8;
 /// host's clock, in seconds: more than batches, queues and fits are.
 const APART_S_MAX: f64 = 60.0;
 
+/// The longest time by which the ticks of a row may be behind the last sample of a run without a line that has the row, in
+/// seconds: more than a batch.
+const BATCH_S_MAX: f64 = 1.0;
+
 /// Writes the descriptions of the groups.
 pub(super) fn write_groups<W: Write>(
     map: &TakeMap,
@@ -57,7 +61,14 @@ fn copy_group<W: Write>(
     let mut block = Vec::new();
     for (span, block_at, block_bytes) in group.stored() {
         while let Some(anchor) = anchors.next_if(|anchor| anchor.number < span.end()) {
-            take.sample_time(number, &anchor.moved(by, by_segment), None)?;
+            // Both anchors of a block are in one chunk, as a recorder writes them.
+            let is_with = |next: &&SampleAnchor| {
+                next.number < span.end()
+                    && (next.run_start, next.segment) == (anchor.run_start, anchor.segment)
+            };
+            let later = anchors.next_if(is_with).map(|later| later.moved(by, by_segment));
+            let later = later.map(|later| (later.number, later.device_ticks));
+            take.sample_time(number, &anchor.moved(by, by_segment), later)?;
         }
         input.seek(SeekFrom::Start(block_at))?;
         block.clear();
@@ -204,26 +215,40 @@ fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
         let ticks = time.device_ticks.wrapping_sub(row.device_ticks).cast_signed() as f64;
         Some((ticks + time.fraction) / tick_hz)
     };
+    let last_s = |run: &Range<u64>| {
+        // The last samples may have lost their times.
+        let anchors = group.anchors();
+        let anchor = anchors.partition_point(|anchor| anchor.number < run.end).checked_sub(1);
+        let anchor = anchor.and_then(|at| anchors.get(at));
+        after_s(run.end.saturating_sub(1)).or_else(|| after_s(anchor?.number))
+    };
+    let lies_in = |run: &Range<u64>, behind_s: f64| {
+        after_s(run.start).is_some_and(|s| s <= 0.0) && last_s(run).is_some_and(|s| s >= -behind_s)
+    };
     // A run without a line in CLOCK may have its row only where its ticks do; others are compared by the host's clock, as
     // the device's may have begun again.
     let arrival_ns = row.arrival_10us as f64 * 1e4;
     let mut run = None;
+    // The run found so far, if it has a line and the ticks of the row: a run without a line is not preferred to it.
+    let mut is_certain = false;
     for found in runs(group) {
-        let begins_later = host_ns(map, group, found.start).map(|ns| ns > arrival_ns);
-        let [first_s, last_s] = [found.start, found.end.saturating_sub(1)].map(after_s);
-        let has_ticks =
-            first_s.is_some_and(|s| s <= 0.0) && last_s.is_some_and(|s| s > -APART_S_MAX);
-        match begins_later {
+        match host_ns(map, group, found.start).map(|ns| ns > arrival_ns) {
             Some(true) => break,
-            Some(false) => run = Some(found),
-            None if has_ticks => run = Some(found),
+            Some(false) => {
+                is_certain = lies_in(&found, BATCH_S_MAX);
+                run = Some(found);
+            }
+            None if is_certain => {}
+            None if lies_in(&found, BATCH_S_MAX) => run = Some(found),
+            // Behind its last sample, if no run before it may have the row.
+            None if run.is_none() && lies_in(&found, APART_S_MAX) => run = Some(found),
             // Before all samples, if it is the first.
             None => run = run.or(Some(found.start..found.start)),
         }
     }
     let Some(run) = run else { return 0 };
     // A row in an outage lies in no run.
-    if after_s(run.end.saturating_sub(1)).is_none_or(|s| s < -APART_S_MAX) {
+    if last_s(&run).is_none_or(|s| s < -APART_S_MAX) {
         return run.end;
     }
     let (mut low, mut high) = (run.start, run.end);
@@ -336,5 +361,64 @@ impl Part<'_> {
             anchor.run_start = anchor.run_start.saturating_sub(start);
         }
         anchors
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        TakeEvent,
+        record::{Clock, Device, Header, SampledChannel},
+        sampled::{SampleTimes, SamplesChunk},
+    };
+
+    /// A group at 100 Hz by a clock of 1000 Hz: by run the number of its samples, its first ticks, and the host time at 0
+    /// ticks in seconds if its segment has a line.
+    fn take_of(runs: &[(u64, u64, Option<u64>)]) -> TakeMap {
+        let device = Some(Device { tick_hz: 1000, ..Device::default() });
+        let mut map =
+            TakeMap { header: Header { device, ..Header::default() }, ..TakeMap::default() };
+        let channels = vec![SampledChannel::default()];
+        let group = SampledGroup { rate_hz: 100.0, channels, ..SampledGroup::default() };
+        map.add_content(TakeEvent::SampledGroup(Box::new(group)), 0, 0);
+        let mut first = 0;
+        for (segment, &(n, device_ticks, host_s)) in (0..).zip(runs) {
+            let anchors =
+                vec![SampleAnchor { number: first, run_start: first, device_ticks, segment }];
+            map.add_content(TakeEvent::SampleTimes(SampleTimes { group: 0, anchors }), 0, 0);
+            let mut payload = Vec::new();
+            SampleSpan { group: 0, first, n, content: SampleContent::Key }.put(&mut payload);
+            payload.push(0);
+            let chunk = SamplesChunk::from_payload(&payload, 0, 0).unwrap();
+            map.add_content(TakeEvent::Samples(chunk), 0, 0);
+            if let Some(host_s) = host_s {
+                let host_ns = host_s * 1_000_000_000;
+                let line = Some(ClockLine { host_ns, ..ClockLine::default() });
+                let clock = Clock { segment, line, ..Clock::default() };
+                map.add_content(TakeEvent::Clock(Box::new(clock)), 0, 0);
+            }
+            first += n;
+        }
+        map
+    }
+
+    #[test]
+    fn a_run_without_a_line_has_a_row_only_where_its_ticks_are() {
+        // 35 s; power lost, half a second; and once more, ten seconds.
+        let map = take_of(&[(3500, 5000, Some(100)), (50, 0, None), (1000, 0, Some(150))]);
+        let group = map.recorded_groups().next().unwrap();
+        let at = |device_ticks, host_s: u64| {
+            let arrival_10us = host_s * 100_000;
+            number_at(&map, group, RowTime { device_ticks, arrival_10us, timecode: None })
+        };
+        assert_eq!(
+            at(30_000, 130),
+            2500,
+            "in the first run, though behind all ticks of the second"
+        );
+        assert_eq!(at(300, 145), 3530, "in the run without a line");
+        assert_eq!(at(4000, 154), 3950, "in the last run");
+        assert_eq!(at(5000, 105), 0);
     }
 }

@@ -134,7 +134,7 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
         Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
         Ok(Some(event)) => map.add_content(event, offset, payload.len() as u64),
         // A newer version that a reader may skip.
-        Err(TakeError::Unsupported { .. }) if kind & MAY_SKIP != 0 => {}
+        Err(TakeError::Unsupported { .. }) if kind & MAY_SKIP != 0 => map.later_samples.skip(kind),
         Err(_) => return false,
         // MODEL, which this version does not read.
         Ok(None) => return kind & MAY_SKIP != 0,

@@ -38,11 +38,7 @@ impl KeptSamples {
     /// Decodes all samples of a take. Those of a part that lacks the description of a channel are not kept: the part
     /// cannot be read.
     pub(super) fn find(take: &TakeMap, input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
-        let is_orphan = |problem: &Problem| matches!(problem, Problem::SamplesOrphaned { .. });
-        let mut kept = Self {
-            has_later_groups: take.samples_orphaned > 0 && !take.problems.iter().any(is_orphan),
-            ..Self::default()
-        };
+        let mut kept = Self { has_later_groups: take.later_samples.groups, ..Self::default() };
         for part in take.foreign.iter().filter_map(ForeignPart::sampled) {
             for group in part.groups() {
                 kept.known.insert(group.offset);
@@ -67,11 +63,15 @@ impl KeptSamples {
             }
         }
         kept.close_ledger(take.sample_ledger.as_ref());
+        if take.later_samples.ledger && take.finished && kept.kinds.is_empty() {
+            // The ledger of a later version is copied, and states more than a new one could.
+            kept.ledger = None;
+        }
         Ok(kept)
     }
 
     /// Completes the ledger with what only the last one of the file states: batches that were refused, and groups whose
-    /// description is lost, and with it all their samples.
+    /// description is lost, and with it all their samples. Those of later versions keep their samples and their counts.
     fn close_ledger(&mut self, stated: Option<&SampleLedger>) {
         if stated.is_none() && self.ledger.is_none() {
             return;
@@ -85,6 +85,10 @@ impl KeptSamples {
             let lost: Vec<&GroupLedger> =
                 stated.groups.iter().filter(|group| !is_kept(group)).collect();
             for group in lost {
+                if self.has_later_groups {
+                    ledger.groups.push(*group);
+                    continue;
+                }
                 ledger.groups.push(group.without_samples());
                 if !self.kinds.iter().any(|known| known == part_name(RECORDED)) {
                     self.kinds.push(part_name(RECORDED).to_owned());

@@ -15,7 +15,9 @@ use crate::{
 };
 
 /// Maximum number of chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the
-/// shortest stretches, 50 ms, and half a gigabyte. Only a crafted file has more.
+/// shortest stretches, 50 ms, and half a gigabyte. Only a crafted file has more. Chunks of samples and of their times are
+/// not counted, so that they never cost the markers: the map of the take, which the recovery reads, holds each of them
+/// too, and its limits by group are theirs.
 const CHUNKS_MAX: usize = 1 << 23;
 
 /// Counts of one channel, over the whole take.
@@ -142,6 +144,12 @@ struct RecoveryScanner {
     closed: bool,
     /// A ledger before the last that contradicts the stretches before it.
     contradiction: Option<Problem>,
+    /// Chunks in `output` of samples and their times that belong to a group of the map.
+    n_sample_chunks: usize,
+    /// Chunks so far that belong to none.
+    samples_orphaned: u64,
+    /// File offsets of the chunks of sampled channels of later versions, which are copied; in order.
+    later_samples_at: Vec<u64>,
     /// The order of the markers according to the summary.
     stated_order: Option<ChannelOrder>,
 }
@@ -171,8 +179,8 @@ impl RecoveryScanner {
             TakeEvent::Foreign(_) => (types::FOREIGN, ChunkAction::Copy(None)),
             // Which samples can be kept is known when all were read.
             TakeEvent::SampledGroup(_) => (types::SAMPLED_GROUP, ChunkAction::Copy(None)),
-            TakeEvent::Samples(_) => (types::SAMPLES, ChunkAction::Copy(None)),
-            TakeEvent::SampleTimes(_) => (types::SAMPLE_TIMES, ChunkAction::Copy(None)),
+            TakeEvent::Samples(_) => (types::SAMPLES, self.samples_action(progress)),
+            TakeEvent::SampleTimes(_) => (types::SAMPLE_TIMES, self.samples_action(progress)),
             TakeEvent::SampleLedger(_) => (types::SAMPLE_LEDGER, ChunkAction::Rewrite),
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
@@ -201,7 +209,10 @@ impl RecoveryScanner {
                 self.closed = true;
                 (types::FOOTER, ChunkAction::Rewrite)
             }
-            TakeEvent::Skipped { kind } => (*kind, ChunkAction::Copy(None)),
+            TakeEvent::Skipped { kind } => {
+                self.remember_skipped(*kind, found.offset);
+                (*kind, ChunkAction::Copy(None))
+            }
             TakeEvent::Damaged { kind, .. } => {
                 if self.recovered[ChunkKind::Header as usize] > 0 {
                     self.missing_at.get_or_insert(self.output.len());
@@ -214,13 +225,37 @@ impl RecoveryScanner {
             TakeEvent::Repaired { .. } | TakeEvent::End { .. } => return Ok(()),
         };
         self.add_chunk(found, kind, action);
-        if self.output.len() > CHUNKS_MAX {
+        self.end_row = progress.end_row();
+        self.samples_orphaned = progress.take.samples_orphaned;
+        self.check_limit()
+    }
+
+    fn check_limit(&self) -> Result<(), TakeError> {
+        if self.output.len().saturating_sub(self.n_sample_chunks) > CHUNKS_MAX {
             return Err(TakeError::InvalidArgument(format!(
-                "the file has more than {CHUNKS_MAX} chunks, the most that a recovery can hold"
+                "the file has more than {CHUNKS_MAX} chunks besides those of samples, the most that a recovery can hold"
             )));
         }
-        self.end_row = progress.end_row();
         Ok(())
+    }
+
+    fn remember_skipped(&mut self, kind: u8, offset: u64) {
+        if matches!(kind, types::SAMPLED_GROUP | types::SAMPLE_TIMES) {
+            self.later_samples_at.push(offset);
+        }
+    }
+
+    /// What happens to a chunk of samples or of their times, which the map has taken or not.
+    fn samples_action(&mut self, progress: &Progress) -> ChunkAction {
+        if self.samples_orphaned == progress.take.samples_orphaned {
+            self.n_sample_chunks += 1;
+            return ChunkAction::Copy(None);
+        }
+        // Of a group of a later version, whose description came before.
+        match progress.take.later_samples.groups {
+            true => ChunkAction::Copy(None),
+            false => ChunkAction::Discard,
+        }
     }
 
     fn add_chunk(&mut self, found: &LocatedEvent<'_>, kind: u8, action: ChunkAction) {
@@ -288,7 +323,8 @@ impl RecoveryScanner {
                     kind: kind @ (types::SAMPLED_GROUP | types::SAMPLES | types::SAMPLE_TIMES),
                     ..
                 } => {
-                    if !samples.keeps(offset) {
+                    let is_later = self.later_samples_at.binary_search(&offset).is_ok();
+                    if !is_later && !samples.keeps(offset) {
                         left_out.push((kind, len));
                         return Vec::new();
                     }

@@ -25,6 +25,9 @@ use crate::{
 /// which makes 24 days, and two of the shortest stretches. Only a crafted file has more.
 const CHUNKS_MAX: usize = 1 << 22;
 
+/// Most times of samples that a reader remembers of a group, in 256 MiB: a recorder writes two for each block.
+const ANCHORS_MAX: usize = 2 * CHUNKS_MAX;
+
 /// Samples that a take does not have, of all channels of a group.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LostSamples {
@@ -121,7 +124,7 @@ impl GroupSamples {
                     // A run begins behind the samples of the one before.
                     && (known.run_start == first.run_start || known.number < first.run_start)
             })
-            && self.anchors.len().saturating_add(times.anchors.len()) <= CHUNKS_MAX;
+            && self.anchors.len().saturating_add(times.anchors.len()) <= ANCHORS_MAX;
         debug_assert!(times.anchors.is_sorted_by_key(place));
         if belongs {
             self.stored_bytes += chunk_bytes;
@@ -140,7 +143,7 @@ impl GroupSamples {
     /// The times of all samples of a recording, by the device's clock, which has `tick_hz`.
     #[must_use]
     pub fn clock(&self, tick_hz: u64) -> SampleClock<'_> {
-        SampleClock::new(&self.anchors, self.group.rate_hz, tick_hz)
+        SampleClock::new(&self.anchors, &self.chunks, self.group.rate_hz, tick_hz)
     }
 
     /// The counts of its chunks whose file offset `counts`: those of a ledger, except duplicates and jumps.

@@ -1,5 +1,6 @@
 //! `SAMPLE_TIMES`: when the samples of a recording were taken, by the device's clock.
 
+use super::{SampleContent, SamplesChunk};
 use crate::{TakeError, record::SAMPLES_MAX, varint};
 
 const NAME: &str = "times of samples";
@@ -140,10 +141,12 @@ pub struct SampleTime {
 
 /// The times of all samples of a group: those of a run lie on the lines between its anchors. Before the first and behind
 /// the last anchor of a run the line through these two goes on if they are far enough apart for it; else samples come at
-/// the group's rate.
+/// the group's rate. A block whose anchors are lost has times only where other anchors show its run.
 #[derive(Debug, Clone, Copy)]
 pub struct SampleClock<'a> {
     anchors: &'a [SampleAnchor],
+    /// The chunks of the samples, in order.
+    chunks: &'a [SamplesChunk],
     /// Ticks between two anchors from which on their line goes on beyond them.
     apart_ticks: f64,
     /// Ticks from a sample to the next at the group's rate.
@@ -151,14 +154,18 @@ pub struct SampleClock<'a> {
 }
 
 impl<'a> SampleClock<'a> {
-    /// The clock of a group with `rate_hz`, whose anchors are in ascending order of samples.
-    #[must_use]
-    pub fn new(anchors: &'a [SampleAnchor], rate_hz: f64, tick_hz: u64) -> Self {
+    /// The clock of a group with `rate_hz`, whose anchors and chunks are in ascending order of samples.
+    pub(crate) fn new(
+        anchors: &'a [SampleAnchor],
+        chunks: &'a [SamplesChunk],
+        rate_hz: f64,
+        tick_hz: u64,
+    ) -> Self {
         let (apart_ticks, nominal_ticks) = (APART_S * tick_hz as f64, tick_hz as f64 / rate_hz);
-        Self { anchors, apart_ticks, nominal_ticks }
+        Self { anchors, chunks, apart_ticks, nominal_ticks }
     }
 
-    /// The time of a sample; `None` before the first run.
+    /// The time of a sample; `None` before the first run, and where the run is unknown because anchors are lost.
     #[must_use]
     pub fn at(&self, number: u64) -> Option<SampleTime> {
         let next = self.anchors.partition_point(|anchor| anchor.number <= number);
@@ -170,8 +177,10 @@ impl<'a> SampleClock<'a> {
             }
             // The anchor of the first sample of the run is missing.
             (_, Some(after)) => (after, self.ticks_each(next)),
-            (Some(before), None) => (before, self.ticks_each(next - 1)),
-            (None, None) => return None,
+            (Some(before), None) if self.is_anchored(number, before) => {
+                (before, self.ticks_each(next - 1))
+            }
+            (_, None) => return None,
         };
         let by = (i128::from(number) - i128::from(from.number)) as f64 * ticks_each;
         let whole = by.floor();
@@ -181,6 +190,15 @@ impl<'a> SampleClock<'a> {
             segment: from.segment,
             run_start: from.run_start,
         })
+    }
+
+    /// Whether a sample lies in the run of the last anchor before it: it is in the same block, or lost. Each block has an
+    /// anchor at its first sample unless that is lost, and another run may begin there.
+    fn is_anchored(&self, number: u64, before: &SampleAnchor) -> bool {
+        let at = self.chunks.partition_point(|chunk| chunk.span.first <= number);
+        let Some(chunk) = at.checked_sub(1).and_then(|at| self.chunks.get(at)) else { return true };
+        let is_lost = matches!(chunk.span.content, SampleContent::Lost(_));
+        is_lost || number >= chunk.span.end() || before.number >= chunk.span.first
     }
 
     /// Ticks from a sample to the next over the whole run of an anchor, if it is long enough to measure them.
@@ -210,6 +228,7 @@ fn slope(a: &SampleAnchor, b: &SampleAnchor) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{sampled::SampleSpan, timeline::LossCauses};
 
     fn anchor(number: u64, run_start: u64, device_ticks: u64) -> SampleAnchor {
         SampleAnchor { number, run_start, device_ticks, segment: run_start as u32 }
@@ -268,7 +287,7 @@ mod tests {
             anchor(2500, 2500, 100),
             anchor(2550, 2500, 700),
         ];
-        let clock = SampleClock::new(&anchors, 100.0, 1000);
+        let clock = SampleClock::new(&anchors, &[], 100.0, 1000);
         let at = |number| seconds(&clock, number).unwrap();
         assert_eq!([at(0), at(500), at(1000)], [5.0, 10.0, 15.0]);
         assert!((at(1500) - 20.05).abs() < 1e-9);
@@ -283,10 +302,40 @@ mod tests {
     fn a_lost_anchor_never_joins_two_runs() {
         // The anchor of sample 250, which begins the second run, is lost.
         let anchors = [anchor(0, 0, 5000), anchor(100, 0, 6000), anchor(300, 250, 600)];
-        let clock = SampleClock::new(&anchors, 100.0, 1000);
+        let clock = SampleClock::new(&anchors, &[], 100.0, 1000);
         assert_eq!(seconds(&clock, 249), Some(7.49));
         assert_eq!(seconds(&clock, 250), Some(0.1));
-        let clock = SampleClock::new(&anchors[2..], 100.0, 1000);
+        let clock = SampleClock::new(&anchors[2..], &[], 100.0, 1000);
         assert_eq!((seconds(&clock, 249), seconds(&clock, 250)), (None, Some(0.1)));
+    }
+
+    #[test]
+    fn a_block_without_its_anchors_has_times_only_where_others_show_its_run() {
+        let chunk = |(first, n, content)| SamplesChunk {
+            span: SampleSpan { group: 0, first, n, content },
+            offset: 0,
+            block_at: 0,
+            block_bytes: 0,
+        };
+        let lost = SampleContent::Lost(LossCauses::NOT_RECEIVED);
+        let chunks = [
+            (0, 100, SampleContent::Key),
+            // Its anchors are lost; the ones before and behind it are of one run.
+            (100, 100, SampleContent::Key),
+            (200, 100, SampleContent::Key),
+            (300, 50, lost),
+            // Its anchors are lost, and with them where the next run begins.
+            (350, 50, SampleContent::Key),
+            (400, 100, SampleContent::Key),
+            (500, 100, SampleContent::Key),
+        ]
+        .map(chunk);
+        let anchors = [anchor(0, 0, 0), anchor(200, 0, 2000), anchor(400, 380, 90_000)];
+        let clock = SampleClock::new(&anchors, &chunks, 100.0, 1000);
+        let runs = [150, 299, 320, 350, 379, 380, 499, 500].map(|number| clock.at(number));
+        let runs = runs.map(|time| time.map(|time| time.run_start));
+        let expected = [Some(0), Some(0), Some(0), None, None, Some(380), Some(380), None];
+        assert_eq!(runs, expected);
+        assert_eq!((seconds(&clock, 150), seconds(&clock, 380)), (Some(1.5), Some(89.8)));
     }
 }

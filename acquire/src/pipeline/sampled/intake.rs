@@ -241,7 +241,7 @@ impl GroupIntake {
                 self.begins_run |= !continues;
             }
             BatchStep::Jump | BatchStep::Next { .. } => {
-                self.jumps += 1;
+                self.jumps = self.jumps.saturating_add(1);
                 self.begins_run = true;
             }
         }

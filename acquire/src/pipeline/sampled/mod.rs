@@ -3,7 +3,7 @@
 //! ```text
 //! reader thread    SampledIntake: batch -> the ring of its group, or lost as a whole; ends blocks with the stretches
 //! sampling threads SampledGroupCoder: ring -> block; a group belongs to one thread
-//! writer thread    blocks -> take file, behind the stretch that was open when they ended
+//! writer thread    blocks -> take file, before or behind the stretch that was open when they ended
 //! ```
 //!
 //! A stretch never waits for samples, except that a take is closed when the samples up to its end are encoded, or after
