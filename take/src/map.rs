@@ -29,11 +29,11 @@ const GROUPS_MAX: usize = 1 << 13;
 /// what they state is missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LaterSamples {
-    /// SAMPLED_GROUP.
+    /// `SAMPLED_GROUP`.
     pub groups: bool,
-    /// SAMPLE_TIMES.
+    /// `SAMPLE_TIMES`.
     pub times: bool,
-    /// SAMPLE_LEDGER.
+    /// `SAMPLE_LEDGER`.
     pub ledger: bool,
 }
 

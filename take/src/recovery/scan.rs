@@ -15,9 +15,9 @@ use crate::{
 };
 
 /// Maximum number of chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the
-/// shortest stretches, 50 ms, and half a gigabyte. Only a crafted file has more. Chunks of samples and of their times are
-/// not counted, so that they never cost the markers: the map of the take, which the recovery reads, holds each of them
-/// too, and its limits by group are theirs.
+/// shortest stretches, 50 ms, and half a gigabyte. Only a crafted file has more. Chunks of samples and of their times that
+/// belong to a group are not counted, so that they never cost the markers: the map of the take, which the recovery reads,
+/// holds each of them too, and its limits by group are theirs.
 const CHUNKS_MAX: usize = 1 << 23;
 
 /// Counts of one channel, over the whole take.
@@ -144,10 +144,8 @@ struct RecoveryScanner {
     closed: bool,
     /// A ledger before the last that contradicts the stretches before it.
     contradiction: Option<Problem>,
-    /// Chunks in `output` of samples and their times that belong to a group of the map.
+    /// Chunks of samples and their times in `output`.
     n_sample_chunks: usize,
-    /// Chunks so far that belong to none.
-    samples_orphaned: u64,
     /// File offsets of the chunks of sampled channels of later versions, which are copied; in order.
     later_samples_at: Vec<u64>,
     /// The order of the markers according to the summary.
@@ -179,8 +177,8 @@ impl RecoveryScanner {
             TakeEvent::Foreign(_) => (types::FOREIGN, ChunkAction::Copy(None)),
             // Which samples can be kept is known when all were read.
             TakeEvent::SampledGroup(_) => (types::SAMPLED_GROUP, ChunkAction::Copy(None)),
-            TakeEvent::Samples(_) => (types::SAMPLES, self.samples_action(progress)),
-            TakeEvent::SampleTimes(_) => (types::SAMPLE_TIMES, self.samples_action(progress)),
+            TakeEvent::Samples(_) => (types::SAMPLES, ChunkAction::Copy(None)),
+            TakeEvent::SampleTimes(_) => (types::SAMPLE_TIMES, ChunkAction::Copy(None)),
             TakeEvent::SampleLedger(_) => (types::SAMPLE_LEDGER, ChunkAction::Rewrite),
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
@@ -226,12 +224,12 @@ impl RecoveryScanner {
         };
         self.add_chunk(found, kind, action);
         self.end_row = progress.end_row();
-        self.samples_orphaned = progress.take.samples_orphaned;
-        self.check_limit()
+        self.check_limit(progress.take.samples_orphaned)
     }
 
-    fn check_limit(&self) -> Result<(), TakeError> {
-        if self.output.len().saturating_sub(self.n_sample_chunks) > CHUNKS_MAX {
+    fn check_limit(&self, samples_orphaned: u64) -> Result<(), TakeError> {
+        let of_groups = self.n_sample_chunks.saturating_sub(samples_orphaned as usize);
+        if self.output.len().saturating_sub(of_groups) > CHUNKS_MAX {
             return Err(TakeError::InvalidArgument(format!(
                 "the file has more than {CHUNKS_MAX} chunks besides those of samples, the most that a recovery can hold"
             )));
@@ -242,19 +240,6 @@ impl RecoveryScanner {
     fn remember_skipped(&mut self, kind: u8, offset: u64) {
         if matches!(kind, types::SAMPLED_GROUP | types::SAMPLE_TIMES) {
             self.later_samples_at.push(offset);
-        }
-    }
-
-    /// What happens to a chunk of samples or of their times, which the map has taken or not.
-    fn samples_action(&mut self, progress: &Progress) -> ChunkAction {
-        if self.samples_orphaned == progress.take.samples_orphaned {
-            self.n_sample_chunks += 1;
-            return ChunkAction::Copy(None);
-        }
-        // Of a group of a later version, whose description came before.
-        match progress.take.later_samples.groups {
-            true => ChunkAction::Copy(None),
-            false => ChunkAction::Discard,
         }
     }
 
@@ -269,6 +254,8 @@ impl RecoveryScanner {
             ChunkAction::Rewrite => self.recovered[index] += 1,
             ChunkAction::Copy(span) => {
                 self.recovered[index] += 1;
+                self.n_sample_chunks +=
+                    usize::from(matches!(kind, types::SAMPLES | types::SAMPLE_TIMES));
                 self.output.push(OutputChunk::Copied { offset, len, kind, span });
             }
         }
