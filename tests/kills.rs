@@ -23,12 +23,13 @@ use std::{
 
 use mocapd_acquire::{host_clock::monotonic_ns, inspect::Summary};
 use mocapd_simulator::{
-    device::{Device, DeviceSettings},
+    device::{Device, DeviceSettings, TICK_HZ},
     generator::{JumpSpec, Occlusion, Rng},
     pty::{ServeOptions, serve_pty},
+    sampled::SampledSource,
 };
 use mocapd_take::{
-    TakeEvent, TakeFrames,
+    TakeEvent, TakeFrames, TakeMap,
     damage::Problem,
     motion::{FrameSource, GAP, Motion, is_gap},
     reader::read_events,
@@ -61,6 +62,11 @@ fn motion() -> Motion {
     let spec =
         JumpSpec { seconds: Some(2.0), occlusion, n_markers: MARKERS, ..JumpSpec::new(1, RATE_HZ) };
     spec.generate().unwrap().motion
+}
+
+/// Sampled channels sent beside the frames.
+fn electrodes() -> SampledSource {
+    SampledSource::electrodes(1, "4@1kHz".parse().unwrap(), 7).unwrap()
 }
 
 /// A log that is read while it is written.
@@ -104,6 +110,8 @@ impl Log {
 struct Cost {
     /// Age of the oldest lost frame when the recorder was killed; 0 when none was lost.
     lost_ms: f64,
+    /// Age of the oldest lost sample of the sampled channels.
+    lost_sampled_ms: f64,
     /// The largest delay of a frame on its way to the recorder in the last second: caused by the machine.
     late_ms: f64,
     /// The longest time that a thread which sleeps for 1 ms at a time was not run, in the last second before the kill.
@@ -112,6 +120,7 @@ struct Cost {
     sync_ms: f64,
     frames: usize,
     samples: usize,
+    sampled: u64,
     max_error_mm: f64,
 }
 
@@ -125,6 +134,7 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
     let killed_ns = {
         let settings = DeviceSettings {
             looping: true,
+            sampled: vec![electrodes()],
             queue_bytes: Some(64 << 20),
             ..DeviceSettings::default()
         };
@@ -163,7 +173,7 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
     };
     let machine_ms = cost.late_ms.max(cost.stall_ms) + cost.sync_ms;
     let most_ms = allowed_ms as f64 + machine_ms + SCHEDULING_DELAY_MAX.as_secs_f64() * 1e3;
-    assert!(cost.lost_ms <= most_ms, "seed {seed}: {cost:?}");
+    assert!(cost.lost_ms.max(cost.lost_sampled_ms) <= most_ms, "seed {seed}: {cost:?}");
     std::fs::remove_file(&take).ok();
     cost
 }
@@ -258,6 +268,8 @@ fn check(
     let next = sent.values().find(|frame| frame.seq == next_seq);
     cost.lost_ms = next.map_or(0.0, |next| killed_ns.saturating_sub(next.host_ns) as f64 / 1e6);
 
+    (cost.sampled, cost.lost_sampled_ms) = check_sampled(take, sent, killed_ns, seed);
+
     let scan = RecoveryScan::read(take).unwrap();
     let mut new = Vec::new();
     scan.write(Cursor::new(take), &mut new, "tests").unwrap();
@@ -265,9 +277,50 @@ fn check(
     assert_eq!(new.take.problems, [], "seed {seed}");
     assert_eq!(new.contradictions(), [""; 0], "seed {seed}");
     assert_eq!(new.samples(), summary.samples(), "seed {seed}");
+    let groups = new.take.sample_ledger.clone().map_or(Vec::new(), |ledger| ledger.groups);
+    let stored: u64 = groups.iter().map(|group| group.stored).sum();
+    assert_eq!(stored, cost.sampled, "seed {seed}: {groups:?}");
     let ledger = new.take.ledger.unwrap();
     assert!(ledger.closes() && ledger.recorded == cost.frames as u64, "seed {seed}: {ledger:?}");
     cost
+}
+
+/// Every sample is the one that was sent, and none lies between two that is missing. Returns how many there are, and the
+/// age of the oldest lost one in milliseconds.
+fn check_sampled(take: &[u8], sent: &HashMap<u64, Sent>, killed_ns: u64, seed: u64) -> (u64, f64) {
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let Some(group) = map.recorded_groups().next() else { return (0, 0.0) };
+    let mut recorded: Vec<(u64, Vec<f32>)> = Vec::new();
+    let undecodable = group
+        .read(&mut Cursor::new(take), |first, n, decoded| {
+            let decoded = decoded.unwrap_or_else(|| panic!("seed {seed}: lost samples"));
+            for row in 0..n {
+                let columns = decoded.chunks_exact(n as usize);
+                let values = columns.map(|column| column[row as usize]).collect();
+                recorded.push((first + row, values));
+            }
+            Ok(())
+        })
+        .unwrap();
+    assert_eq!(undecodable, [], "seed {seed}");
+    let (Some((first, _)), Some((last, _))) = (recorded.first(), recorded.last()) else {
+        return (0, 0.0);
+    };
+    assert_eq!(last + 1 - first, recorded.len() as u64, "seed {seed}");
+    // The take counts from its first sample, the device from its start.
+    let mut source = Vec::new();
+    electrodes().samples(0, last + 5_000, &mut source);
+    let n_channels = group.group.channels.len();
+    let equal = |skipped: usize| {
+        let rows = source.chunks_exact(n_channels).skip(skipped);
+        rows.zip(&recorded).all(|(row, (_, values))| row == values)
+    };
+    assert!((0..4_000).any(equal), "seed {seed}: samples that were not sent");
+
+    let end = group.clock(TICK_HZ).at(*last).unwrap().device_ticks;
+    let after = sent.iter().filter(|(ticks, _)| **ticks > end).map(|(_, frame)| frame.host_ns);
+    let lost_ns = after.min().map_or(0, |oldest| killed_ns.saturating_sub(oldest));
+    (recorded.len() as u64, lost_ns as f64 / 1e6)
 }
 
 /// A running `mocapd record`, killed on drop.
@@ -352,10 +405,12 @@ fn kills(seeds: std::ops::Range<u64>, at_once: usize) -> String {
     }
     let frames: usize = costs.iter().map(|(_, cost)| cost.frames).sum();
     let samples: usize = costs.iter().map(|(_, cost)| cost.samples).sum();
+    let sampled: u64 = costs.iter().map(|(_, cost)| cost.sampled).sum();
+    let sampled_ms = costs.iter().map(|(_, cost)| cost.lost_sampled_ms).fold(0.0, f64::max);
     let max_error_mm = costs.iter().map(|(_, cost)| cost.max_error_mm).fold(0.0, f64::max);
     writeln!(
         report,
-        "{} takes, all readable; {frames} frames, {samples} samples, none wrong (max error {max_error_mm:.4} mm), {:.0} s",
+        "{} takes, all readable; {frames} frames, {samples} samples, none wrong (max error {max_error_mm:.4} mm); {sampled} of sampled channels, none wrong, lost {sampled_ms:.0} ms at most; {:.0} s",
         costs.len(),
         since.elapsed().as_secs_f64()
     )

@@ -21,11 +21,17 @@ use mocapd_acquire::{
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::{
-    device::{DeviceEvent, Frame, MarkerSample, Protocol},
+    device::{
+        DeviceEvent, Frame, MarkerSample, Protocol, SampleBatch, SampledChannelInfo,
+        SampledGroupInfo,
+    },
     link::{DeviceLink, FrameForm, HostLink},
 };
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
-use mocapd_take::motion::{Motion, is_gap};
+use mocapd_take::{
+    chunk::types,
+    motion::{Motion, is_gap},
+};
 
 struct Counting;
 
@@ -54,15 +60,16 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Counts the stretches written, so that the test knows when the pipeline is idle.
-struct CountingSink(Arc<AtomicU64>);
+/// Counts the stretches and the blocks of samples written, so that the test knows when the pipeline is idle, and the
+/// ledgers.
+struct CountingSink([Arc<AtomicU64>; 3]);
 
 impl Write for CountingSink {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.fetch_add(
-            u64::from(bytes[0] == mocapd_take::chunk::types::STRETCH),
-            Ordering::Relaxed,
-        );
+        let counted = [types::STRETCH, types::SAMPLES, types::LEDGER];
+        for (count, kind) in self.0.iter().zip(counted) {
+            count.fetch_add(u64::from(bytes[0] == kind), Ordering::Relaxed);
+        }
         Ok(bytes.len())
     }
 
@@ -80,7 +87,20 @@ impl TakeOutput for CountingSink {
 const RATE_HZ: f64 = 240.0;
 const TICK_HZ: u64 = 240;
 
-/// The bytes of frames `from..to`, as a pty would bring them.
+/// Samples of a channel in each frame: 2400 Hz.
+const SAMPLES_EACH: u64 = 10;
+
+/// A group of 20 sampled channels.
+fn group() -> SampledGroupInfo {
+    let channel = SampledChannelInfo { name: "EMG".to_owned(), scale: 1.0, ..Default::default() };
+    SampledGroupInfo {
+        rate_millihertz: 2_400_000,
+        channels: vec![channel; 20],
+        ..SampledGroupInfo::default()
+    }
+}
+
+/// The bytes of frames `from..to` and of a batch of samples for each, as a pty would bring them.
 fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
     let mut link = DeviceLink::new();
     let mut out = Vec::new();
@@ -95,6 +115,19 @@ fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
         let frame =
             Frame { seq: seq as u32, device_ticks: seq as u64, timecode: None, markers: &markers };
         link.frame(FrameForm::Float, &frame, &mut out).unwrap();
+        let first = seq as u64 * SAMPLES_EACH;
+        let sample = |i: u64| f32::from((i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 55) as u16);
+        let samples: Vec<f32> = (first * 20..(first + SAMPLES_EACH) * 20).map(sample).collect();
+        let batch = SampleBatch {
+            group: 0,
+            number: seq as u32,
+            first,
+            device_ticks: seq as u64,
+            form: Default::default(),
+            n_channels: 20,
+            samples: &samples,
+        };
+        link.samples(&batch, &mut out).unwrap();
     }
     out
 }
@@ -102,22 +135,66 @@ fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
 fn feed(link: &mut HostLink, intake: &mut Intake, bytes: &[u8]) {
     for piece in bytes.chunks(4095) {
         link.push(piece, &mut |event| {
-            if let DeviceEvent::Frame(frame) = event {
-                while intake.is_full() {
-                    std::thread::yield_now();
+            while intake.is_full() {
+                std::thread::yield_now();
+            }
+            match event {
+                DeviceEvent::Frame(frame) => {
+                    intake.frame(&frame, frame.device_ticks * 1_000_000_000 / TICK_HZ);
                 }
-                intake.frame(&frame, frame.device_ticks * 1_000_000_000 / TICK_HZ);
+                DeviceEvent::Samples(batch) => intake.samples(&batch),
+                _ => {}
             }
         });
     }
 }
 
-fn wait_for(stretches: &AtomicU64, wanted: u64) {
+fn wait_for(chunks: &AtomicU64, wanted: u64) {
     let since = Instant::now();
-    while stretches.load(Ordering::Relaxed) < wanted {
+    while chunks.load(Ordering::Relaxed) < wanted {
         assert!(since.elapsed() < Duration::from_secs(60), "the pipeline stands still");
         std::thread::sleep(Duration::from_millis(1));
     }
+}
+
+/// The allocations of all threads while the measured frames are recorded, and the ledgers written meanwhile.
+fn allocations(
+    kind: ResamplerKind,
+    motion: &Motion,
+    warm_up: &[u8],
+    measured: &[u8],
+) -> (u64, u64) {
+    let codec = Settings { kind, tolerance: Tolerance::from_mm(0.5).unwrap() };
+    let channels = header::channels(&motion.info.markers);
+    let config = PipelineConfig {
+        sampled: vec![group()],
+        ..PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels)
+    };
+    let mut header = header::new(&codec, RATE_HZ).unwrap();
+    header.channels.clone_from(&config.channels);
+    let written_chunks: [Arc<AtomicU64>; 3] = Default::default();
+    let (mut intake, pipeline) =
+        Pipeline::start(&config, NewTake::new(CountingSink(written_chunks.clone()), header))
+            .unwrap();
+    let mut link = HostLink::new();
+
+    feed(&mut link, &mut intake, warm_up);
+    written_chunks[..2].iter().for_each(|chunks| wait_for(chunks, 5));
+    // The channels allocate per thread at its first wait: let every thread wait once.
+    std::thread::sleep(Duration::from_millis(300));
+    let ledgers_before = written_chunks[2].load(Ordering::Relaxed);
+    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    feed(&mut link, &mut intake, measured);
+    written_chunks[..2].iter().for_each(|chunks| wait_for(chunks, 25));
+    let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
+    let ledgers = written_chunks[2].load(Ordering::Relaxed) - ledgers_before;
+
+    intake.finish();
+    let (written, _) = pipeline.finish().unwrap();
+    assert_eq!(written.ledger.recorded, 504 + 20 * 120);
+    let samples = written.sample_ledger.unwrap().groups[0];
+    assert_eq!((samples.stored, samples.lost()), ((504 + 20 * 120) * SAMPLES_EACH, 0));
+    (allocations, ledgers)
 }
 
 #[test]
@@ -134,29 +211,10 @@ fn the_sample_path_does_not_allocate_after_the_start() {
         ResamplerKind::Lossless,
         ResamplerKind::LosslessPredictive,
     ] {
-        let codec = Settings { kind, tolerance: Tolerance::from_mm(0.5).unwrap() };
-        let channels = header::channels(&motion.info.markers);
-        let config = PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels);
-        let mut header = header::new(&codec, RATE_HZ).unwrap();
-        header.channels.clone_from(&config.channels);
-        let stretches = Arc::new(AtomicU64::new(0));
-        let (mut intake, pipeline) =
-            Pipeline::start(&config, NewTake::new(CountingSink(Arc::clone(&stretches)), header))
-                .unwrap();
-        let mut link = HostLink::new();
-
-        feed(&mut link, &mut intake, &warm_up);
-        wait_for(&stretches, 5);
-        // The channels allocate per thread at its first wait: let every thread wait once.
-        std::thread::sleep(Duration::from_millis(300));
-        let before = ALLOCATIONS.load(Ordering::Relaxed);
-        feed(&mut link, &mut intake, &measured);
-        wait_for(&stretches, 25);
-        let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
-
-        intake.finish();
-        let (written, _) = pipeline.finish().unwrap();
-        assert_eq!(written.ledger.recorded, 504 + 20 * 120);
-        assert_eq!(allocations, 0, "{kind}: 2400 frames of 70 markers");
+        // A ledger allocates. The second one is written five seconds after the first: on a busy machine that may be here.
+        let results = (0..5).map(|_| allocations(kind, &motion, &warm_up, &measured));
+        let without_ledger = results.into_iter().find(|&(_, ledgers)| ledgers == 0);
+        let n = without_ledger.map(|(allocations, _)| allocations);
+        assert_eq!(n, Some(0), "{kind}: 2400 frames of 70 markers, and 20 sampled channels");
     }
 }

@@ -2,7 +2,7 @@
 
 use mocapd_take::{
     TakeEnds,
-    record::{EndingKind, Ledger, TakeEnding},
+    record::{EndingKind, Ledger, SampleLedger, TakeEnding},
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -48,11 +48,17 @@ impl TakeHealth {
 
     /// The health of a take that was closed and is not damaged.
     #[must_use]
-    pub fn of_closed(ledger: &Ledger, ending: Option<&TakeEnding>) -> Self {
+    pub fn of_closed(
+        ledger: &Ledger,
+        samples: Option<&SampleLedger>,
+        ending: Option<&TakeEnding>,
+    ) -> Self {
         // What a disconnected device did not send, or what followed a cut, cannot be counted.
         let cut_short = [EndingKind::DeviceGone, EndingKind::CutOff, EndingKind::Truncated];
         let is_cut_short = ending.is_some_and(|ending| cut_short.contains(&ending.kind));
-        let is_whole = ledger.closes() && !ledger.lost_anything() && !is_cut_short;
+        let lacks_samples = samples.is_some_and(SampleLedger::lost_anything);
+        let is_whole =
+            ledger.closes() && !ledger.lost_anything() && !lacks_samples && !is_cut_short;
         if is_whole { Self::Complete } else { Self::Lossy }
     }
 
@@ -60,6 +66,7 @@ impl TakeHealth {
     #[must_use]
     pub fn of_ends(ends: &TakeEnds) -> Self {
         let Some(end) = &ends.end else { return Self::CutOff };
-        end.ledger.as_ref().map_or(Self::Damaged, |l| Self::of_closed(l, end.ending.as_ref()))
+        let (samples, ending) = (end.sample_ledger.as_ref(), end.ending.as_ref());
+        end.ledger.as_ref().map_or(Self::Damaged, |l| Self::of_closed(l, samples, ending))
     }
 }

@@ -6,7 +6,7 @@ use mocapd_take::{
     TakeError, TakeEvent, TakeMap, TakeTraversal, chunk,
     index::{Footer, IndexEntry},
     reader::{TakeBytes, TakeInput},
-    record::{Channel, EndingKind, Header, Ledger, SummaryRecord},
+    record::{Channel, EndingKind, GroupLedger, Header, Ledger, SummaryRecord},
     statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
     stretch::{ROWS_MAX, Stretch},
     timeline::{LossCauses, Timeline},
@@ -110,6 +110,9 @@ impl Summary {
                 Ok(())
             })?;
         self.take = take;
+        if self.take.finished && !self.take.damaged {
+            self.claims.samples(&self.take);
+        }
         Ok((self, rows_damaged))
     }
 
@@ -202,7 +205,8 @@ impl Summary {
             TakeHealth::Damaged
         } else {
             let (ledger, ending) = (self.take.ledger.as_ref(), self.take.ending.as_ref());
-            ledger.map_or(TakeHealth::Damaged, |ledger| TakeHealth::of_closed(ledger, ending))
+            let samples = self.take.sample_ledger.as_ref();
+            ledger.map_or(TakeHealth::Damaged, |l| TakeHealth::of_closed(l, samples, ending))
         }
     }
 
@@ -406,6 +410,54 @@ impl ClaimChecker {
         let (stated, found) = (ledger.frames_lost(), self.lost);
         if stated < found {
             self.report(format!("a ledger states {stated} lost frames, but {found} precede it"));
+        }
+    }
+
+    /// Checks the last ledger of sampled channels of a closed take against its samples, and their times. What chunks of
+    /// later versions state, which are not read, is held against nothing.
+    fn samples(&mut self, take: &TakeMap) {
+        let recovered = |(name, _): &(String, String)| name == mocapd_take::recovery::RECOVERED;
+        let is_recovered = take.header.settings.iter().any(recovered);
+        let stated = take.sample_ledger.as_ref().map_or(&[][..], |ledger| &ledger.groups);
+        let later = take.later_samples;
+        for group in take.recorded_groups() {
+            let number = group.group.number;
+            let found = group.found_ledger();
+            if found.stored > 0 && group.anchors().is_empty() && !later.times {
+                self.report(format!("no times are stated for the samples of group {number}"));
+            }
+            if later.ledger {
+                continue;
+            }
+            let Some(stated) = stated.iter().find(|stated| stated.group == number) else {
+                self.report(format!("no ledger states the samples of group {number}"));
+                continue;
+            };
+            // What the chunks do not show is taken from the ledger.
+            let shown = GroupLedger { duplicates: 0, jumps: 0, ..*stated };
+            // A version that does not know the ledger recovered the take, and left it as it was.
+            let is_older = is_recovered && stated.taken == found.taken;
+            if shown != found && !is_older {
+                self.report(format!(
+                    "the ledger states {} samples of group {number} in the take and {} lost, but the take holds {} and lacks {}",
+                    stated.stored,
+                    stated.lost(),
+                    found.stored,
+                    found.lost()
+                ));
+            }
+        }
+        if later.groups || later.ledger {
+            return;
+        }
+        let is_known =
+            |of: &GroupLedger| take.recorded_groups().any(|g| g.group.number == of.group);
+        // A recovered take may lack the description of a group, and so all its samples.
+        if let Some(stated) = stated.iter().find(|stated| stated.stored > 0 && !is_known(stated)) {
+            self.report(format!(
+                "the ledger states samples of group {}, which is not there",
+                stated.group
+            ));
         }
     }
 

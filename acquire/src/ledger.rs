@@ -1,6 +1,6 @@
 //! The ledger as a JSON document, in the API and in the output of commands with `--json`.
 
-use mocapd_take::record::Ledger;
+use mocapd_take::record::{GroupLedger, Ledger, SampleLedger};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -101,6 +101,60 @@ impl From<&Ledger> for LedgerDocument {
                 drift_ppm: clock.drift_ppm,
                 residual_us: clock.residual_us,
             }),
+        }
+    }
+}
+
+/// The ledger of sampled channels in numbers; docs/json.md explains each.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+#[expect(missing_docs, reason = "docs/json.md, The ledger of sampled channels")]
+pub struct SampleLedgerDocument {
+    pub finished: bool,
+    pub closes: bool,
+    pub batches_refused: u64,
+    pub groups: Vec<GroupLedgerDocument>,
+}
+
+/// The ledger of a group.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+#[expect(missing_docs, reason = "docs/json.md, The ledger of sampled channels")]
+pub struct GroupLedgerDocument {
+    pub group: u32,
+    pub taken: u64,
+    pub stored: u64,
+    pub lost_on_link: u64,
+    pub dropped_by_device: u64,
+    pub lost_ring_full: u64,
+    pub lost_other: u64,
+    pub unknown_after_disconnect: u64,
+    pub duplicates: u64,
+    pub jumps: u64,
+}
+
+impl From<&SampleLedger> for SampleLedgerDocument {
+    fn from(ledger: &SampleLedger) -> Self {
+        Self {
+            finished: ledger.finished,
+            closes: ledger.groups.iter().all(GroupLedger::closes),
+            batches_refused: ledger.batches_refused,
+            groups: ledger.groups.iter().map(GroupLedgerDocument::from).collect(),
+        }
+    }
+}
+
+impl From<&GroupLedger> for GroupLedgerDocument {
+    fn from(group: &GroupLedger) -> Self {
+        Self {
+            group: group.group,
+            taken: group.taken,
+            stored: group.stored,
+            lost_on_link: group.lost_on_link,
+            dropped_by_device: group.dropped_by_device,
+            lost_ring_full: group.lost_ring_full,
+            lost_other: group.lost_other,
+            unknown_after_disconnect: group.unknown_after_disconnect,
+            duplicates: group.duplicates,
+            jumps: group.jumps,
         }
     }
 }

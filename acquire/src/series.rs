@@ -16,7 +16,8 @@ use crossbeam_channel::{Sender, bounded};
 use mocapd_take::{
     motion::frame_at,
     record::{
-        FIRST_FRAME_SETTING, Header, Ledger, PART_SETTING, SERIES_SETTING, SPLIT_SETTING, Subject,
+        FIRST_FRAME_SETTING, Header, Ledger, PART_SETTING, SERIES_SETTING, SPLIT_SETTING,
+        SampleLedger, Subject,
     },
 };
 
@@ -133,6 +134,12 @@ fn total(takes: &[SeriesTake], recording: ReaderOutcome, rate_hz: f64, markers: 
     for take in takes {
         let part = &take.written;
         add_ledger(&mut written.ledger, &part.ledger, take);
+        if let Some(samples) = &part.sample_ledger {
+            let none = SampleLedger { finished: true, ..SampleLedger::default() };
+            let sum = written.sample_ledger.get_or_insert(none);
+            sum.finished &= samples.finished;
+            sum.add_counters(samples);
+        }
         written.file_bytes += part.file_bytes;
         written.samples += part.samples;
         written.kept += part.kept;

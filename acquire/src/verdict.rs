@@ -24,6 +24,11 @@ pub enum Finding<'a> {
     Damage(&'a Problem),
     /// The last ledger does not close.
     LedgerOpen,
+    /// The last ledger of a group of sampled channels does not close.
+    SampleLedgerOpen {
+        /// Number of the group.
+        group: u32,
+    },
     /// The last ledger states another number of samples than the take holds.
     Samples {
         /// Samples that the ledger states.
@@ -38,6 +43,9 @@ impl fmt::Display for Finding<'_> {
         match self {
             Self::Damage(problem) => problem.fmt(f),
             Self::LedgerOpen => f.write_str("the ledger does not close"),
+            Self::SampleLedgerOpen { group } => {
+                write!(f, "the ledger of the samples of group {group} does not close")
+            }
             Self::Samples { stated, found } => {
                 write!(f, "the ledger states {stated} samples, but the take holds {found}")
             }
@@ -55,6 +63,9 @@ impl<'a> Verdict<'a> {
         if take.ledger.as_ref().is_some_and(|ledger| !Ledger::closes(ledger)) {
             problems.push(Finding::LedgerOpen);
         }
+        let groups = take.sample_ledger.iter().flat_map(|ledger| &ledger.groups);
+        let open = groups.filter(|group| !group.closes());
+        problems.extend(open.map(|group| Finding::SampleLedgerOpen { group: group.group }));
         // In an undamaged take every ledger was compared already, and a difference is a contradiction.
         if let Some(&Ledger { samples_present: stated, .. }) = take.ledger.as_ref()
             && (take.finished && take.damaged)

@@ -68,7 +68,7 @@ macro_rules! wire_numbers {
     )+};
 }
 
-wire_numbers!(u8 u16 u32 u64 i16 f32);
+wire_numbers!(u8 u16 u32 u64 i16 i32 f32 f64);
 
 /// A position in millimetres: x, y, z.
 impl WireValue for [f32; 3] {

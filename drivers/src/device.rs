@@ -66,6 +66,71 @@ pub struct Frame<'a> {
     pub markers: &'a [MarkerSample],
 }
 
+/// How a device sends the samples of its channels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SampleForm {
+    /// Counts of 16 bits.
+    #[default]
+    Int16,
+    /// Counts of 32 bits, of a magnitude of at most 2^24.
+    Int32,
+    /// Float32, any bits.
+    Float32,
+}
+
+/// A sampled channel: a component of a force plate, an electrode, an axis of an inertial sensor.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SampledChannelInfo {
+    /// Its name.
+    pub name: String,
+    /// The unit of its values; may be empty.
+    pub unit: String,
+    /// Units per count: a value is (sample - offset) * scale.
+    pub scale: f64,
+    /// The sample whose value is 0.
+    pub offset: f64,
+}
+
+/// Channels that are sampled together, at a rate of their own.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SampledGroupInfo {
+    /// Its number, by which batches refer to it.
+    pub id: u8,
+    /// The form of its samples.
+    pub form: SampleForm,
+    /// Samples of a channel per second, in thousandths.
+    pub rate_millihertz: u32,
+    /// The channels, 1 to 64.
+    pub channels: Vec<SampledChannelInfo>,
+}
+
+/// Consecutive samples of all channels of a group.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SampleBatch<'a> {
+    /// The number of the group.
+    pub group: u8,
+    /// Number of the batch: counts the batches of the group that left the device, and wraps.
+    pub number: u32,
+    /// Number of its first sample: counts the samples that the device took since power-up, sent or not.
+    pub first: u64,
+    /// Device clock at its first sample, in ticks; without samples, at the next one.
+    pub device_ticks: u64,
+    /// The form in which it was sent.
+    pub form: SampleForm,
+    /// Number of channels.
+    pub n_channels: u8,
+    /// The samples, one after another; of each, all channels in order.
+    pub samples: &'a [f32],
+}
+
+impl SampleBatch<'_> {
+    /// Samples of each channel.
+    #[must_use]
+    pub fn n_samples(&self) -> usize {
+        self.samples.len() / usize::from(self.n_channels).max(1)
+    }
+}
+
 /// Counters and temperature that a device reports while it runs, and once more at the end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Status {
@@ -126,6 +191,10 @@ pub enum DeviceEvent<'a> {
     Markers(&'a [MarkerInfo]),
     /// One frame.
     Frame(Frame<'a>),
+    /// A group of sampled channels: all of them after the markers that follow Hello.
+    SampledGroup(&'a SampledGroupInfo),
+    /// Samples of such a group.
+    Samples(SampleBatch<'a>),
     /// A trigger edge.
     Trigger(Trigger),
     /// Counters and temperature.

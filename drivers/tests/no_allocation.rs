@@ -13,7 +13,8 @@ mod no_allocation {
 
     use mocapd_drivers::{
         device::{
-            Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol, Status,
+            Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol,
+            SampleBatch, SampleForm, SampledChannelInfo, SampledGroupInfo, Status,
         },
         link::{DeviceLink, FrameForm, HostLink},
         ndi::{NdiHost, crc16},
@@ -59,6 +60,8 @@ mod no_allocation {
         hello: Hello,
         table: Vec<MarkerInfo>,
         markers: Vec<MarkerSample>,
+        group: SampledGroupInfo,
+        samples: Vec<f32>,
     }
 
     impl LinkPair {
@@ -71,6 +74,19 @@ mod no_allocation {
             }
             self.device.hello(&self.hello, &mut self.wire).unwrap();
             self.device.markers(&self.table, &mut self.wire).unwrap();
+            self.device.sampled_group(&self.group, &mut self.wire).unwrap();
+            for form in [SampleForm::Int16, SampleForm::Int32, SampleForm::Float32] {
+                let batch = SampleBatch {
+                    group: 0,
+                    number: seq,
+                    first: 40 * u64::from(seq),
+                    device_ticks: 1,
+                    form,
+                    n_channels: 2,
+                    samples: &self.samples,
+                };
+                self.device.samples(&batch, &mut self.wire).unwrap();
+            }
             self.device.status(Status::default(), &mut self.wire);
             self.device.pong(Pong { host_ns: 1, device_ticks: 2 }, &mut self.wire);
             let mut n_events = 0;
@@ -80,7 +96,7 @@ mod no_allocation {
                     n_events += 1;
                 });
             }
-            assert!(n_events >= 7);
+            assert!(n_events >= 11);
             self.wire.clear();
             self.host.command(Command::Ping { host_ns: 1 }, &mut self.wire);
             let mut n_commands = 0;
@@ -112,6 +128,12 @@ mod no_allocation {
             hello,
             table: (0..300).map(info).collect(),
             markers: (0..300).map(marker).collect(),
+            group: SampledGroupInfo {
+                rate_millihertz: 2_000_000,
+                channels: vec![SampledChannelInfo { scale: 1.0, ..Default::default() }; 2],
+                ..SampledGroupInfo::default()
+            },
+            samples: (0..80_u8).map(f32::from).collect(),
         };
         pair.round(0);
         let before = ALLOCATIONS.get();

@@ -1,7 +1,8 @@
 //! Simulated motion-capture devices that play recorded or generated motion to a real host.
 //!
-//! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate. [`device`] plays
-//! it over the link protocol, [`ndi`] over NDI's, and [`qtm`] on the network over that of QTM. [`faults`] injects faults by a script, and [`log_device`] replays a raw
+//! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate, and [`sampled`]
+//! makes the samples of force plates and electrodes. [`device`] plays it over the link protocol, [`ndi`] over that of NDI,
+//! and [`qtm`] on the network over that of QTM. [`faults`] injects faults by a script, and [`log_device`] replays a raw
 //! log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
 //! controller. None of them starts a thread, and only a line reads a clock.
 
@@ -16,4 +17,5 @@ pub mod ndi;
 pub mod pty;
 pub mod qtm;
 pub mod replay;
+pub mod sampled;
 pub mod source;

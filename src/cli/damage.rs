@@ -2,7 +2,11 @@
 
 use std::{fmt::Write, path::Path};
 
-use mocapd_acquire::{health::TakeHealth, inspect::Summary, ledger::LedgerDocument};
+use mocapd_acquire::{
+    health::TakeHealth,
+    inspect::Summary,
+    ledger::{LedgerDocument, SampleLedgerDocument},
+};
 use mocapd_take::damage::{DamageOrigin, LostRows};
 use serde::Serialize;
 
@@ -52,9 +56,12 @@ impl DamageReport {
 pub(crate) fn losses(take: &Path, summary: &Summary, with_hint: bool) -> Vec<String> {
     let document = summary.take.ledger.as_ref().map(LedgerDocument::from);
     let losses = document.as_ref().and_then(ledger::losses);
-    let has_losses = losses.is_some();
+    let samples = summary.take.sample_ledger.as_ref().map(SampleLedgerDocument::from);
+    let samples = samples.as_ref().map(ledger::sample_losses).unwrap_or_default();
+    let has_losses = losses.is_some() || !samples.is_empty();
     let mut messages: Vec<String> =
         losses.map(|losses| format!("not in the take: {losses}")).into_iter().collect();
+    messages.extend(samples);
     messages.extend(document.as_ref().and_then(ledger::not_closing));
     if summary.health() == TakeHealth::Lossy
         && !has_losses

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use mocapd_acquire::{
-    ledger::{ClockDocument, LedgerDocument},
+    ledger::{ClockDocument, GroupLedgerDocument, LedgerDocument, SampleLedgerDocument},
     verdict::Finding,
 };
 use serde::Serialize;
@@ -65,6 +65,64 @@ pub(crate) fn text(ledger: &LedgerDocument) -> String {
     samples(ledger, &mut out);
     link(ledger, &mut out);
     out
+}
+
+/// The ledger of sampled channels, one line per group.
+pub(crate) fn samples_text(ledger: &SampleLedgerDocument) -> String {
+    let mut out = String::new();
+    for group in &ledger.groups {
+        let state = if ledger.closes { "the ledger closes" } else { "THE LEDGER DOES NOT CLOSE" };
+        let lost = samples_lost(group).map(|lost| format!(", {lost}")).unwrap_or_default();
+        let again = match group.duplicates {
+            0 => String::new(),
+            n => format!(", {} again", thousands(n)),
+        };
+        writeln!(
+            out,
+            "  {:>15} samples of each channel of group {}, {} in the take{lost}{again}: {state}",
+            thousands(group.taken),
+            group.group,
+            thousands(group.stored),
+        )
+        .ok();
+    }
+    out
+}
+
+/// The samples that a group lacks, by cause; `None` if it lacks none.
+fn samples_lost(group: &GroupLedgerDocument) -> Option<String> {
+    let lost: Vec<String> = [
+        (group.lost_on_link, "lost on the link"),
+        (group.dropped_by_device, "dropped by the device"),
+        (group.lost_ring_full, "lost in the host because a ring was full"),
+        (group.lost_other, "lost in the host"),
+        (group.unknown_after_disconnect, UNKNOWN),
+    ]
+    .into_iter()
+    .filter(|(n, _)| *n > 0)
+    .map(|(n, what)| format!("{} {what}", count(n, "sample")))
+    .chain((group.jumps > 0).then(|| {
+        format!("an unknown number where the numbers began again ({})", count(group.jumps, "time"))
+    }))
+    .collect();
+    (!lost.is_empty()).then(|| lost.join(", "))
+}
+
+/// The samples of sampled channels that are missing, one message per group, and the batches that were refused.
+pub(crate) fn sample_losses(ledger: &SampleLedgerDocument) -> Vec<String> {
+    let of_group = |group: &GroupLedgerDocument| {
+        let lost = samples_lost(group)?;
+        Some(format!("not in the take, of each channel of group {}: {lost}", group.group))
+    };
+    let refused = (ledger.batches_refused > 0).then(|| {
+        let batches = ledger.batches_refused;
+        let what = if batches == 1 { "batch" } else { "batches" };
+        format!(
+            "not in the take: {} {what} of samples that were not announced, or did not fit",
+            thousands(batches)
+        )
+    });
+    ledger.groups.iter().filter_map(of_group).chain(refused).collect()
 }
 
 /// The clock figures of a ledger, for takes that store no others.

@@ -54,8 +54,10 @@ pub mod types {
     pub const SAMPLED_GROUP: u8 = 0x8e;
     pub const SAMPLES: u8 = 0x8f;
     pub const ORDER: u8 = 0x92;
+    pub const SAMPLE_TIMES: u8 = 0x93;
+    pub const SAMPLE_LEDGER: u8 = 0x94;
     /// Every type of version 1.
-    pub const ALL: [u8; 15] = [
+    pub const ALL: [u8; 17] = [
         HEADER,
         CHANNELS,
         STRETCH,
@@ -71,6 +73,8 @@ pub mod types {
         SAMPLED_GROUP,
         SAMPLES,
         ORDER,
+        SAMPLE_TIMES,
+        SAMPLE_LEDGER,
     ];
 }
 

@@ -2,6 +2,7 @@
 
 mod analog;
 mod content;
+mod recorded;
 mod times;
 
 use std::{fmt, io};
@@ -9,6 +10,7 @@ use std::{fmt, io};
 pub use self::{
     analog::{AnalogDifference, ChannelDifference, compare_analog},
     content::{ContentDifference, EventDifference, FieldDifference},
+    recorded::compare_recorded,
     times::{TimesDifference, compare_times},
 };
 use crate::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};

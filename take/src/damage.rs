@@ -1,8 +1,12 @@
 //! The problems of a damaged take, and its lost rows.
 
 use crate::{
-    index::IndexEntry, interchange::c3d::columns::RESIDUALS, record::Ledger, sampled::LostSamples,
-    stretch::Stretch, timeline::LossCauses,
+    index::IndexEntry,
+    interchange::c3d::columns::RESIDUALS,
+    record::Ledger,
+    sampled::{LostSamples, RECORDED, part_name},
+    stretch::Stretch,
+    timeline::LossCauses,
 };
 
 /// Maximum number of problems that a list keeps. A take on a failing disk has one problem per stretch; a crafted file
@@ -115,8 +119,8 @@ pub enum Problem {
         kind: String,
     },
     /// Samples of sampled channels that are missing, or cannot be decoded.
-    #[error("samples {first} to {} of {kind}, channels {} to {}, are lost; {}",
-        first.saturating_add(*n).saturating_sub(1), channels[0], channels[1], in_place_of_lost(kind))]
+    #[error("samples {first} to {} of {}, channels {} to {}, are lost; {}",
+        first.saturating_add(*n).saturating_sub(1), part_name(kind), channels[0], channels[1], in_place_of_lost(kind))]
     SamplesLost {
         /// The kind of the foreign part.
         kind: String,
@@ -164,7 +168,11 @@ pub enum Problem {
 
 /// What an export writes in place of lost samples.
 fn in_place_of_lost(kind: &str) -> &'static str {
-    if kind == RESIDUALS { "an export has 0 there" } else { "an export has NaN there" }
+    match kind {
+        RESIDUALS => "an export has 0 there",
+        RECORDED => "readers have NaN there",
+        _ => "an export has NaN there",
+    }
 }
 
 /// Why the rows of a stretch are unavailable.

@@ -7,7 +7,8 @@ use crate::{
     NotATake, TakeError,
     chunk::{self, ChunkParse, MAGIC, types},
     record::{
-        Channel, Header, LIMIT_BYTES, Ledger, Record, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding,
+        Channel, Header, LIMIT_BYTES, Ledger, Record, SUMMARY_BYTES_MAX, SampleLedger,
+        SummaryRecord, TakeEnding,
     },
     statistics::TakeStatistics,
     varint,
@@ -148,6 +149,8 @@ pub struct TakeEnds {
 pub struct TakeEnd {
     /// The last chunk.
     pub footer: Footer,
+    /// The last ledger of sampled channels; `None` in a take without any.
+    pub sample_ledger: Option<SampleLedger>,
     /// The last ledger; `None` if the chunk at the footer's offset is missing or damaged.
     pub ledger: Option<Ledger>,
     /// How the take ended, if it states that.
@@ -187,7 +190,14 @@ impl TakeEnd {
         let mut bytes = [0; Footer::CHUNK_BYTES];
         input.read_exact(&mut bytes)?;
         let Some(footer) = Footer::from_chunk(&bytes) else { return Ok(None) };
-        let mut end = Self { footer, ledger: None, ending: None, channels: None, statistics: None };
+        let mut end = Self {
+            footer,
+            sample_ledger: None,
+            ledger: None,
+            ending: None,
+            channels: None,
+            statistics: None,
+        };
         let ledger_at = footer.ledger_offset;
         // No chunk follows a footer, and no file is long enough for every 64-bit offset.
         if ledger_at >= at {
@@ -204,6 +214,7 @@ impl TakeEnd {
             let summary = |c: Chunk| SummaryRecord::from_payload(&c.payload, summary_at).ok();
             let summary = chunk.and_then(summary).unwrap_or_default();
             (end.ending, end.statistics) = (summary.ending, summary.statistics);
+            end.sample_ledger = summary.sample_ledger;
             end.channels = summary.header.map(|header| header.channels);
             if let Some(order) = &summary.order {
                 end.channels.iter_mut().for_each(|table| order.restore_table(table));

@@ -12,17 +12,42 @@ pub use self::tail::TakeTail;
 
 use crate::{
     ChannelOrder, TakeError, TakeEvent,
+    chunk::types,
     damage::{LostRows, Problem, push_problem},
     foreign::ForeignPart,
     index::IndexEntry,
-    record::{Channel, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
-    sampled::{GroupSamples, SampledPart},
+    record::{Channel, ClockLine, Event, Header, Ledger, SampleLedger, Subject, TakeEnding},
+    sampled::{GroupSamples, RECORDED, SampledPart},
     statistics::TakeStatistics,
 };
 
 /// Maximum number of groups of sampled channels that a reader remembers of a take. A C3D file with as many points and
 /// channels as 16 bits can count has 6144.
 const GROUPS_MAX: usize = 1 << 13;
+
+/// Which chunks of sampled channels are of a later version. They are skipped, and nothing is wrong with a take in which
+/// what they state is missing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LaterSamples {
+    /// `SAMPLED_GROUP`.
+    pub groups: bool,
+    /// `SAMPLE_TIMES`.
+    pub times: bool,
+    /// `SAMPLE_LEDGER`.
+    pub ledger: bool,
+}
+
+impl LaterSamples {
+    /// A chunk of this type was skipped.
+    pub(crate) fn skip(&mut self, kind: u8) {
+        match kind {
+            types::SAMPLED_GROUP => self.groups = true,
+            types::SAMPLE_TIMES => self.times = true,
+            types::SAMPLE_LEDGER => self.ledger = true,
+            _ => {}
+        }
+    }
+}
 
 /// Everything in a take but its samples.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -49,6 +74,8 @@ pub struct TakeMap {
     pub events: Vec<Event>,
     /// The last ledger.
     pub ledger: Option<Ledger>,
+    /// The last ledger of the samples of sampled channels; only in recordings that have some.
+    pub sample_ledger: Option<SampleLedger>,
     /// How the take ended; `None` in takes of earlier versions, in imports, and in takes that were cut off.
     pub ending: Option<TakeEnding>,
     /// The statistics that the take states, in column order; `None` in takes of earlier versions, and in those that were cut off.
@@ -60,6 +87,9 @@ pub struct TakeMap {
     /// Chunks of sampled channels that belong to no group, because the chunk that describes it is damaged or of a later
     /// version.
     pub samples_orphaned: u64,
+    /// Which chunks of sampled channels were skipped because of their version; of groups and times only if the stretches
+    /// were read.
+    pub later_samples: LaterSamples,
     /// Whether the take was closed; a take without a footer was cut off.
     pub finished: bool,
     /// Whether anything damaged or missing was found.
@@ -71,6 +101,12 @@ pub struct TakeMap {
 }
 
 impl TakeMap {
+    /// The groups of sampled channels of a recording.
+    pub fn recorded_groups(&self) -> impl Iterator<Item = &GroupSamples> {
+        let parts = self.foreign.iter().filter(|part| part.kind == RECORDED);
+        parts.filter_map(ForeignPart::sampled).flat_map(SampledPart::groups)
+    }
+
     /// Decodes the samples of all sampled channels, and adds those that cannot be decoded to the problems. `input` is the
     /// file of the take.
     ///
@@ -127,6 +163,11 @@ impl TakeMap {
             TakeEvent::Subject(subject) => self.subject = Some(*subject),
             TakeEvent::Event(event) => self.events.push(event),
             TakeEvent::Ledger(ledger) => self.ledger = Some(*ledger),
+            TakeEvent::SampleLedger(ledger) => {
+                let parts = self.foreign.iter_mut().filter_map(ForeignPart::sampled_mut);
+                parts.for_each(|part| part.state(&ledger));
+                self.sample_ledger = Some(*ledger);
+            }
             TakeEvent::Clock(clock) => {
                 if let Some(line) = clock.line {
                     self.clock_lines.pop_if(|last| last.0 == clock.segment);
@@ -141,6 +182,11 @@ impl TakeMap {
                 // Those of an import belong to the last part.
                 let mut parts = self.foreign.iter_mut().rev().filter_map(ForeignPart::sampled_mut);
                 let is_known = parts.any(|part| part.push(chunk, chunk_bytes));
+                self.samples_orphaned += u64::from(!is_known);
+            }
+            TakeEvent::SampleTimes(times) => {
+                let mut parts = self.foreign.iter_mut().rev().filter_map(ForeignPart::sampled_mut);
+                let is_known = parts.any(|part| part.push_times(&times, offset, chunk_bytes));
                 self.samples_orphaned += u64::from(!is_known);
             }
             TakeEvent::Summary(summary) => {

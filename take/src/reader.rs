@@ -20,8 +20,10 @@ use crate::{
     chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
-    record::{Channel, Clock, Event, Header, Ledger, SampledGroup, Subject, SummaryRecord},
-    sampled::SamplesChunk,
+    record::{
+        Channel, Clock, Event, Header, Ledger, SampleLedger, SampledGroup, Subject, SummaryRecord,
+    },
+    sampled::{SampleTimes, SamplesChunk},
     stretch::{Stretch, StretchChain},
 };
 
@@ -59,6 +61,10 @@ pub enum TakeEvent<'a> {
     SampledGroup(Box<SampledGroup>),
     /// Samples of such a group, with the block still encoded.
     Samples(SamplesChunk),
+    /// When samples of such a group were taken.
+    SampleTimes(SampleTimes),
+    /// The ledger of the samples up to here; the last one is final.
+    SampleLedger(Box<SampleLedger>),
     /// The summary of a closed take: how the take ended.
     Summary(SummaryRecord),
     /// Positions of the key stretches.
@@ -337,12 +343,14 @@ impl TakeBytes {
                 self.framing += len - sizes.time_line - sizes.lengths - sizes.blocks;
                 return;
             }
-            TakeEvent::Ledger(_) => &mut self.ledgers,
+            TakeEvent::Ledger(_) | TakeEvent::SampleLedger(_) => &mut self.ledgers,
             TakeEvent::Clock(_) => &mut self.clock,
             TakeEvent::Event(_) => &mut self.events,
             TakeEvent::Subject(_) => &mut self.subject,
             TakeEvent::Foreign(_) => &mut self.foreign,
-            TakeEvent::SampledGroup(_) | TakeEvent::Samples(_) => &mut self.sampled,
+            TakeEvent::SampledGroup(_) | TakeEvent::Samples(_) | TakeEvent::SampleTimes(_) => {
+                &mut self.sampled
+            }
             TakeEvent::Summary(_)
             | TakeEvent::Index(_)
             | TakeEvent::Skipped { kind: types::INDEX }

@@ -62,6 +62,8 @@ pub enum ChunkKind {
     Foreign,
     SampledGroup,
     Samples,
+    SampleTimes,
+    SampleLedger,
     Summary,
     Index,
     Footer,
@@ -70,7 +72,7 @@ pub enum ChunkKind {
 }
 
 /// Every kind with its chunk type and its name in reports.
-const KINDS: [(ChunkKind, Option<u8>, &str); 15] = [
+const KINDS: [(ChunkKind, Option<u8>, &str); 17] = [
     (ChunkKind::Header, Some(types::HEADER), "header"),
     (ChunkKind::Channels, Some(types::CHANNELS), "channel table"),
     (ChunkKind::Order, Some(types::ORDER), "order"),
@@ -82,6 +84,8 @@ const KINDS: [(ChunkKind, Option<u8>, &str); 15] = [
     (ChunkKind::Foreign, Some(types::FOREIGN), "foreign"),
     (ChunkKind::SampledGroup, Some(types::SAMPLED_GROUP), "sampled group"),
     (ChunkKind::Samples, Some(types::SAMPLES), "samples"),
+    (ChunkKind::SampleTimes, Some(types::SAMPLE_TIMES), "times of samples"),
+    (ChunkKind::SampleLedger, Some(types::SAMPLE_LEDGER), "ledger of samples"),
     (ChunkKind::Summary, Some(types::SUMMARY), "summary"),
     (ChunkKind::Index, Some(types::INDEX), "index"),
     (ChunkKind::Footer, Some(types::FOOTER), "footer"),
@@ -328,6 +332,9 @@ impl RecoveryScan {
         if self.lost_anything() {
             take.event(&host_event(self.rows, format!("recovered {note}")))?;
         }
+        if let Some(ledger) = &self.sample_ledger {
+            take.sample_ledger(ledger)?;
+        }
         let mut table = self.channels.clone();
         self.order.apply_to_table(&mut table);
         let summary = SummaryRecord {
@@ -335,6 +342,7 @@ impl RecoveryScan {
             header: Some(Box::new(Header { channels: table, ..header })),
             statistics: Some(self.statistics.clone()),
             order: Some(self.order.clone()).filter(|order| !order.is_identity()),
+            sample_ledger: self.sample_ledger.clone(),
         };
         take.close_with(&self.ledger, &summary)?;
         Ok(take.bytes())

@@ -6,12 +6,14 @@ mod encoder;
 mod part;
 #[cfg(test)]
 mod tests;
+mod times;
 
 pub(crate) use self::encoder::PartContext;
-pub(crate) use self::part::RecoveredSamples;
+pub(crate) use self::part::{GroupReader, RecoveredSamples};
 pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},
+    times::{SampleAnchor, SampleClock, SampleTime, SampleTimes},
 };
 
 use crate::{TakeError, record::SampledGroup, timeline::LossCauses, varint};
@@ -22,6 +24,14 @@ pub const BLOCK_ROWS_MAX: u64 = 1 << 17;
 /// Maximum number of samples of a block, of all its channels: 4 MiB of float32. So a chunk is short enough to be held
 /// before its CRC is known to match, and a few bytes that claim this many samples cost a reader about a second.
 pub const BLOCK_SAMPLES_MAX: u64 = 1 << 20;
+
+/// The kind of the parts that are channels of a recording, which belong to no file. Each group is a part of its own.
+pub const RECORDED: &str = "";
+
+/// The name of a part in messages.
+pub(crate) fn part_name(kind: &str) -> &str {
+    if kind == RECORDED { "the sampled channels" } else { kind }
+}
 
 const KEY: u8 = 1;
 const LOST: u8 = 2;
@@ -125,7 +135,8 @@ impl SamplesChunk {
 }
 
 /// Maximum number of samples of each channel in a block of `n_channels` channels.
-fn block_rows_max(n_channels: usize) -> u64 {
+#[must_use]
+pub fn block_rows_max(n_channels: usize) -> u64 {
     (BLOCK_SAMPLES_MAX / (n_channels as u64).max(1)).min(BLOCK_ROWS_MAX)
 }
 

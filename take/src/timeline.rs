@@ -24,6 +24,8 @@ impl LossCauses {
     pub const DISCONNECTED: Self = Self(4);
     /// Recorded, but damaged in the file that this take was recovered from.
     pub const DAMAGED: Self = Self(8);
+    /// Dropped by the device, by its numbers of batches. Of samples only: 16 is reserved.
+    pub const DROPPED_BY_DEVICE: Self = Self(32);
 
     /// Whether all causes in `other` are among these.
     #[must_use]

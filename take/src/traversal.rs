@@ -14,7 +14,7 @@ use mocapd_codec::DecodedRows;
 
 use crate::{
     TakeError, TakeEvent, TakeReader,
-    chunk::{MAGIC, types},
+    chunk::MAGIC,
     damage::{LossTracker, Problem, Refusal, push_problem},
     foreign::ForeignPart,
     index::IndexEntry,
@@ -70,8 +70,6 @@ pub struct Progress {
     /// The damage that explains a missing stretch was already reported.
     damage_reported: bool,
     timeline: Option<Timeline>,
-    /// A group of sampled channels is of a later version: its samples cannot be read, and nothing is wrong with them.
-    has_later_groups: bool,
 }
 
 /// Which problems a traversal reports, and whether it builds a map.
@@ -130,7 +128,6 @@ impl Progress {
             scope,
             damage_reported: false,
             timeline: None,
-            has_later_groups: false,
         }
     }
 
@@ -211,7 +208,7 @@ impl Progress {
                 self.take.damaged = true;
                 self.table.add_damage();
             }
-            TakeEvent::Skipped { kind: types::SAMPLED_GROUP } => self.has_later_groups = true,
+            TakeEvent::Skipped { kind } => self.take.later_samples.skip(*kind),
             TakeEvent::Repaired { offset } => self.report(Problem::Repaired { offset: *offset }),
             TakeEvent::Footer(footer) => {
                 let (stated, found) = (footer.n_rows, self.n_rows());
@@ -315,7 +312,8 @@ impl Progress {
             }
         }
         let chunks = self.take.samples_orphaned;
-        if chunks > 0 && !self.has_later_groups {
+        // Those of a group of a later version cannot be read, and nothing is wrong with them.
+        if chunks > 0 && !self.take.later_samples.groups {
             push_problem(&mut problems, Problem::SamplesOrphaned { chunks });
         }
         self.take.damaged |= !problems.is_empty();

@@ -12,10 +12,13 @@ use crate::{
     interchange::c3d::{self, Parameters},
     motion::Foreign,
     record::{
-        Channel, Clock, Event, Header, Ledger, MoreChannels, Record, SampledGroup, Subject,
-        SummaryRecord, TakeEnding,
+        Channel, Clock, Event, Header, Ledger, MoreChannels, Record, SampleLedger, SampledGroup,
+        Subject, SummaryRecord, TakeEnding,
     },
-    sampled::{EncodedSpan, LostSamples, PartContext, SampleSpan, SamplesPlan, SpanEncoder},
+    sampled::{
+        EncodedSpan, LostSamples, PartContext, SampleAnchor, SampleSpan, SampleTimes, SamplesPlan,
+        SpanEncoder,
+    },
     statistics::{StretchTally, TakeTally},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
@@ -32,6 +35,8 @@ pub struct TakeWriter<W> {
     offset: u64,
     failed: bool,
     scratch: Vec<u8>,
+    /// A payload of samples.
+    payload: Vec<u8>,
     rows_max: u64,
     index: Vec<IndexEntry>,
     n_rows: u64,
@@ -44,6 +49,8 @@ pub struct TakeWriter<W> {
     parameters: Parameters,
     /// Groups of sampled channels so far.
     n_groups: u32,
+    /// The last ledger of their samples.
+    sample_ledger: Option<SampleLedger>,
     tally: TakeTally,
 }
 
@@ -63,6 +70,7 @@ impl<W: Write> TakeWriter<W> {
             offset: 0,
             failed: false,
             scratch: Vec::with_capacity(1 << 16),
+            payload: Vec::new(),
             rows_max,
             index: Vec::new(),
             n_rows: 0,
@@ -71,6 +79,7 @@ impl<W: Write> TakeWriter<W> {
             order: None,
             parameters: Parameters::default(),
             n_groups: 0,
+            sample_ledger: None,
             tally: TakeTally::default(),
         };
         writer.tally.announce(header.channels.len());
@@ -243,11 +252,59 @@ impl<W: Write> TakeWriter<W> {
         self.chunk(types::SAMPLED_GROUP, &group.to_chunk_payload()?)
     }
 
+    /// Writes samples of a group of a recording: the block of the span, or that they are lost.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn samples(&mut self, span: &SampleSpan, block: &[u8]) -> Result<(), TakeError> {
+        self.payload.clear();
+        span.put(&mut self.payload);
+        self.payload.extend_from_slice(block);
+        self.own_payload(types::SAMPLES)
+    }
+
+    /// Writes the time of a sample of a group, and with `later` the number and the ticks of a later one in its run.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn sample_time(
+        &mut self,
+        group: u32,
+        anchor: &SampleAnchor,
+        later: Option<(u64, u64)>,
+    ) -> Result<(), TakeError> {
+        self.payload.clear();
+        SampleTimes::put(group, anchor, later, &mut self.payload);
+        self.own_payload(types::SAMPLE_TIMES)
+    }
+
+    /// Allocates the memory for blocks of samples of up to this size.
+    pub fn reserve_samples(&mut self, block_bytes: usize) {
+        // Head and three numbers precede a block, and the chunk's own head and CRC surround it.
+        self.payload.reserve(block_bytes + 64);
+        self.scratch.reserve(block_bytes + 128);
+    }
+
+    /// Writes a chunk with the payload in `self.payload`, whose memory is kept.
+    fn own_payload(&mut self, kind: u8) -> Result<(), TakeError> {
+        let payload = std::mem::take(&mut self.payload);
+        let written = self.chunk(kind, &payload);
+        self.payload = payload;
+        written
+    }
+
+    /// Writes the ledger of the samples so far.
+    ///
+    /// # Errors
+    /// `Io`, `InvalidArgument`.
+    pub fn sample_ledger(&mut self, ledger: &SampleLedger) -> Result<(), TakeError> {
+        self.sample_ledger = Some(ledger.clone());
+        self.record(ledger)
+    }
+
     /// Records samples of a group as lost.
     pub(crate) fn lost_samples(&mut self, span: &SampleSpan) -> Result<(), TakeError> {
-        let mut payload = Vec::new();
-        span.put(&mut payload);
-        self.chunk(types::SAMPLES, &payload)
+        self.samples(span, &[])
     }
 
     /// Writes an encoded span.
@@ -297,7 +354,8 @@ impl<W: Write> TakeWriter<W> {
         let header = Some(Box::new(std::mem::take(&mut self.header)));
         let statistics = Some(std::mem::take(&mut self.tally).finish(self.n_rows));
         let order = self.order.take();
-        self.close_with(ledger, &SummaryRecord { ending, header, statistics, order })
+        let sample_ledger = self.sample_ledger.take();
+        self.close_with(ledger, &SummaryRecord { ending, header, statistics, order, sample_ledger })
     }
 
     /// Closes the take like [`close`](Self::close), with another summary.
@@ -311,6 +369,7 @@ impl<W: Write> TakeWriter<W> {
         let only_ending = || SummaryRecord {
             ending: summary.ending.clone(),
             order: summary.order.clone(),
+            sample_ledger: summary.sample_ledger.clone(),
             ..Default::default()
         };
         let payload = summary.to_payload().or_else(|_| only_ending().to_payload())?;

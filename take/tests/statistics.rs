@@ -329,6 +329,7 @@ fn statistics_take_at_most_300_bytes_and_12_per_marker() {
                 header: Some(Box::new(header.clone())),
                 statistics: Some(statistics),
                 order: None,
+                sample_ledger: None,
             };
             let payload = summary.to_payload().unwrap();
             assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), summary);

@@ -479,6 +479,7 @@ fn bench_pipeline() {
     let folder = Folder::new();
     let bench =
         ["bench", "pipeline", "--markers", "5", "--seconds", "500ms", "--runs", "1", "--json"];
+    let bench = [&bench[..], &["--emg", "2@1kHz"]].concat();
     let ran = folder.run(&bench).with_code(0);
     assert_eq!(ran.stderr, "");
     check("`mocapd bench pipeline`", &[ran.json()]);

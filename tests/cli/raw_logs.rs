@@ -60,14 +60,15 @@ fn recorded(folder: &Folder, name: &str) -> Value {
     let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
     let device = FaultyDevice::new(device, &script);
     let (ran, _) =
-        record_from(folder, device, None, &["-o", "first.take", "--raw", "first.rawlog"]);
+        record_from(folder, device, [None, None], &["-o", "first.take", "--raw", "first.rawlog"]);
     outcome(folder, "first.take", &ran, name)
 }
 
 fn replayed(folder: &Folder, log: &[u8], options: &[&str], script: &str) -> Value {
     let device = LogDevice::new(log, 1.0).unwrap();
     assert!(device.problems().is_empty(), "{:?}", device.problems());
-    let (ran, _) = record_from(folder, device, None, &[&["-o", "again.take"], options].concat());
+    let (ran, _) =
+        record_from(folder, device, [None, None], &[&["-o", "again.take"], options].concat());
     outcome(folder, "again.take", &ran, script)
 }
 
@@ -159,7 +160,7 @@ fn a_log_without_an_end_is_recorded_once() {
         let device = LogDevice::new(log, 1.0).unwrap();
         // Long enough for a device that restarts to be recorded a second time.
         let options = ["-o", "again.take", "--reconnect", "3s"];
-        let (ran, sent) = record_from(&folder, device, None, &options);
+        let (ran, sent) = record_from(&folder, device, [None, None], &options);
         assert_eq!((ran.code, sent.starts), (Some(3), 1), "{}", ran.stderr);
         let report = ran.json();
         assert_eq!(report["ending"], "disconnected");

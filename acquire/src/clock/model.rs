@@ -201,6 +201,11 @@ impl ClockModel {
         std::mem::take(&mut self.wants_probes)
     }
 
+    /// Number of the current segment.
+    pub(crate) fn segment(&self) -> u32 {
+        self.segment
+    }
+
     /// The line of the current segment.
     #[must_use]
     pub fn line(&self) -> Option<&Line> {

@@ -18,7 +18,7 @@ use std::{
 use anyhow::ensure;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use mocapd_take::record::{
-    ClockLine, EndingKind, Event, EventKind, Header, Ledger, Subject, TakeEnding,
+    ClockLine, EndingKind, Event, EventKind, Header, Ledger, SampleLedger, Subject, TakeEnding,
 };
 
 use super::{DiskSpace, TakeOutput};
@@ -119,6 +119,8 @@ impl fmt::Display for TakeFailed {
 pub struct TakeAccount {
     /// The ledger in the take.
     pub ledger: Ledger,
+    /// The ledger of sampled channels in the take, if there are some.
+    pub sample_ledger: Option<SampleLedger>,
     /// The ending in the take.
     pub ending: TakeEnding,
     /// The final state of the clocks.

@@ -38,6 +38,8 @@ pub struct Counts {
     pub clock_jumps: u64,
     /// Events that found the writer's queue full.
     pub events_dropped: u64,
+    /// Batches of sampled channels that were not announced at the start, or that do not fit their announcement.
+    pub batches_refused: u64,
     /// Counters of the link decoder.
     pub link: LinkCounters,
     /// The device's last status report, extended to all its frames, including those before an outage.
@@ -174,6 +176,7 @@ impl Counts {
             counter_jumps: self.counter_jumps - base.counter_jumps,
             clock_jumps: self.clock_jumps - base.clock_jumps,
             events_dropped: self.events_dropped - base.events_dropped,
+            batches_refused: self.batches_refused - base.batches_refused,
             link: LinkCounters {
                 bytes: link.bytes - link_base.bytes,
                 bytes_skipped: link.bytes_skipped - link_base.bytes_skipped,

@@ -15,7 +15,7 @@ use mocapd_take::{
 };
 
 use super::{
-    messages::{EncodeJob, Part, PartBuffer, PartReport, StretchEnd},
+    messages::{EncodeJob, Part, PartBuffer, PartReport, StretchEnd, WriterInput},
     plan::Plan,
     ring::{RingConsumer, RingProducer, Sample, TimelineItem, ring},
 };
@@ -28,7 +28,7 @@ pub(super) struct Group {
     coder: GroupCoder,
     pub(super) jobs: Receiver<EncodeJob>,
     pub(super) jobs_in: Sender<EncodeJob>,
-    parts: Sender<Part>,
+    parts: Sender<WriterInput>,
     /// Free buffers; the writer returns them.
     pub(super) buffers: Receiver<PartBuffer>,
     pub(super) buffers_back: Sender<PartBuffer>,
@@ -65,7 +65,7 @@ impl Group {
         plan: &Plan,
         index: usize,
         visibility: Option<VisibilityCounters>,
-        parts: &Sender<Part>,
+        parts: &Sender<WriterInput>,
     ) -> (Self, Vec<RingProducer<Sample>>) {
         let rows = plan.stretch_rows as usize;
         let n_slots = plan.slots_of(index).len();
@@ -93,7 +93,7 @@ impl Group {
     pub(super) fn timeline(
         plan: &Plan,
         header: &Header,
-        parts: &Sender<Part>,
+        parts: &Sender<WriterInput>,
     ) -> (Self, RingProducer<TimelineItem>) {
         let (producer, consumer) = ring(plan.timeline_items());
         let coder = TimelineCoder::new(consumer, header, plan.timeline_items());
@@ -106,7 +106,7 @@ impl Group {
         index: usize,
         coder: GroupCoder,
         part_bytes: usize,
-        parts: &Sender<Part>,
+        parts: &Sender<WriterInput>,
     ) -> Self {
         let (jobs_in, jobs) = bounded(plan.spans_max());
         let (buffers_back, buffers) = bounded(plan.buffers_per_group());
@@ -142,7 +142,7 @@ impl Group {
             let (stretch, end, counts) = (job.stretch, job.end, job.counts);
             let part = Part { stretch, end, group: self.index, buffer, report, counts };
             // Never full: it has a place for every buffer there is. Closed when the writer is gone.
-            if self.parts.try_send(part).is_err() {
+            if self.parts.try_send(WriterInput::Part(part)).is_err() {
                 return;
             }
         }

@@ -7,9 +7,11 @@ mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
 
-use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
+use mocapd_drivers::device::{
+    Frame, LinkCounters, MarkerInfo, SampleBatch, SampledGroupInfo, Status,
+};
 use mocapd_take::{
-    record::{EndingKind, Event, TakeEnding},
+    record::{EndingKind, Event, EventKind, TakeEnding},
     timeline::{LossCauses, RowTime},
 };
 
@@ -25,6 +27,7 @@ use super::{
     plan::Plan,
     pool::Feed,
     ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
+    sampled::{BatchOutcome, SampledIntake},
     split::SplitSchedule,
 };
 use crate::{
@@ -77,6 +80,8 @@ pub struct Intake {
     /// Arrival of the open stretch's first row, in host nanoseconds, and the longest time it may stay open.
     open_since_ns: u64,
     open_ns_max: u64,
+    /// When blocks of samples last ended without a stretch.
+    blocks_since_ns: u64,
     /// The open stretch's first recorded row, and the arrival of its last.
     open_first: FrameTimes,
     last_arrival_ns: u64,
@@ -96,7 +101,13 @@ pub struct Intake {
     finished: bool,
     commands: CommandReceiver,
     tap: PreviewSender,
+    samples: SampledIntake,
+    /// Announcements of sampled channels that were reported.
+    groups_reported: u32,
 }
+
+/// Announcements of other sampled channels that get an event: a device that repeats them must not fill the take.
+const GROUPS_REPORTED_MAX: u32 = 32;
 
 /// Maximum number of frames that a device can have produced beyond those seen: a day and more at 10 kHz. A larger
 /// number is a contradiction, not loss.
@@ -110,6 +121,7 @@ pub(super) struct ReaderEndpoints {
     pub(super) to_writer: ToWriter,
     pub(super) commands: CommandReceiver,
     pub(super) tap: PreviewSender,
+    pub(super) samples: SampledIntake,
     pub(super) progress: Arc<PipelineProgress>,
 }
 
@@ -119,7 +131,8 @@ impl Intake {
         plan: &Plan,
         ends: ReaderEndpoints,
     ) -> anyhow::Result<Self> {
-        let ReaderEndpoints { rings, timeline, feed, to_writer, commands, tap, progress } = ends;
+        let ReaderEndpoints { rings, timeline, feed, to_writer, commands, tap, samples, progress } =
+            ends;
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
             slot_of_id[usize::from(channel.marker_id)] = slot as u32;
@@ -155,6 +168,7 @@ impl Intake {
             splits: SplitSchedule::Never,
             take_end_row: None,
             open_since_ns: 0,
+            blocks_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
             open_first: FrameTimes::default(),
             last_arrival_ns: 0,
@@ -170,6 +184,8 @@ impl Intake {
             finished: false,
             commands,
             tap,
+            samples,
+            groups_reported: 0,
         })
     }
 
@@ -229,6 +245,36 @@ impl Intake {
         self.end_before_frame();
     }
 
+    /// Accepts a batch of samples: all of it goes into the ring of its group, or is counted as lost.
+    pub fn samples(&mut self, batch: &SampleBatch<'_>) {
+        let segment = self.clocks.segment();
+        if self.samples.batch(batch, self.feed.next_stretch(), segment) == BatchOutcome::Refused {
+            self.counts.batches_refused += 1;
+            if self.counts.batches_refused == 1 {
+                let text = format!(
+                    "samples of group {} were not announced before the start, or do not fit: they are not recorded",
+                    batch.group
+                );
+                self.event(Event::new(EventKind::Host, self.now_ns, text));
+            }
+        }
+    }
+
+    /// Reports a group of sampled channels that was not announced before the start, or was announced otherwise. Repeated
+    /// announcements of known groups are ignored.
+    pub fn announce_group(&mut self, group: &SampledGroupInfo) {
+        if self.samples.announce(group) || self.groups_reported >= GROUPS_REPORTED_MAX {
+            return;
+        }
+        self.groups_reported += 1;
+        let text = format!(
+            "the device announced {} sampled channels as group {} during the recording: start again to record them",
+            group.channels.len(),
+            group.id
+        );
+        self.event(Event::new(EventKind::Host, self.now_ns, text));
+    }
+
     /// Advances the host's monotonic time, also when nothing arrives: a stretch that stays open because frames come
     /// slowly, or not at all, is closed when its time is up.
     pub fn tick(&mut self, now_ns: u64) {
@@ -237,6 +283,11 @@ impl Intake {
         self.execute_commands(now_ns);
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
+        }
+        // Without frames no stretch ends the blocks of samples.
+        if self.open_rows == 0 && now_ns.saturating_sub(self.blocks_since_ns) > self.open_ns_max {
+            self.blocks_since_ns = now_ns;
+            self.samples.end_blocks(self.feed.next_stretch(), self.clocks.segment());
         }
     }
 
@@ -372,11 +423,13 @@ impl Intake {
         self.counts.seen()
     }
 
-    /// Whether the next frame might find a ring full, however many are lost before it. For sources that can wait.
+    /// Whether the next frame might find a ring full, however many are lost before it, or the next batch of samples. For
+    /// sources that can wait.
     #[must_use]
     pub fn is_full(&mut self) -> bool {
         // Lost rows beyond the end of the open stretch do not go into the rings.
-        !self.has_room_for(1 + self.open_limit.saturating_sub(self.open_rows) as usize)
+        let rows = 1 + self.open_limit.saturating_sub(self.open_rows) as usize;
+        !self.has_room_for(rows) || self.samples.is_full()
     }
 
     /// The row of the next frame.

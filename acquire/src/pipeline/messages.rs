@@ -6,6 +6,7 @@ use mocapd_take::{
     record::{Channel, Event},
     statistics::{BlockTally, StretchTally},
     stretch::Span,
+    timeline::LossCauses,
 };
 
 use super::{
@@ -57,6 +58,45 @@ pub(super) struct Part {
     pub(super) report: PartReport,
     /// Only from the timeline's group.
     pub(super) counts: Option<Counts>,
+}
+
+/// The time of the first sample of a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct BlockTime {
+    pub(super) device_ticks: u64,
+    /// The sample at which its last batch began, counted in the block, and its time.
+    pub(super) last_batch: (u32, u64),
+    /// Number of the first sample of its run since the pipeline began.
+    pub(super) run_start: u64,
+    pub(super) segment: u32,
+}
+
+/// Samples of a group for the writer.
+#[derive(Debug)]
+pub(super) struct SamplePart {
+    /// Index of the group.
+    pub(super) group: usize,
+    pub(super) stretch: u64,
+    pub(super) first: u64,
+    pub(super) duplicates: u64,
+    pub(super) jumps: u32,
+    pub(super) content: PartContent,
+}
+
+/// What the part has. Buffers return to the group.
+#[derive(Debug)]
+pub(super) enum PartContent {
+    Block { n: u32, key: bool, time: BlockTime, block: Vec<u8> },
+    Lost { n: u64, causes: LossCauses, buffer: Vec<u8> },
+    Boundary,
+}
+
+/// What the threads that encode send to the writer.
+#[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "a box would allocate")]
+pub(super) enum WriterInput {
+    Part(Part),
+    Samples(SamplePart),
 }
 
 /// The memory of a part.

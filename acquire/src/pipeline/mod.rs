@@ -21,6 +21,7 @@ mod plan;
 mod pool;
 mod progress;
 mod ring;
+mod sampled;
 mod split;
 mod writer;
 
@@ -48,7 +49,8 @@ use self::{
     intake::ReaderEndpoints,
     plan::Plan,
     pool::Pool,
-    writer::{LiveTake, Writer},
+    sampled::SamplingThreads,
+    writer::{LiveTake, SampleQueue, TakePlace, Writer, WriterEndpoints},
 };
 pub use crate::files::TakeOutput;
 use crate::{heartbeat::ThreadRole, threads};
@@ -57,6 +59,7 @@ use crate::{heartbeat::ThreadRole, threads};
 #[derive(Debug)]
 pub struct Pipeline {
     pool: Pool,
+    sampling: SamplingThreads,
     writer: std::thread::JoinHandle<anyhow::Result<()>>,
     progress: Arc<PipelineProgress>,
     /// Only in a pipeline for a single take.
@@ -82,7 +85,9 @@ impl Pipeline {
     pub fn start(config: &PipelineConfig, take: NewTake) -> anyhow::Result<(Intake, Self)> {
         let (reply, handle) = commands::reply_channel();
         let header = take.header.clone();
-        let take = LiveTake::begin(take, &reply, Counts::default(), 0, config.sync_every)?;
+        let place = TakePlace { base: Counts::default(), rows_before: 0 };
+        let groups = sampled::records(&config.sampled);
+        let take = LiveTake::begin(take, &reply, place, &groups, config.sync_every)?;
         let (intake, mut pipeline, _) = Self::run(config, &header, Some((take, None)), None)?;
         pipeline.take = Some(handle);
         Ok((intake, pipeline))
@@ -100,7 +105,9 @@ impl Pipeline {
     ) -> anyhow::Result<(Intake, Self)> {
         let NextTake { take, ended, .. } = split.takes.next_take(0)?;
         let (header, reply) = (take.header.clone(), commands::Reply::of_series(ended));
-        let begun = LiveTake::begin(take, &reply, Counts::default(), 0, config.sync_every);
+        let place = TakePlace { base: Counts::default(), rows_before: 0 };
+        let groups = sampled::records(&config.sampled);
+        let begun = LiveTake::begin(take, &reply, place, &groups, config.sync_every);
         let take = begun.map_err(|error| {
             reply.ended.try_send(Err(TakeFailed::without_output(error))).ok();
             NothingRecorded
@@ -135,7 +142,8 @@ impl Pipeline {
         let progress = Arc::new(PipelineProgress::new(&config.channels));
         let writer_heartbeat = config.heartbeat.register(ThreadRole::Writer)?;
 
-        let (parts_in, parts) = bounded(plan.parts_max());
+        let n_parts = plan.parts_max() + sampled::parts_max(&config.sampled);
+        let (parts_in, parts) = bounded(n_parts);
         let (to_writer, from_reader) = messages::reader_to_writer();
         let mut groups = Vec::new();
         let mut rings = Vec::new();
@@ -148,6 +156,12 @@ impl Pipeline {
         groups.push(timeline_group);
 
         let buffers_back = groups.iter().map(|group| group.buffers_back.clone()).collect();
+        let (samples, sample_returns, sampling) = sampled::start(
+            &config.sampled,
+            config.stretch,
+            (config.tick_hz, config.workers),
+            &parts_in,
+        )?;
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
         let (takes, commands) = commands::command_channel();
         let (tap_in, tap) = ring::tap(plan.n_slots);
@@ -158,11 +172,14 @@ impl Pipeline {
             to_writer,
             commands,
             tap: tap_in,
+            samples,
             progress: Arc::clone(&progress),
         };
         let intake = Intake::new(config, &plan, ends)?;
-        let mut writer =
-            Writer::new(&plan, parts, from_reader, buffers_back, pool.wakes(), &progress);
+        let samples = SampleQueue::new(sampled::records(&config.sampled), sample_returns);
+        let wakes = pool.wakes();
+        let ends = WriterEndpoints { parts, from_reader, samples, buffers_back, wakes };
+        let mut writer = Writer::new(&plan, ends, &progress);
         if let Some((take, split)) = take {
             writer.set_single_take(take, split);
         }
@@ -173,7 +190,7 @@ impl Pipeline {
             written
         })?;
         let armed = ArmedHandles { takes, tap, seen: visibility.unwrap_or_default() };
-        Ok((intake, Self { pool, writer, progress, take: None }, armed))
+        Ok((intake, Self { pool, sampling, writer, progress, take: None }, armed))
     }
 
     /// Live counters.
@@ -204,6 +221,7 @@ impl Pipeline {
     pub fn join(self) -> anyhow::Result<()> {
         let outcome = threads::join(self.writer);
         self.pool.stop();
+        self.sampling.join();
         outcome?
     }
 }

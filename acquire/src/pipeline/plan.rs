@@ -7,6 +7,7 @@ use std::{
 
 use anyhow::ensure;
 use mocapd_codec::{GROUP_CHANNELS, Settings};
+use mocapd_drivers::device::SampledGroupInfo;
 use mocapd_take::{
     record::{Channel, RATES_HZ},
     stretch::SAMPLES_MAX,
@@ -38,6 +39,8 @@ pub struct PipelineConfig {
     pub tick_hz: u64,
     /// The channels known at the start.
     pub channels: Vec<Channel>,
+    /// The groups of sampled channels. Others that appear later are not recorded.
+    pub sampled: Vec<SampledGroupInfo>,
     /// Number of channels that may be added later.
     pub reserve: usize,
     /// Resampler threads.
@@ -74,6 +77,7 @@ impl PipelineConfig {
             rate_hz,
             tick_hz,
             channels,
+            sampled: Vec::new(),
             reserve: 64,
             workers: crate::threads::default_workers(),
             stretch: STRETCH,

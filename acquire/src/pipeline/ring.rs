@@ -63,6 +63,14 @@ impl<T: Copy> RingProducer<T> {
     }
 }
 
+impl<T: Copy> RingProducer<T> {
+    /// Pushes items. [`vacant`](Self::vacant) must have shown that they fit.
+    pub(super) fn push_slice(&mut self, items: &[T]) {
+        let n = self.0.push_slice(items);
+        debug_assert_eq!(n, items.len(), "pushed into a full ring");
+    }
+}
+
 impl<T: Copy> RingConsumer<T> {
     pub(super) fn pop(&mut self) -> Option<T> {
         self.0.try_pop()

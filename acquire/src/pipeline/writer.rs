@@ -3,6 +3,7 @@
 mod clocks;
 mod live;
 mod pre_roll;
+mod samples;
 mod splitting;
 
 use std::{
@@ -18,13 +19,18 @@ use mocapd_take::{
     statistics::{BlockTally, StretchTally},
 };
 
-pub(super) use self::live::LiveTake;
 use self::{clocks::ClockWriter, pre_roll::PreRollBuffer, splitting::SplitState};
+pub(super) use self::{
+    live::{LiveTake, TakePlace},
+    samples::SampleQueue,
+};
 use super::{
     Counts, NewTake, PipelineProgress, Split, TakeFailed,
     commands::{Reply, TakeCommand},
     lock,
-    messages::{Control, FromReader, Part, PartBuffer, PartReport, StretchEnd, StretchReport},
+    messages::{
+        Control, FromReader, Part, PartBuffer, PartReport, StretchEnd, StretchReport, WriterInput,
+    },
     plan::Plan,
     pool::WakeQueue,
 };
@@ -43,7 +49,7 @@ const PARTS_TIMEOUT: Duration = Duration::from_secs(2);
 /// The writer, which owns the take file.
 #[derive(Debug)]
 pub(super) struct Writer {
-    parts: Receiver<Part>,
+    parts: Receiver<WriterInput>,
     control: Receiver<(u64, Control)>,
     commands: Receiver<(u64, TakeCommand)>,
     /// Received from `commands`; its boundary has not come yet.
@@ -53,6 +59,9 @@ pub(super) struct Writer {
     next_control: Option<(u64, Control)>,
     buffers_back: Vec<Sender<PartBuffer>>,
     wakes: WakeQueue,
+    samples: SampleQueue,
+    /// Whether the present boundary is executed without some samples before it.
+    misses_samples: bool,
     progress: Arc<PipelineProgress>,
     assembler: StretchAssembler,
     payload: Vec<u8>,
@@ -72,15 +81,23 @@ pub(super) struct Writer {
     split: Option<SplitState>,
 }
 
+/// The writer's ends of the queues that it shares with other threads.
+#[derive(Debug)]
+pub(super) struct WriterEndpoints {
+    pub(super) parts: Receiver<WriterInput>,
+    pub(super) from_reader: FromReader,
+    pub(super) samples: SampleQueue,
+    pub(super) buffers_back: Vec<Sender<PartBuffer>>,
+    pub(super) wakes: WakeQueue,
+}
+
 impl Writer {
     pub(super) fn new(
         plan: &Plan,
-        parts: Receiver<Part>,
-        from_reader: FromReader,
-        buffers_back: Vec<Sender<PartBuffer>>,
-        wakes: WakeQueue,
+        ends: WriterEndpoints,
         progress: &Arc<PipelineProgress>,
     ) -> Self {
+        let WriterEndpoints { parts, from_reader, samples, buffers_back, wakes } = ends;
         let mut table = Vec::with_capacity(plan.n_slots);
         table.extend(lock(&progress.channels).iter().map(|channel| (0, channel.clone())));
         Self {
@@ -92,6 +109,8 @@ impl Writer {
             next_control: None,
             buffers_back,
             wakes,
+            samples,
+            misses_samples: false,
             progress: Arc::clone(progress),
             assembler: StretchAssembler::new(plan),
             payload: Vec::with_capacity(plan.stretch_bytes_max()),
@@ -112,7 +131,7 @@ impl Writer {
 
     /// Writes this take alone, from the first stretch on, or divides it.
     pub(super) fn set_single_take(&mut self, mut take: LiveTake, split: Option<Split>) {
-        take.reserve(self.payload.capacity());
+        take.reserve(self.payload.capacity(), self.samples.block_bytes_max());
         self.live = Some(take);
         self.single_take = true;
         self.split = split.map(SplitState::new);
@@ -123,6 +142,7 @@ impl Writer {
     /// finish; what was written before stays.
     pub(super) fn run(mut self, heartbeat: &HeartbeatHandle) -> anyhow::Result<()> {
         let mut idle_since = Instant::now();
+        let mut upkeep = Instant::now();
         let progress = Arc::clone(&self.progress);
         self.with_take(|take, _| {
             take.poll_disk(&progress);
@@ -132,31 +152,37 @@ impl Writer {
             heartbeat.beat();
             let sync_after = self.sync_every.clamp(POLL_INTERVAL_MIN, PARTS_TIMEOUT);
             match self.parts.recv_timeout(sync_after.min(FILE_CHECK_INTERVAL)) {
-                Ok(part) => {
+                Ok(WriterInput::Part(part)) => {
                     idle_since = Instant::now();
                     self.assembler.add(part);
                 }
-                Err(RecvTimeoutError::Timeout) => {
+                Ok(WriterInput::Samples(part)) => {
+                    self.samples.add(part);
                     heartbeat.at_disk();
-                    let is_idle = idle_since.elapsed() >= sync_after;
-                    self.with_take(|take, _| {
-                        take.poll_disk(&progress);
-                        take.check_file(&progress);
-                        if is_idle { take.sync_pending() } else { Ok(()) }
-                    });
-                    let failed = progress.failed.load(Ordering::Relaxed);
-                    let has_no_take = self.single_take && self.live.is_none();
-                    if failed && !has_no_take && idle_since.elapsed() > PARTS_TIMEOUT {
-                        self.with_take(|_, _| Err(ResamplerFailed.into()));
-                        return Err(ResamplerFailed.into());
-                    }
+                    self.write_samples(self.assembler.next_stretch);
                 }
+                Err(RecvTimeoutError::Timeout) => heartbeat.at_disk(),
                 // Not expected: the groups hold the senders, and the writer keeps the groups alive through their
                 // wake-ups.
                 Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads have ended"),
             }
+            // Samples may come without frames: their file is synced and looked at as well.
+            if upkeep.elapsed() >= sync_after.min(FILE_CHECK_INTERVAL) {
+                upkeep = Instant::now();
+                heartbeat.at_disk();
+                self.keep_up(idle_since.elapsed() >= sync_after);
+                let failed = progress.failed.load(Ordering::Relaxed);
+                let has_no_take = self.single_take && self.live.is_none();
+                if failed && !has_no_take && idle_since.elapsed() > PARTS_TIMEOUT {
+                    self.with_take(|_, _| Err(ResamplerFailed.into()));
+                    return Err(ResamplerFailed.into());
+                }
+            }
             while let Some(last) = self.assembler.front_is_last() {
                 heartbeat.at_disk();
+                if !self.write_samples_before_front() {
+                    break;
+                }
                 self.process_front();
                 self.return_buffers();
                 if last {
@@ -169,6 +195,16 @@ impl Writer {
                 }
             }
         }
+    }
+
+    /// Looks at the disk and the file, and syncs what no stretch has synced. `is_idle`: no stretch came for a while.
+    fn keep_up(&mut self, is_idle: bool) {
+        let progress = Arc::clone(&self.progress);
+        self.with_take(|take, _| {
+            take.poll_disk(&progress);
+            take.check_file(&progress);
+            if is_idle { take.sync_pending() } else { Ok(()) }
+        });
     }
 
     /// The ending of a take that is open when the reading is over.
@@ -216,6 +252,37 @@ impl Writer {
             }
         }
         self.publish_clock();
+    }
+
+    /// Writes the samples that belong before the oldest stretch, as far as they are encoded. Returns `false` if that
+    /// stretch is a boundary, and others are to be waited for.
+    fn write_samples_before_front(&mut self) -> bool {
+        let Some(front) = self.assembler.front() else { return true };
+        let (stretch, is_boundary) = (front.stretch, front.end.span.n_rows == 0);
+        let is_last = front.end.last;
+        if is_boundary && !self.samples.is_complete(stretch, is_last, || self.parts.is_empty()) {
+            return false;
+        }
+        self.write_samples(stretch);
+        self.misses_samples = is_boundary && self.samples.end_wait(stretch);
+        if self.misses_samples {
+            self.with_take(|take, _| {
+                take.miss_samples();
+                Ok(())
+            });
+        }
+        true
+    }
+
+    /// Writes the samples of stretches up to `stretch` to the open take, and keeps them for a pre-roll.
+    fn write_samples(&mut self, stretch: u64) {
+        while let Some(part) = self.samples.next_up_to(stretch) {
+            self.with_take(|take, _| take.samples(&part));
+            if let Some(buffer) = &mut self.pre_roll {
+                buffer.samples(part.copy());
+            }
+            self.samples.give_back(part);
+        }
     }
 
     fn put_stretch(&mut self, stretch: u64, end: &StretchEnd, before: Counts) {
@@ -354,7 +421,11 @@ impl Writer {
                 // The open take continues, and observers keep seeing that one.
                 let mut clocks = self.clocks.for_saved_take();
                 let progress = PipelineProgress::new(&[]);
-                if let Some(saved) = self.begin_take(*take, &reply, end, &mut clocks, &progress) {
+                let saved = self.begin_take(*take, &reply, end, &mut clocks, &progress);
+                if let Some(mut saved) = saved {
+                    if self.misses_samples {
+                        saved.miss_samples();
+                    }
                     saved.end(&self.counts.in_rows(), &mut clocks, EndingKind::Saved.into());
                 }
             }
@@ -392,14 +463,15 @@ impl Writer {
         new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
         progress.set_file_state(FileState::InPlace, None);
-        let mut take = match LiveTake::begin(new, reply, base, rows_before, self.sync_every) {
+        let (place, groups) = (TakePlace { base, rows_before }, &self.samples.groups);
+        let mut take = match LiveTake::begin(new, reply, place, groups, self.sync_every) {
             Ok(take) => take,
             Err(error) => {
                 reply.ended.try_send(Err(TakeFailed::without_output(error))).ok();
                 return None;
             }
         };
-        take.reserve(self.payload.capacity());
+        take.reserve(self.payload.capacity(), self.samples.block_bytes_max());
         match self.write_pre_roll(&mut take, from, stretch, clocks, progress) {
             Ok(()) => Some(take),
             Err(error) => {
@@ -424,6 +496,7 @@ impl Writer {
         }
         let mut channels = self.table.iter().filter(|(since, _)| *since > first).peekable();
         let mut events = buffer.events().filter(|(stretch, _)| *stretch >= first).peekable();
+        let mut samples = buffer.samples_from(first).peekable();
         for stretch in buffer.from(from) {
             let is_full = progress.disk_full.load(Ordering::Relaxed);
             ensure!(!is_full, "the disk is full: free some space");
@@ -434,8 +507,12 @@ impl Writer {
                 take.event(event)?;
             }
             let (payload, report) = (&stretch.payload, &stretch.report);
+            while let Some(part) = samples.next_if(|part| part.stretch <= stretch.stretch) {
+                take.samples(part)?;
+            }
             take.stretch(stretch.span, stretch.first, payload, report, &stretch.after)?;
         }
+        samples.try_for_each(|part| take.samples(part))?;
         channels.try_for_each(|(_, channel)| take.channel(channel))?;
         events.try_for_each(|(_, event)| take.event(event))?;
         take.ledger_and_sync(clocks, progress)?;

@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail, ensure};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol},
+    device::{Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol, SampledGroupInfo},
     registry::{self, Candidate, OpenedDevice},
     transport::{Transport, TransportError},
     uri::{DeviceUri, Location},
@@ -47,6 +47,7 @@ pub struct Rig {
     outbox: Vec<u8>,
     hello: Hello,
     markers: Vec<MarkerInfo>,
+    sampled: Vec<SampledGroupInfo>,
     not_finite_before: u64,
     /// Identifies the device after it was plugged in again.
     identity: Candidate,
@@ -128,6 +129,12 @@ impl Rig {
         &self.markers
     }
 
+    /// The device's groups of sampled channels.
+    #[must_use]
+    pub fn sampled(&self) -> &[SampledGroupInfo] {
+        &self.sampled
+    }
+
     /// The frame rate in Hz.
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
@@ -147,7 +154,10 @@ impl Rig {
             labelled: marker.labelled,
         });
         let new = PipelineConfig::new;
-        let config = new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect());
+        let config = PipelineConfig {
+            sampled: self.sampled.clone(),
+            ..new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect())
+        };
         match self.loss_limits {
             Some((stretch, sync_every)) => PipelineConfig { stretch, sync_every, ..config },
             None => config,
@@ -292,6 +302,7 @@ impl Rig {
             outbox: Vec::with_capacity(256),
             hello: Hello::default(),
             markers: Vec::new(),
+            sampled: Vec::new(),
             not_finite_before: 0,
             identity,
             replug_timeout: Duration::ZERO,
@@ -310,7 +321,7 @@ impl Rig {
             self.send(Command::Stop)?;
             let damaged = self.protocol.counters().messages_damaged;
             let mut hello = None;
-            let mut markers = Vec::new();
+            let (mut markers, mut sampled) = (Vec::new(), Vec::new());
             self.send(Command::Identify)?;
             let host_ns = monotonic_ns();
             self.request(Command::Ping { host_ns }, cancel, |event| {
@@ -318,8 +329,10 @@ impl Rig {
                     DeviceEvent::Hello(new) => {
                         hello = Some(new.clone());
                         markers.clear();
+                        sampled.clear();
                     }
                     DeviceEvent::Markers(more) => merge_markers(&mut markers, more),
+                    DeviceEvent::SampledGroup(group) => merge_group(&mut sampled, group),
                     // The device answers in order: the pong comes after the answers to earlier commands.
                     DeviceEvent::Pong(pong) if pong.host_ns == host_ns => return Some(()),
                     _ => {}
@@ -330,7 +343,9 @@ impl Rig {
                 && self.protocol.counters().messages_damaged == damaged
             {
                 self.hello = hello;
-                self.markers = markers;
+                // Takes and their ledgers have the groups in order of numbers, whatever the order of the answers.
+                sampled.sort_by_key(|group| group.id);
+                (self.markers, self.sampled) = (markers, sampled);
                 return Ok(());
             }
         }
@@ -342,6 +357,15 @@ impl Rig {
             );
         }
         bail!("{} answers, but its messages arrive damaged: check cable and baud rate", self.uri)
+    }
+}
+
+/// Adds a group of sampled channels; of two with the same number the last description counts. There are as many numbers
+/// as groups that the link allows.
+fn merge_group(groups: &mut Vec<SampledGroupInfo>, new: &SampledGroupInfo) {
+    match groups.iter_mut().find(|known| known.id == new.id) {
+        Some(known) => known.clone_from(new),
+        None => groups.push(new.clone()),
     }
 }
 

@@ -9,7 +9,8 @@ use std::{
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
     device::{
-        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, Status, Trigger,
+        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, SampledGroupInfo,
+        Status, Trigger,
     },
     transport::TransportError,
 };
@@ -102,6 +103,7 @@ impl Rig {
             notes: Vec::new(),
             due_until_ns: None,
             lost_connection: None,
+            last_samples_ns: 0,
         };
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
@@ -195,7 +197,9 @@ impl Rig {
             stalls.report(self.transport.stalls_cleared(), reader.intake, options);
             if stopped_ns.is_none() {
                 self.probe(reader);
-                if silence.is_reported {
+                // A device whose samples come is alive: asking it would stop them.
+                let has_samples = reader.last_samples_ns + SILENCE_MAX.as_nanos() as u64 > now_ns;
+                if silence.is_reported && !has_samples {
                     self.check_alive(reader, silence.last_frame_ns, now_ns);
                 }
                 if let Some(now) = reader.new_hello.take() {
@@ -413,16 +417,19 @@ pub(super) struct Reader<'a> {
     due_until_ns: Option<u64>,
     /// How the connection to a device on the network ended.
     pub(super) lost_connection: Option<String>,
+    /// Arrival of the last batch of samples.
+    last_samples_ns: u64,
 }
 
 impl Reader<'_> {
     /// The device is back and will be started again.
-    pub(super) fn restart(&mut self, markers: &[MarkerInfo]) {
+    pub(super) fn restart(&mut self, markers: &[MarkerInfo], sampled: &[SampledGroupInfo]) {
         self.started = None;
         self.end = None;
         self.new_hello = None;
         self.reset_counters();
         self.intake.announce(markers);
+        sampled.iter().for_each(|group| self.intake.announce_group(group));
     }
 
     /// The device's counter, clock and status reports may start again from zero.
@@ -443,7 +450,12 @@ impl Reader<'_> {
                     self.intake.publish_latency(&self.latency);
                 }
             }
+            DeviceEvent::Samples(batch) => {
+                self.last_samples_ns = arrival_ns;
+                self.intake.samples(&batch);
+            }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
+            DeviceEvent::SampledGroup(group) => self.intake.announce_group(group),
             DeviceEvent::Status(status) => {
                 self.last_status = Some(status);
                 self.intake.status(status, false);

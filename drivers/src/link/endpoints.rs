@@ -2,16 +2,17 @@
 
 use super::{
     COMMAND_WIRE_BYTES_MAX, ENVELOPE_BYTES, EncodeError, FrameForm, MARKERS_MAX,
-    MARKERS_MESSAGE_BYTES_MAX, WIRE_BYTES_MAX,
+    MARKERS_MESSAGE_BYTES_MAX, SAMPLE_VALUES_MAX, WIRE_BYTES_MAX,
     envelope::{DecodeOutcome, Deframer, Framer},
     frame::{get_frame, put_frame},
     messages::{self, get_hello, get_markers, kind},
+    samples,
 };
 use crate::{
     bytes::WireValue,
     device::{
         Command, DeviceEvent, Frame, Hello, LinkBudget, LinkCounters, MarkerInfo, MarkerSample,
-        Pong, Protocol, Status, Trigger,
+        Pong, Protocol, SampleBatch, SampledGroupInfo, Status, Trigger,
     },
 };
 
@@ -108,6 +109,32 @@ impl DeviceLink {
         put_frame(&mut self.framer, form, frame, out)
     }
 
+    /// Encodes the description of a group of sampled channels.
+    ///
+    /// # Errors
+    /// `SampledGroup`, and `Text` for a name or unit that the message cannot hold; nothing is appended then.
+    pub fn sampled_group(
+        &mut self,
+        group: &SampledGroupInfo,
+        out: &mut Vec<u8>,
+    ) -> Result<(), EncodeError> {
+        samples::put_group(group, self.framer.open(kind::SAMPLED_GROUP))?;
+        self.framer.close(out);
+        Ok(())
+    }
+
+    /// Encodes a batch of samples.
+    ///
+    /// # Errors
+    /// `Samples` for a batch that the message cannot hold; nothing is appended then.
+    pub fn samples(
+        &mut self,
+        batch: &SampleBatch<'_>,
+        out: &mut Vec<u8>,
+    ) -> Result<(), EncodeError> {
+        samples::put_batch(&mut self.framer, batch, out)
+    }
+
     /// Encodes a trigger edge.
     pub fn trigger(&mut self, trigger: Trigger, out: &mut Vec<u8>) {
         self.framer.write(kind::TRIGGER, trigger, out);
@@ -168,9 +195,11 @@ pub struct HostLink {
 /// Memory that messages are decoded into, reused from one to the next.
 #[derive(Debug, Default)]
 struct Scratch {
-    samples: Vec<MarkerSample>,
+    positions: Vec<MarkerSample>,
     markers: Vec<MarkerInfo>,
     hello: Hello,
+    group: SampledGroupInfo,
+    samples: Vec<f32>,
     samples_not_finite: u64,
 }
 
@@ -181,7 +210,11 @@ impl HostLink {
         Self {
             deframer: Deframer::new(WIRE_BYTES_MAX),
             framer: Framer::default(),
-            scratch: Scratch { samples: Vec::with_capacity(MARKERS_MAX), ..Scratch::default() },
+            scratch: Scratch {
+                positions: Vec::with_capacity(MARKERS_MAX),
+                samples: Vec::with_capacity(SAMPLE_VALUES_MAX),
+                ..Scratch::default()
+            },
         }
     }
 }
@@ -226,13 +259,17 @@ impl Scratch {
         payload: &[u8],
         on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) -> DecodeOutcome {
-        let Self { samples, markers, hello, samples_not_finite } = self;
+        let Self { positions, markers, hello, group, samples, samples_not_finite } = self;
         let event = match kind {
             kind::FRAME_FLOAT | kind::FRAME_MICROMETRES | kind::FRAME_COMPACT => {
-                get_frame(kind, payload, samples, samples_not_finite).map(DeviceEvent::Frame)
+                get_frame(kind, payload, positions, samples_not_finite).map(DeviceEvent::Frame)
             }
             kind::HELLO => get_hello(payload, hello).map(|()| DeviceEvent::Hello(hello)),
             kind::MARKERS => get_markers(payload, markers).map(DeviceEvent::Markers),
+            kind::SAMPLED_GROUP => {
+                samples::get_group(payload, group).map(|()| DeviceEvent::SampledGroup(group))
+            }
+            kind::SAMPLES => samples::get_batch(payload, samples).map(DeviceEvent::Samples),
             kind::TRIGGER => WireValue::decode(payload).map(DeviceEvent::Trigger),
             kind::STATUS => WireValue::decode(payload).map(DeviceEvent::Status),
             kind::END_OF_STREAM => WireValue::decode(payload).map(DeviceEvent::EndOfStream),

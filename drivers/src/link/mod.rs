@@ -7,10 +7,12 @@ mod endpoints;
 mod envelope;
 mod frame;
 mod messages;
+mod samples;
 
 use crate::device::{Claim, Family, LinkBudget};
 pub use endpoints::{DeviceLink, HostLink};
 pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
+pub use samples::batch_bytes_max;
 
 pub(crate) const FAMILY: Family = Family {
     name: "dvmc",
@@ -65,6 +67,29 @@ pub const LABEL_BYTES_MAX: usize = 255;
 /// 3 Mbaud for 3.5 ms.
 pub const MARKERS_MESSAGE_BYTES_MAX: usize = 1024;
 
+/// Maximum number of groups of sampled channels of a device: its force plates, electrodes and inertial sensors, of
+/// several rates and of more than 64 channels.
+pub const GROUPS_MAX: usize = 16;
+
+/// Maximum number of channels of a group: those that are encoded together.
+pub const SAMPLED_CHANNELS_MAX: usize = 64;
+
+/// Maximum number of samples of a group in a second, those of all channels: six times 64 electrodes at 10 kHz. It
+/// bounds the memory for the samples of two seconds.
+pub const SAMPLE_VALUES_PER_S_MAX: u64 = 4_000_000;
+
+/// Maximum number of samples of a batch, those of all channels: 25 ms of 64 channels at 10 kHz. A batch is then
+/// shorter than a frame may be.
+pub const SAMPLE_VALUES_MAX: usize = 1 << 14;
+
+/// Maximum number of bytes of a channel's unit (UTF-8).
+pub const UNIT_BYTES_MAX: usize = 32;
+
+/// What precedes the samples of a batch: group, form, channels, samples, number, first sample, ticks.
+pub const SAMPLES_HEADER_BYTES: usize = 1 + 1 + 1 + 2 + 4 + 8 + 8;
+
+const _: () = assert!(SAMPLES_HEADER_BYTES + 4 * SAMPLE_VALUES_MAX < MESSAGE_BYTES_MAX);
+
 /// The longest run of consecutive ids in a compact frame: its length is one byte.
 pub const RUN_MARKERS_MAX: usize = 255;
 
@@ -117,6 +142,12 @@ pub enum EncodeError {
         /// Maximum number of bytes that fit.
         bytes_max: usize,
     },
+    /// The group cannot be announced.
+    #[error("invalid group of sampled channels: {0}")]
+    SampledGroup(&'static str),
+    /// The batch cannot be sent.
+    #[error("invalid batch of samples: {0}")]
+    Samples(&'static str),
     /// The values of the Hello are invalid.
     #[error("invalid hello: {0}")]
     Hello(&'static str),
@@ -128,8 +159,9 @@ pub enum EncodeError {
 /// the rest is for Markers that appear.
 pub const RESERVE_BYTES_PER_S: u64 = 1024;
 
-/// Computes the link budget of frames of `frame_bytes` on the wire at `rate_millihertz`, and the highest rate up
-/// to `rate_max_millihertz` that fits the line, in millihertz (0 when none does).
+/// Computes the link budget of frames of `frame_bytes` on the wire at `rate_millihertz` beside sampled channels that
+/// need `samples_bytes_per_s`, and the highest rate up to `rate_max_millihertz` that fits the line, in millihertz (0 when
+/// none does).
 ///
 /// A `line_bytes_per_s` of 0 means a line without a limit.
 #[must_use]
@@ -137,13 +169,15 @@ pub fn link_budget(
     frame_bytes: usize,
     rate_millihertz: u32,
     rate_max_millihertz: u32,
+    samples_bytes_per_s: u64,
     line_bytes_per_s: u64,
 ) -> LinkBudget {
     let frame_bytes = u128::from(frame_bytes.max(1) as u64);
     let needed = (frame_bytes * u128::from(rate_millihertz)).div_ceil(1000);
-    let needed = u64::try_from(needed).unwrap_or(u64::MAX).saturating_add(RESERVE_BYTES_PER_S);
+    let others = RESERVE_BYTES_PER_S.saturating_add(samples_bytes_per_s);
+    let needed = u64::try_from(needed).unwrap_or(u64::MAX).saturating_add(others);
     let available = if line_bytes_per_s == 0 { u64::MAX } else { line_bytes_per_s };
-    let for_frames = u128::from(available.saturating_sub(RESERVE_BYTES_PER_S));
+    let for_frames = u128::from(available.saturating_sub(others));
     let fits_millihertz = u32::try_from(for_frames * 1000 / frame_bytes).unwrap_or(u32::MAX);
     LinkBudget {
         needed_bytes_per_s: needed,
@@ -159,10 +193,11 @@ mod tests {
     #[test]
     fn the_highest_fitting_rate_fits_and_the_next_does_not() {
         for line in [11_520u64, 92_160, 300_000, 1_200_000] {
-            for frame_bytes in [64, 559, 2104] {
-                let fits = link_budget(frame_bytes, 1, u32::MAX, line).rate_fits_millihertz;
-                assert!(link_budget(frame_bytes, fits, u32::MAX, line).fits());
-                assert!(!link_budget(frame_bytes, fits + 1, u32::MAX, line).fits());
+            for (frame_bytes, samples) in [(64, 0), (559, 7_000), (2104, 9_000)] {
+                let fits =
+                    link_budget(frame_bytes, 1, u32::MAX, samples, line).rate_fits_millihertz;
+                assert!(link_budget(frame_bytes, fits, u32::MAX, samples, line).fits());
+                assert!(!link_budget(frame_bytes, fits + 1, u32::MAX, samples, line).fits());
             }
         }
     }
@@ -171,14 +206,14 @@ mod tests {
     fn the_document_states_the_budget_of_40_and_of_200_markers() {
         for (n_markers, frame_bytes, rate_fits_hz) in [(40, 436, 685), (200, 2063, 144)] {
             assert_eq!(frame_bytes_in_volume(FrameForm::Compact, n_markers), frame_bytes);
-            let budget = link_budget(frame_bytes, 60_000, 1_000_000, 300_000);
+            let budget = link_budget(frame_bytes, 60_000, 1_000_000, 0, 300_000);
             assert_eq!(budget.rate_fits_millihertz / 1000, rate_fits_hz);
         }
     }
 
     #[test]
     fn an_unlimited_line_carries_the_highest_rate() {
-        let budget = link_budget(160_657, 1_000_000, 1_000_000, 0);
+        let budget = link_budget(160_657, 1_000_000, 1_000_000, 0, 0);
         assert!(budget.fits());
         assert_eq!(budget.available_bytes_per_s, u64::MAX);
         assert_eq!(budget.rate_fits_millihertz, 1_000_000);
@@ -186,7 +221,7 @@ mod tests {
 
     #[test]
     fn a_line_below_the_reserve_fits_no_rate() {
-        let budget = link_budget(100, 60_000, 1_000_000, 960);
+        let budget = link_budget(100, 60_000, 1_000_000, 0, 960);
         assert!(!budget.fits());
         assert_eq!(budget.rate_fits_millihertz, 0);
     }

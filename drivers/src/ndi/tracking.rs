@@ -147,7 +147,7 @@ impl NdiHost {
     fn budget(&self) -> LinkBudget {
         let Hello { rate_millihertz, rate_max_millihertz, .. } = self.hello;
         let line_bytes_per_s = line_bytes_per_s(self.baud);
-        link_budget(self.reply_bytes(0), rate_millihertz, rate_max_millihertz, line_bytes_per_s)
+        link_budget(self.reply_bytes(0), rate_millihertz, rate_max_millihertz, 0, line_bytes_per_s)
     }
 
     fn reply_bytes(&self, strays: usize) -> usize {

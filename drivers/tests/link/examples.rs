@@ -2,8 +2,8 @@
 
 use mocapd_drivers::{
     device::{
-        Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol, Status,
-        Trigger,
+        Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol, SampleBatch,
+        SampleForm, SampledChannelInfo, SampledGroupInfo, Status, Trigger,
     },
     link::{DeviceLink, FrameForm, HostLink, frame_bytes_in_volume, link_budget},
 };
@@ -69,6 +69,34 @@ pub(crate) fn all() -> Vec<Example> {
         MarkerInfo { id: 0, label: "HEAD".to_owned(), labelled: true },
         MarkerInfo { id: 1000, label: String::new(), labelled: false },
     ];
+    let channel = |name: &str, unit: &str, scale, offset| {
+        let (name, unit) = (name.to_owned(), unit.to_owned());
+        SampledChannelInfo { name, unit, scale, offset }
+    };
+    let group = SampledGroupInfo {
+        id: 2,
+        form: SampleForm::Int16,
+        rate_millihertz: 2_000_000,
+        channels: vec![channel("Fz1", "N", 0.25, -8.0), channel("EMG", "", 1.0, 0.0)],
+    };
+    let batch = SampleBatch {
+        group: 2,
+        number: 7,
+        first: 60,
+        device_ticks: 100_000,
+        form: SampleForm::Int16,
+        n_channels: 2,
+        samples: &[2792.0, -1.0, 2800.0, 0.0, 2801.0, 32_767.0],
+    };
+    let of_floats = SampleBatch {
+        group: 0,
+        number: u32::MAX,
+        first: 0,
+        device_ticks: 70_000,
+        form: SampleForm::Float32,
+        n_channels: 1,
+        samples: &[-0.5],
+    };
     let near =
         [seen(0, 12, [812.5, -40.25, 1604.0]), occluded(1), seen(2, 0, [800.0, -40.0, 1600.0])];
     let far = [
@@ -81,12 +109,19 @@ pub(crate) fn all() -> Vec<Example> {
     let pong = Pong { host_ns: 1_000_000_000, device_ticks: 71_000 };
     // 40 markers at 120 Hz, on a line of 3 Mbaud and on one of 115200 baud.
     let frame_bytes = frame_bytes_in_volume(FrameForm::Compact, 40);
-    let started = link_budget(frame_bytes, 120_000, 1_000_000, 300_000);
-    let refused = link_budget(frame_bytes, 120_000, 1_000_000, 11_520);
+    let started = link_budget(frame_bytes, 120_000, 1_000_000, 0, 300_000);
+    let refused = link_budget(frame_bytes, 120_000, 1_000_000, 0, 11_520);
     assert!(started.fits() && !refused.fits());
     vec![
         from_device("hello", DeviceEvent::Hello(&hello), |l, o| l.hello(&hello, o).unwrap()),
         from_device("markers", DeviceEvent::Markers(&table), |l, o| l.markers(&table, o).unwrap()),
+        from_device("sampled-group", DeviceEvent::SampledGroup(&group), |l, o| {
+            l.sampled_group(&group, o).unwrap();
+        }),
+        from_device("samples", DeviceEvent::Samples(batch), |l, o| l.samples(&batch, o).unwrap()),
+        from_device("samples-float", DeviceEvent::Samples(of_floats), |l, o| {
+            l.samples(&of_floats, o).unwrap();
+        }),
         frame("frame-float", FrameForm::Float, None, &near),
         frame("frame-micrometres", FrameForm::Micrometres, Some([10, 59, 30, 11]), &near),
         frame("frame-compact", FrameForm::Compact, None, &near),

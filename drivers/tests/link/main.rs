@@ -9,6 +9,8 @@ mod limits;
 #[cfg(test)]
 mod properties;
 #[cfg(test)]
+mod samples;
+#[cfg(test)]
 mod sweeps;
 
 use mocapd_drivers::{

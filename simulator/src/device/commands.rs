@@ -5,7 +5,7 @@ use std::sync::Arc;
 use mocapd_drivers::device::{Command, LinkBudget, Pong};
 use mocapd_drivers::link::{DeviceLink, frame_bytes_in_volume, frame_bytes_max, link_budget};
 
-use super::{Device, LineDevice, RATE_MILLIHERTZ, Run, SECOND_NS, SentCounters};
+use super::{Device, LineDevice, Queued, RATE_MILLIHERTZ, Run, SECOND_NS, SentCounters};
 
 impl Device {
     /// Queues a pending end of stream once there is room.
@@ -17,7 +17,7 @@ impl Device {
             self.end_sent = true;
             self.log.ends += 1;
             let link = &mut self.link;
-            self.outbox.put(false, |out| link.end_of_stream(status, out));
+            self.outbox.put(Queued::Other, |out| link.end_of_stream(status, out));
         }
     }
 
@@ -25,7 +25,7 @@ impl Device {
     pub(super) fn answer(&mut self, write: impl FnOnce(&mut DeviceLink, &mut Vec<u8>)) {
         if self.outbox.has_room(0) {
             let link = &mut self.link;
-            self.outbox.put(false, |out| write(link, out));
+            self.outbox.put(Queued::Other, |out| write(link, out));
         } else {
             self.log.answers_dropped += 1;
         }
@@ -43,7 +43,7 @@ impl Device {
             Command::Stop => {
                 // Frames that were due before the command are part of the run.
                 self.poll(now_ns);
-                self.end();
+                self.end(now_ns);
                 self.finished = false;
                 self.send_end_of_stream();
             }
@@ -62,15 +62,21 @@ impl Device {
         }
         let hello = self.hello.clone();
         let table = std::mem::take(&mut self.table);
+        let groups = std::mem::take(&mut self.settings.sampled);
         self.answer(|link, out| {
-            // Both were encoded once when the device was made.
+            // All were encoded once when the device was made.
             let outcome = link.hello(&hello, out).and_then(|()| link.markers(&table, out));
+            let mut groups = groups.iter().map(|source| link.sampled_group(source.info(), out));
+            let outcome = outcome.and(groups.try_for_each(|announced| announced));
             debug_assert!(outcome.is_ok());
         });
         self.table = table;
+        self.settings.sampled = groups;
     }
 
-    pub(super) fn end(&mut self) {
+    /// Ends the run at `at_ns`, with the samples taken up to then.
+    pub(super) fn end(&mut self, at_ns: u64) {
+        self.end_samples(at_ns);
         self.run = None;
         self.pending_end = Some(self.status());
     }
@@ -79,7 +85,9 @@ impl Device {
         let lines = [self.settings.line_bytes_per_s, host_line_bytes_per_s];
         let line = lines.into_iter().filter(|line| *line > 0).min().unwrap_or(0);
         let frame_bytes = frame_bytes_in_volume(self.settings.form, self.table.len());
-        link_budget(frame_bytes, rate_millihertz, self.hello.rate_max_millihertz, line)
+        let rate_max_millihertz = self.hello.rate_max_millihertz;
+        let samples = self.samples_bytes_per_s();
+        link_budget(frame_bytes, rate_millihertz, rate_max_millihertz, samples, line)
     }
 
     fn start(&mut self, line_bytes_per_s: u64, now_ns: u64) {
@@ -102,6 +110,7 @@ impl Device {
             self.log.starts += 1;
             self.first_start_ns.get_or_insert(now_ns);
             self.log.run = SentCounters::default();
+            self.start_samples();
             self.run = Some(Run { start_ns: now_ns, status_ns: now_ns + SECOND_NS });
         }
         self.answer(|link, out| link.started(budget, out));
@@ -127,6 +136,7 @@ impl Device {
         self.hello.rate_millihertz = rate_millihertz;
         self.hello.n_frames = if self.settings.looping { 0 } else { self.replay.n_frames() };
         let frame_bytes = frame_bytes_max(usize::from(self.hello.markers_max));
-        self.outbox.resize(frame_bytes, rate_millihertz, self.settings.queue_bytes);
+        let samples = self.samples_bytes_per_s();
+        self.outbox.resize(frame_bytes, rate_millihertz, samples, self.settings.queue_bytes);
     }
 }

@@ -47,6 +47,18 @@ pub struct SentLog {
     pub bytes_sent: u64,
     /// Totals by fate, on a line with faults.
     pub faults: Option<FaultTotals>,
+    /// Samples of each channel taken, over all groups.
+    pub samples_taken: u64,
+    /// Batches of samples queued.
+    pub batches_produced: u64,
+    /// Batches that never left the device: its queue was full.
+    pub batches_dropped: u64,
+    /// Batches discarded from the queue because a host sent Identify.
+    pub batches_discarded: u64,
+    /// Totals of batches by fate, on a line with faults.
+    pub batch_faults: Option<FaultTotals>,
+    /// One entry per batch, if the frame log is on; emptied by [`Device::take_batches`](super::Device::take_batches).
+    pub batches: Vec<SentBatch>,
     /// One entry per frame, if the frame log is on; emptied by [`take_frames`](super::LineDevice::take_frames).
     pub frames: Vec<SentFrame>,
 }
@@ -80,6 +92,84 @@ impl SentFrame {
         let Self { run, seq, device_ticks, present, dropped, unasked, host_ns } = self;
         let (dropped, unasked) = (u8::from(dropped), u8::from(unasked));
         format!("{run},{seq},{device_ticks},{present},{dropped},{host_ns},{unasked}")
+    }
+}
+
+/// One batch of samples that the device produced. Without samples, it states how many there were.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SentBatch {
+    /// Number of the run (of the Start before it), from 1.
+    pub run: u64,
+    /// Number of the group.
+    pub group: u8,
+    /// Number of the batch, on the wire; a dropped one has the number of the next.
+    pub number: u32,
+    /// Number of its first sample, on the wire.
+    pub first: u64,
+    /// The same, counted from the start of the run.
+    pub first_in_run: u64,
+    /// Samples of each channel.
+    pub n: u64,
+    /// The device's clock at its first sample, in ticks.
+    pub device_ticks: u64,
+    /// Whether it never left the device.
+    pub dropped: bool,
+    /// The caller's clock at its first sample, nanoseconds.
+    pub host_ns: u64,
+}
+
+impl SentBatch {
+    /// The header of a log file of batches.
+    pub const CSV_HEADER: &'static str =
+        "run,group,number,first,first_in_run,n,device_ticks,dropped,host_ns";
+
+    /// One row of a log file, without a line end.
+    #[must_use]
+    pub fn to_csv(self) -> String {
+        let Self { run, group, number, first, first_in_run, n, device_ticks, dropped, host_ns } =
+            self;
+        let dropped = u8::from(dropped);
+        format!(
+            "{run},{group},{number},{first},{first_in_run},{n},{device_ticks},{dropped},{host_ns}"
+        )
+    }
+}
+
+/// What a device sends and a log has a row of.
+pub trait Sent: Copy {
+    /// Number of its run.
+    fn run(&self) -> u64;
+    /// Whether it never left the device.
+    fn is_dropped(&self) -> bool;
+    /// The caller's clock when it was due, nanoseconds.
+    fn host_ns(&self) -> u64;
+}
+
+impl Sent for SentFrame {
+    fn run(&self) -> u64 {
+        self.run
+    }
+
+    fn is_dropped(&self) -> bool {
+        self.dropped
+    }
+
+    fn host_ns(&self) -> u64 {
+        self.host_ns
+    }
+}
+
+impl Sent for SentBatch {
+    fn run(&self) -> u64 {
+        self.run
+    }
+
+    fn is_dropped(&self) -> bool {
+        self.dropped
+    }
+
+    fn host_ns(&self) -> u64 {
+        self.host_ns
     }
 }
 
@@ -122,11 +212,17 @@ impl Fate {
 }
 
 /// A frame and its fate.
+pub type FrameFate = SentFate<SentFrame>;
+
+/// A batch of samples and its fate.
+pub type BatchFate = SentFate<SentBatch>;
+
+/// A frame or batch, and its fate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct FrameFate {
-    /// The frame as the device sent it; its number is the one on the wire, true or not.
-    pub frame: SentFrame,
-    /// How many consecutive frames this describes, starting with `frame`: 1, except in long series of dropped frames.
+pub struct SentFate<T> {
+    /// What the device sent; its number is the one on the wire, true or not.
+    pub frame: T,
+    /// How many consecutive ones this describes, starting with `frame`: 1, except in long series of dropped ones.
     pub frames: u64,
     /// What became of it.
     pub fate: Fate,
@@ -140,6 +236,18 @@ impl FrameFate {
     /// The header of a log file.
     pub const CSV_HEADER: &'static str =
         "run,seq,device_ticks,present,dropped,host_ns,unasked,fate,again,faults,frames";
+
+    /// One row of a log file, without a line end.
+    #[must_use]
+    pub fn to_csv(self) -> String {
+        let Self { frame, frames, fate, again, faults } = self;
+        format!("{},{},{again},{},{frames}", frame.to_csv(), fate.name(), faults.names())
+    }
+}
+
+impl BatchFate {
+    /// The header of a log file of batches.
+    pub const CSV_HEADER: &'static str = "run,group,number,first,first_in_run,n,device_ticks,dropped,host_ns,fate,again,faults,batches";
 
     /// One row of a log file, without a line end.
     #[must_use]
@@ -170,7 +278,7 @@ impl FaultTotals {
         self.fates[fate as usize]
     }
 
-    pub(crate) fn add(&mut self, fate: &FrameFate) {
+    pub(crate) fn add<T>(&mut self, fate: &SentFate<T>) {
         self.fates[fate.fate as usize] += fate.frames;
         for kind in fate.faults.iter().filter(|kind| !kind.is_counted_by_occurrence()) {
             self.counts.add(kind, fate.frames);

@@ -7,6 +7,7 @@ mod clock;
 mod commands;
 mod log;
 mod outbox;
+mod samples;
 mod settings;
 
 #[cfg(test)]
@@ -19,8 +20,12 @@ use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes
 use mocapd_take::motion::{Marker, Motion, Position, is_gap};
 
 use clock::DeviceClock;
-pub use log::{Fate, FaultCounts, FaultTotals, FrameFate, SentCounters, SentFrame, SentLog};
-pub(crate) use outbox::Outbox;
+pub use log::{
+    BatchFate, Fate, FaultCounts, FaultTotals, FrameFate, Sent, SentBatch, SentCounters, SentFate,
+    SentFrame, SentLog,
+};
+pub(crate) use outbox::{Outbox, Queued};
+use samples::GroupState;
 pub use settings::{DeviceError, DeviceSettings, RATE_MILLIHERTZ, TICK_HZ};
 pub(crate) use settings::{Rates, frame_after_ns};
 
@@ -60,6 +65,10 @@ pub struct Device {
     commands: Vec<Command>,
     row: Vec<Position>,
     samples: Vec<MarkerSample>,
+    /// By group of sampled channels.
+    groups: Vec<GroupState>,
+    /// The samples of a batch.
+    batch: Vec<f32>,
 }
 
 /// A run, from Start to its end: when it started and when the next Status is due.
@@ -128,12 +137,17 @@ impl Device {
             commands: Vec::new(),
             row: Vec::new(),
             samples: Vec::new(),
+            groups: settings.sampled.iter().map(|_| GroupState::default()).collect(),
+            batch: Vec::new(),
             settings,
         };
         device.adopt_rate(rates.rate_millihertz);
         let mut trial = Vec::new();
         device.link.hello(&device.hello, &mut trial)?;
         device.link.markers(&device.table, &mut trial)?;
+        for source in &device.settings.sampled {
+            device.link.sampled_group(source.info(), &mut trial)?;
+        }
         Ok(device)
     }
 
@@ -171,6 +185,13 @@ impl Device {
         run.start_ns.saturating_add(self.clock.caller_ns(after_ns))
     }
 
+    /// The time of the last frame.
+    fn frame_time_before(&self, run: &Run) -> u64 {
+        let last = self.log.run.frames_produced.saturating_sub(1);
+        let after_ns = frame_after_ns(last, self.hello.rate_millihertz);
+        run.start_ns.saturating_add(self.clock.caller_ns(after_ns))
+    }
+
     fn ticks(&self, at_ns: u64) -> u64 {
         let ticks = self.clock.ticks(at_ns);
         let (Some(faults), Some(since_ns)) = (&self.faults, self.since_ns(at_ns)) else {
@@ -200,6 +221,7 @@ impl Device {
         self.outbox.discard();
         self.clock.reset();
         self.counter = 0;
+        self.groups.fill(GroupState::default());
         if let Some(faults) = &mut self.faults {
             faults.reset();
         }
@@ -253,7 +275,7 @@ impl Device {
         if !dropped {
             let (link, form) = (&mut self.link, self.settings.form);
             // Ids ascend and fit by construction. If the link refused a frame, it would count as dropped.
-            self.outbox.put(true, |out| dropped = link.frame(form, &frame, out).is_err());
+            self.outbox.put(Queued::Frame, |out| dropped = link.frame(form, &frame, out).is_err());
         }
         for counters in [&mut self.log.run, &mut self.log.total] {
             counters.frames_produced += 1;
@@ -294,13 +316,21 @@ impl LineDevice for Device {
         let next_ns = loop {
             let Some(run) = self.run else { break u64::MAX };
             let next_ns = self.frame_time_ns(&run);
+            let batch = self.next_batch(&run);
+            if let Some((group, due_ns)) = batch
+                && due_ns <= next_ns.min(now_ns)
+            {
+                self.produce_batch(group, &run);
+                continue;
+            }
             if !self.settings.looping && self.log.run.frames_produced >= self.hello.n_frames {
-                self.end();
+                self.end(self.frame_time_before(&run));
                 self.finished = true;
                 break u64::MAX;
             }
             if next_ns > now_ns {
-                break next_ns.min(self.report(run, now_ns));
+                let batch_ns = batch.map_or(u64::MAX, |(_, due_ns)| due_ns);
+                break next_ns.min(batch_ns).min(self.report(run, now_ns));
             }
             self.produce(next_ns);
         };
@@ -330,6 +360,10 @@ impl LineDevice for Device {
 
     fn take_frames(&mut self) -> Vec<SentFrame> {
         std::mem::take(&mut self.log.frames)
+    }
+
+    fn take_batch_lines(&mut self) -> Vec<String> {
+        self.take_batches().into_iter().map(SentBatch::to_csv).collect()
     }
 }
 

@@ -13,6 +13,13 @@ const CAPACITY_MAX: usize = 4 << 20;
 /// Frames that always fit, regardless of their size.
 const FRAMES_MIN: usize = 4;
 
+impl Queued {
+    /// A frame, or another message.
+    pub(crate) fn frame_if(is_frame: bool) -> Self {
+        if is_frame { Self::Frame } else { Self::Other }
+    }
+}
+
 /// A queue of bytes that counts a frame as sent once the line has taken all of it.
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
@@ -25,12 +32,31 @@ pub(crate) struct Outbox {
     frame_ends: VecDeque<u64>,
     frames_sent: u64,
     frames_discarded: u64,
+    /// The same of batches of samples.
+    batch_ends: VecDeque<u64>,
+    batches_discarded: u64,
+}
+
+/// What is queued.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Queued {
+    Frame,
+    Batch,
+    Other,
 }
 
 impl Outbox {
-    /// Sets the capacity to `size` bytes, or to one second of frames, between 64 KiB and 4 MiB.
-    pub(crate) fn resize(&mut self, frame_bytes: usize, rate_millihertz: u32, size: Option<usize>) {
-        let second = frame_bytes as u64 * u64::from(rate_millihertz) / 1000;
+    /// Sets the capacity to `size` bytes, or to one second of frames and of `samples_bytes_per_s`, between 64 KiB and
+    /// 4 MiB.
+    pub(crate) fn resize(
+        &mut self,
+        frame_bytes: usize,
+        rate_millihertz: u32,
+        samples_bytes_per_s: u64,
+        size: Option<usize>,
+    ) {
+        let frames = frame_bytes as u64 * u64::from(rate_millihertz) / 1000;
+        let second = frames.saturating_add(samples_bytes_per_s);
         let second = usize::try_from(second).unwrap_or(CAPACITY_MAX);
         let capacity = size.unwrap_or(second.clamp(CAPACITY_MIN, CAPACITY_MAX));
         self.capacity = capacity.max(FRAMES_MIN * frame_bytes);
@@ -40,13 +66,17 @@ impl Outbox {
         self.pending().len() + bytes <= self.capacity
     }
 
-    /// Queues the bytes that `write` appends; `is_frame` says whether they are a frame.
-    pub(crate) fn put(&mut self, is_frame: bool, write: impl FnOnce(&mut Vec<u8>)) {
+    /// Queues the bytes that `write` appends.
+    pub(crate) fn put(&mut self, what: Queued, write: impl FnOnce(&mut Vec<u8>)) {
         let start = self.bytes.len();
         write(&mut self.bytes);
         self.queued += (self.bytes.len() - start) as u64;
-        if is_frame && self.bytes.len() > start {
-            self.frame_ends.push_back(self.queued);
+        if self.bytes.len() > start {
+            match what {
+                Queued::Frame => self.frame_ends.push_back(self.queued),
+                Queued::Batch => self.batch_ends.push_back(self.queued),
+                Queued::Other => {}
+            }
         }
     }
 
@@ -61,6 +91,7 @@ impl Outbox {
         while self.frame_ends.pop_front_if(|end| *end <= sent).is_some() {
             self.frames_sent += 1;
         }
+        while self.batch_ends.pop_front_if(|end| *end <= sent).is_some() {}
         if self.head == self.bytes.len() {
             self.bytes.clear();
             self.head = 0;
@@ -75,7 +106,9 @@ impl Outbox {
     pub(crate) fn discard(&mut self) {
         self.queued = self.bytes_sent();
         self.frames_discarded += self.frames_waiting();
+        self.batches_discarded += self.batch_ends.len() as u64;
         self.frame_ends.clear();
+        self.batch_ends.clear();
         self.bytes.clear();
         self.head = 0;
     }
@@ -86,6 +119,7 @@ impl Outbox {
             frames_sent: self.frames_sent,
             frames_waiting: self.frames_waiting(),
             frames_discarded: self.frames_discarded,
+            batches_discarded: self.batches_discarded,
             bytes_sent: self.bytes_sent(),
             ..log.clone()
         }

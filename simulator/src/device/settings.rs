@@ -8,6 +8,7 @@ use mocapd_take::motion::Motion;
 use super::SECOND_NS;
 use crate::faults::Script;
 use crate::replay::Replay;
+use crate::sampled::SampledSource;
 
 /// Frame rates of a simulated device, in millihertz: 1 Hz to 10 kHz.
 pub const RATE_MILLIHERTZ: std::ops::RangeInclusive<u32> = 1_000..=10_000_000;
@@ -35,6 +36,8 @@ pub struct DeviceSettings {
     pub drift_ppm: f64,
     /// Size of the queue of frames for a host that does not read; `None` for one second of frames, at most 4 MiB.
     pub queue_bytes: Option<usize>,
+    /// Groups of sampled channels.
+    pub sampled: Vec<SampledSource>,
     /// Faults inside the device. [`FaultyDevice`](crate::faults::FaultyDevice) applies those of wire and connection.
     pub faults: Option<Arc<Script>>,
     /// Keep a [`SentFrame`](super::SentFrame) for every frame; the caller must take them regularly.
@@ -52,6 +55,7 @@ impl Default for DeviceSettings {
             line_bytes_per_s: 0,
             drift_ppm: 0.0,
             queue_bytes: None,
+            sampled: Vec::new(),
             faults: None,
             log_frames: false,
         }

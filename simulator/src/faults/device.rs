@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::kinds::{Fault, Kind};
 use super::script::{ScheduledFault, Script, nanoseconds};
 use super::wire::WireFaults;
-use crate::device::{Device, FaultCounts, FrameFate, LineDevice, SentFrame, SentLog};
+use crate::device::{BatchFate, Device, FaultCounts, FrameFate, LineDevice, SentFrame, SentLog};
 use crate::line::LatencyTimer;
 
 /// A [`Device`] behind the faults of a script; sans-io, like the device itself.
@@ -21,6 +21,7 @@ pub struct FaultyDevice {
     /// Time of the last state update, since the first Start.
     last_update_ns: Option<u64>,
     discarded: u64,
+    batches_discarded: u64,
     starts: u64,
     /// Whether the cable is back in and no host has sent anything yet: no bytes leave the device.
     awaits_host: bool,
@@ -39,6 +40,7 @@ impl FaultyDevice {
             first_start_ns: None,
             last_update_ns: None,
             discarded: 0,
+            batches_discarded: 0,
             starts: 0,
             awaits_host: false,
         }
@@ -50,6 +52,11 @@ impl FaultyDevice {
         self.wire.fates.take_frames()
     }
 
+    /// Takes the batches of samples whose fate is known, in order of production.
+    pub fn take_batch_fates(&mut self) -> Vec<BatchFate> {
+        self.wire.batches.take_frames()
+    }
+
     fn since_ns(&self, now_ns: u64) -> Option<u64> {
         self.first_start_ns.map(|start_ns| now_ns.saturating_sub(start_ns))
     }
@@ -59,9 +66,13 @@ impl FaultyDevice {
         for frame in self.device.take_frames() {
             self.wire.fates.produced(frame);
         }
-        let discarded = self.device.log().frames_discarded;
-        self.wire.fates.discarded(discarded - self.discarded);
-        self.discarded = discarded;
+        for batch in self.device.take_batches() {
+            self.wire.batches.produced(batch);
+        }
+        let SentLog { frames_discarded, batches_discarded, .. } = self.device.log();
+        self.wire.fates.discarded(frames_discarded - self.discarded);
+        self.wire.batches.discarded(batches_discarded - self.batches_discarded);
+        (self.discarded, self.batches_discarded) = (frames_discarded, batches_discarded);
     }
 
     /// Moves whole messages from the device to the faulty wire.
@@ -74,8 +85,8 @@ impl FaultyDevice {
             let rest = pending.get(start..).unwrap_or_default();
             let Some(end) = rest.iter().position(|byte| *byte == 0) else { break };
             let n = start + end + 1;
-            self.wire.message(pending.get(..n).unwrap_or_default(), |frame: &SentFrame| {
-                frame.host_ns.saturating_sub(first_start_ns)
+            self.wire.message(pending.get(..n).unwrap_or_default(), |host_ns| {
+                host_ns.saturating_sub(first_start_ns)
             });
             self.device.sent(n);
         }
@@ -101,7 +112,7 @@ impl FaultyDevice {
         }
         if !before.plugged && now.plugged {
             self.awaits_host = true;
-            self.wire.fates.set_unasked(true);
+            self.wire.set_unasked(true);
         }
     }
 }
@@ -119,7 +130,7 @@ impl LineDevice for FaultyDevice {
         if starts > self.starts {
             self.starts = starts;
             self.first_start_ns.get_or_insert(now_ns);
-            self.wire.fates.set_unasked(false);
+            self.wire.set_unasked(false);
         }
     }
 
@@ -168,11 +179,13 @@ impl LineDevice for FaultyDevice {
         for counts in [self.device.fault_counts(), self.wire.counts, begun.unwrap_or_default()] {
             totals.counts = totals.counts.merge(counts);
         }
-        SentLog { faults: Some(totals), ..self.device.log() }
+        let batch_faults = Some(self.wire.batches.totals());
+        SentLog { faults: Some(totals), batch_faults, ..self.device.log() }
     }
 
     fn keep_frame_log(&mut self) {
         self.wire.fates.keep_frames();
+        self.wire.batches.keep_frames();
     }
 
     /// Takes the frames whose fate is known.
@@ -188,9 +201,17 @@ impl LineDevice for FaultyDevice {
         self.take_fates().into_iter().map(FrameFate::to_csv).collect()
     }
 
+    fn batch_log_header(&self) -> &'static str {
+        BatchFate::CSV_HEADER
+    }
+
+    fn take_batch_lines(&mut self) -> Vec<String> {
+        self.take_batch_fates().into_iter().map(BatchFate::to_csv).collect()
+    }
+
     fn close(&mut self) {
         self.collect();
-        self.wire.fates.close();
+        self.wire.close();
     }
 }
 

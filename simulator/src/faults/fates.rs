@@ -9,7 +9,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use mocapd_drivers::link::WIRE_BYTES_MAX;
 
 use super::kinds::{Kind, Kinds};
-use crate::device::{Fate, FaultTotals, FrameFate, SentFrame};
+use crate::device::{Fate, FaultTotals, Sent, SentFate};
 
 /// Maximum number of entries for frames whose fate is open: 18 minutes at 240 Hz, 25 MB. Only a device that stalls for
 /// longer has more. By then its queue drops every new frame, and consecutive drops share one entry and one line of the
@@ -17,13 +17,13 @@ use crate::device::{Fate, FaultTotals, FrameFate, SentFrame};
 const ENTRIES_MAX: usize = 1 << 18;
 
 #[derive(Debug)]
-struct Entry {
+struct Entry<T> {
     /// Number of the first frame, counted from 0 since the device was made.
     number: u64,
     /// Consecutive frames in this entry.
     frames: u64,
     /// The first frame.
-    frame: SentFrame,
+    frame: T,
     fate: Option<Fate>,
     again: u32,
     faults: Kinds,
@@ -33,11 +33,11 @@ struct Entry {
     open_until: u64,
 }
 
-/// Follows every frame from the device to the line, and records its fate.
-#[derive(Debug, Default)]
-pub(super) struct FateTracker {
+/// Follows every frame, or every batch, from the device to the line, and records its fate.
+#[derive(Debug)]
+pub(super) struct FateTracker<T> {
     /// Frames whose fate is open.
-    entries: VecDeque<Entry>,
+    entries: VecDeque<Entry<T>>,
     /// Frames that the device produced.
     n_produced: u64,
     /// The number of the next frame that the device hands over.
@@ -51,17 +51,36 @@ pub(super) struct FateTracker {
     /// `taken_bytes` at the last 0x00: everything before it is final.
     decided_bytes: u64,
     unasked: bool,
-    closed: Vec<FrameFate>,
+    closed: Vec<SentFate<T>>,
     keeps_frames: bool,
     totals: FaultTotals,
 }
 
-impl FateTracker {
+impl<T> Default for FateTracker<T> {
+    fn default() -> Self {
+        Self {
+            entries: VecDeque::default(),
+            n_produced: 0,
+            next: 0,
+            last_whole: None,
+            segment: Vec::new(),
+            queued_bytes: 0,
+            taken_bytes: 0,
+            decided_bytes: 0,
+            unasked: false,
+            closed: Vec::new(),
+            keeps_frames: false,
+            totals: FaultTotals::default(),
+        }
+    }
+}
+
+impl<T: Sent> FateTracker<T> {
     pub(super) fn keep_frames(&mut self) {
         self.keeps_frames = true;
     }
 
-    pub(super) fn take_frames(&mut self) -> Vec<FrameFate> {
+    pub(super) fn take_frames(&mut self) -> Vec<SentFate<T>> {
         std::mem::take(&mut self.closed)
     }
 
@@ -70,15 +89,15 @@ impl FateTracker {
     }
 
     /// Registers a frame that the device produced.
-    pub(super) fn produced(&mut self, frame: SentFrame) {
-        let fate = frame.dropped.then_some(Fate::Dropped);
-        let open_until = if frame.dropped { 0 } else { u64::MAX };
+    pub(super) fn produced(&mut self, frame: T) {
+        let fate = frame.is_dropped().then_some(Fate::Dropped);
+        let open_until = if frame.is_dropped() { 0 } else { u64::MAX };
         let number = self.n_produced;
         self.n_produced += 1;
         if self.entries.len() >= ENTRIES_MAX
-            && frame.dropped
+            && frame.is_dropped()
             && let Some(last) = self.entries.back_mut()
-            && (last.fate, last.frame.run) == (Some(Fate::Dropped), frame.run)
+            && (last.fate, last.frame.run()) == (Some(Fate::Dropped), frame.run())
         {
             last.frames += 1;
             return;
@@ -89,7 +108,7 @@ impl FateTracker {
     }
 
     /// Matches an encoded frame with the next one that the device did not drop; returns its number and the frame.
-    pub(super) fn handed_over(&mut self, message: &[u8]) -> Option<(u64, SentFrame)> {
+    pub(super) fn handed_over(&mut self, message: &[u8]) -> Option<(u64, T)> {
         loop {
             let number = self.next;
             let entry = self.entry(number)?;
@@ -212,7 +231,7 @@ impl FateTracker {
         self.close_decided();
     }
 
-    fn entry(&mut self, number: u64) -> Option<&mut Entry> {
+    fn entry(&mut self, number: u64) -> Option<&mut Entry<T>> {
         let place = self.entries.partition_point(|entry| entry.number < number);
         self.entries.get_mut(place).filter(|entry| entry.number == number)
     }
@@ -221,7 +240,7 @@ impl FateTracker {
         while let Some(entry) = self.entries.pop_front_if(|e| e.open_until <= self.decided_bytes) {
             let Entry { number, frames, frame, fate, again, faults, .. } = entry;
             let fate = fate.unwrap_or(Fate::Damaged);
-            let fate = FrameFate { frame, frames, fate, again, faults };
+            let fate = SentFate { frame, frames, fate, again, faults };
             self.next = self.next.max(number + frames);
             self.totals.add(&fate);
             if self.keeps_frames {
@@ -240,6 +259,7 @@ fn hash(bytes: &[u8]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::SentFrame;
 
     fn frame(seq: u32, dropped: bool) -> SentFrame {
         SentFrame {

@@ -14,7 +14,7 @@ mod wire;
 #[cfg(test)]
 mod tests;
 
-pub use crate::device::{Fate, FaultCounts, FaultTotals, FrameFate};
+pub use crate::device::{BatchFate, Fate, FaultCounts, FaultTotals, FrameFate};
 pub use device::FaultyDevice;
 pub(crate) use device::{ConnectionFaults, ConnectionState};
 pub use kinds::{Fault, KINDS, KeySpec, Kind, KindSpec, Kinds, TIME_MAX_S, WINDOW};

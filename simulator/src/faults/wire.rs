@@ -13,7 +13,7 @@ use super::fates::FateTracker;
 use super::kinds::{Fault, Kind, Kinds};
 use super::script::Script;
 use super::source::stream;
-use crate::device::{FaultCounts, SentFrame};
+use crate::device::{FaultCounts, Sent, SentBatch, SentFrame};
 
 /// With this many damaged bytes waiting for the line, no more are taken from the device: as many as a kernel pty holds.
 const OUT_BYTES_MAX: usize = 64 << 10;
@@ -24,15 +24,47 @@ const COPIES_MAX: u64 = 4;
 /// First random stream of messages that are not frames: above the streams of all frames.
 const OTHER_STREAMS: u64 = 1 << 40;
 
+/// First number of batches of samples in random streams: above those of all frames and other messages.
+const BATCHES: u64 = 1 << 41;
+
+/// A numbered message: faults depend on its number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Numbered {
+    Frame(u64),
+    Batch(u64),
+}
+
+impl Numbered {
+    /// Its number among the random streams.
+    fn index(self) -> u64 {
+        match self {
+            Self::Frame(number) => number,
+            Self::Batch(number) => BATCHES + number,
+        }
+    }
+
+    fn is_like(self, other: Self) -> bool {
+        matches!(self, Self::Frame(_)) == matches!(other, Self::Frame(_))
+    }
+
+    /// The number of a message before it, of the same kind.
+    fn back(self, by: u64) -> u64 {
+        match self {
+            Self::Frame(number) => number.saturating_sub(by),
+            Self::Batch(number) => BATCHES + number.saturating_sub(by),
+        }
+    }
+}
+
 /// Appends the damaged form of a byte; the second argument selects the bit to damage.
 type Damage = fn(u8, usize, &mut Vec<u8>);
 
-/// A frame that is held back.
+/// A frame or batch that is held back.
 #[derive(Debug)]
 struct LateFrame {
-    /// How many frames go before it.
+    /// How many of its kind go before it.
     frames_left: u32,
-    number: u64,
+    number: Numbered,
     bytes: Vec<u8>,
 }
 
@@ -40,7 +72,8 @@ struct LateFrame {
 #[derive(Debug)]
 pub(super) struct WireFaults {
     script: Arc<Script>,
-    pub(super) fates: FateTracker,
+    pub(super) fates: FateTracker<SentFrame>,
+    pub(super) batches: FateTracker<SentBatch>,
     /// A decoder of the undamaged messages, to distinguish the kinds of messages.
     reader: HostLink,
     late: Vec<LateFrame>,
@@ -61,6 +94,7 @@ pub(super) struct WireFaults {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum MessageKind {
     Frame,
+    Batch,
     Hello,
     End,
     Other,
@@ -71,6 +105,7 @@ impl WireFaults {
         Self {
             script,
             fates: FateTracker::default(),
+            batches: FateTracker::default(),
             reader: HostLink::new(),
             late: Vec::new(),
             out: Vec::new(),
@@ -95,7 +130,9 @@ impl WireFaults {
     /// The line took the first `n` bytes.
     pub(super) fn sent(&mut self, n: usize) {
         let n = n.min(self.out.len());
-        self.fates.taken(self.out.get(..n).unwrap_or_default());
+        let taken = self.out.get(..n).unwrap_or_default();
+        self.fates.taken(taken);
+        self.batches.taken(taken);
         self.out.drain(..n);
     }
 
@@ -105,14 +142,44 @@ impl WireFaults {
         self.late.clear();
         self.unterminated = Kinds::default();
         self.fates.cut(kind);
+        self.batches.cut(kind);
     }
 
-    /// Takes one message of the device, with its 0x00. `since` gives a frame's time since the first Start, nanoseconds.
-    pub(super) fn message(&mut self, bytes: &[u8], since: impl FnOnce(&SentFrame) -> u64) {
+    /// Sets whether messages that arrive from now on are unasked.
+    pub(super) fn set_unasked(&mut self, unasked: bool) {
+        self.fates.set_unasked(unasked);
+        self.batches.set_unasked(unasked);
+    }
+
+    /// Settles every open fate.
+    pub(super) fn close(&mut self) {
+        self.fates.close();
+        self.batches.close();
+    }
+
+    fn touch(&mut self, number: Numbered, faults: Kinds) {
+        match number {
+            Numbered::Frame(number) => self.fates.touch(number, faults),
+            Numbered::Batch(number) => self.batches.touch(number, faults),
+        }
+    }
+
+    /// Queues bytes for the line in both trackers.
+    fn queued(&mut self, bytes: usize, number: Option<Numbered>) {
+        let frame = if let Some(Numbered::Frame(number)) = number { Some(number) } else { None };
+        let batch = if let Some(Numbered::Batch(number)) = number { Some(number) } else { None };
+        self.fates.queued(bytes, frame);
+        self.batches.queued(bytes, batch);
+    }
+
+    /// Takes one message of the device, with its 0x00. `since` converts the time at which it was due to that since the
+    /// first Start, nanoseconds.
+    pub(super) fn message(&mut self, bytes: &[u8], since: impl FnOnce(u64) -> u64) {
         let mut message = MessageKind::Other;
         self.reader.push(bytes, &mut |event| {
             message = match event {
                 DeviceEvent::Frame(_) => MessageKind::Frame,
+                DeviceEvent::Samples(_) => MessageKind::Batch,
                 DeviceEvent::Hello(_) => MessageKind::Hello,
                 DeviceEvent::EndOfStream(_) => MessageKind::End,
                 _ => MessageKind::Other,
@@ -121,21 +188,28 @@ impl WireFaults {
         match message {
             MessageKind::Frame => {
                 if let Some((number, frame)) = self.fates.handed_over(bytes) {
-                    self.since_ns = Some(since(&frame));
-                    self.frame(number, bytes);
+                    self.since_ns = Some(since(frame.host_ns()));
+                    self.numbered(Numbered::Frame(number), bytes);
+                    return;
+                }
+            }
+            MessageKind::Batch => {
+                if let Some((number, batch)) = self.batches.handed_over(bytes) {
+                    self.since_ns = Some(since(batch.host_ns()));
+                    self.numbered(Numbered::Batch(number), bytes);
                     return;
                 }
             }
             MessageKind::Hello => self.garbage(),
             // No frame follows the last one, so late frames are sent now.
-            MessageKind::End => self.release(u32::MAX),
+            MessageKind::End => self.release(None, u32::MAX),
             MessageKind::Other => {}
         }
         self.n_others += 1;
         self.put(bytes, OTHER_STREAMS + self.n_others, None);
     }
 
-    fn frame(&mut self, number: u64, bytes: &[u8]) {
+    fn numbered(&mut self, number: Numbered, bytes: &[u8]) {
         let since_ns = self.since_ns.unwrap_or(0);
         let script = Arc::clone(&self.script);
         let mut copies = 1;
@@ -144,45 +218,49 @@ impl WireFaults {
             let hits = |number, rate| stream(&script, index, number).unit() < rate;
             match scheduled.fault {
                 Fault::LostFrames { rate, run }
-                    if (number.saturating_sub(run - 1)..=number).any(|n| hits(n, rate)) =>
+                    if (number.back(run - 1)..=number.index()).any(|n| hits(n, rate)) =>
                 {
-                    self.fates.lost(number, Kind::LostFrames);
+                    match number {
+                        Numbered::Frame(number) => self.fates.lost(number, Kind::LostFrames),
+                        Numbered::Batch(number) => self.batches.lost(number, Kind::LostFrames),
+                    }
                     copies = 0;
                 }
-                Fault::DoubledFrames { rate } if hits(number, rate) => {
+                Fault::DoubledFrames { rate } if hits(number.index(), rate) => {
                     copies *= 2;
                     self.counts.add(Kind::DoubledFrames, u64::from(copies > 0));
                 }
                 Fault::Bursts { .. } => self.counts.add(Kind::Bursts, 1),
-                Fault::LateFrames { rate, by } if hits(number, rate) => late = Some(by),
+                Fault::LateFrames { rate, by } if hits(number.index(), rate) => late = Some(by),
                 _ => {}
             }
         }
         let copies = copies.min(COPIES_MAX);
         match late {
             Some(frames_left) if copies > 0 => {
-                self.fates.touch(number, Kinds::of(Kind::LateFrames));
+                self.touch(number, Kinds::of(Kind::LateFrames));
                 // One more than it is late by, because the release below counts this frame itself.
                 let frames_left = frames_left + 1;
                 self.late.push(LateFrame { frames_left, number, bytes: bytes.to_vec() });
             }
             _ => {
                 for copy in 0..copies {
-                    self.put(bytes, number * COPIES_MAX + copy, Some(number));
+                    self.put(bytes, number.index() * COPIES_MAX + copy, Some(number));
                 }
             }
         }
-        self.release(1);
+        self.release(Some(number), 1);
     }
 
-    /// Counts `frames` as passed, and sends the late frames that are due.
-    fn release(&mut self, frames: u32) {
-        for frame in &mut self.late {
-            frame.frames_left = frame.frames_left.saturating_sub(frames);
+    /// Counts `frames` as passed, of the kind of `like` or of all, and sends the late ones that are due.
+    fn release(&mut self, like: Option<Numbered>, frames: u32) {
+        let is_like = |late: &LateFrame| like.is_none_or(|like| like.is_like(late.number));
+        for late in self.late.iter_mut().filter(|late| is_like(late)) {
+            late.frames_left = late.frames_left.saturating_sub(frames);
         }
         while let Some(due) = self.late.iter().position(|frame| frame.frames_left == 0) {
             let LateFrame { number, bytes, .. } = self.late.remove(due);
-            self.put(&bytes, number * COPIES_MAX, Some(number));
+            self.put(&bytes, number.index() * COPIES_MAX, Some(number));
         }
     }
 
@@ -194,7 +272,7 @@ impl WireFaults {
                 Fault::Garbage { bytes, times } if self.n_hellos <= times => {
                     let mut rng = stream(&script, index, self.n_hellos);
                     let garbage: Vec<u8> = (0..bytes).map(|_| rng.next_u64() as u8).collect();
-                    self.fates.queued(garbage.len(), None);
+                    self.queued(garbage.len(), None);
                     self.counts.add(Kind::Garbage, 1);
                     self.out.extend(garbage);
                 }
@@ -204,7 +282,7 @@ impl WireFaults {
     }
 
     /// Damages a message as the script says, and queues it for the line.
-    fn put(&mut self, bytes: &[u8], stream_index: u64, number: Option<u64>) {
+    fn put(&mut self, bytes: &[u8], stream_index: u64, number: Option<Numbered>) {
         let mut touched = std::mem::take(&mut self.unterminated);
         let script = Arc::clone(&self.script);
         let mut now = std::mem::take(&mut self.scratch);
@@ -235,9 +313,9 @@ impl WireFaults {
             self.unterminated = touched;
         }
         if let Some(number) = number {
-            self.fates.touch(number, touched);
+            self.touch(number, touched);
         }
-        self.fates.queued(now.len(), number);
+        self.queued(now.len(), number);
         self.out.extend_from_slice(&now);
         self.scratch = now;
     }

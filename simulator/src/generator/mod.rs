@@ -5,6 +5,7 @@
 //! each jump, so a take of any length stays in a volume of about 6 m. A seed gives the same bits on every machine.
 
 mod body;
+mod forces;
 mod geometry;
 mod plan;
 mod rng;
@@ -23,6 +24,7 @@ use plan::{JointCurves, PhaseTimes, Style};
 pub use mocapd_take::phase::Phase;
 
 pub use body::{BONES, SITES};
+pub use forces::{ForcePlates, PLATE_COMPONENTS};
 pub use rng::Rng;
 pub use spec::{
     GenerateError, JumpSet, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, SUBJECTS_MAX,
@@ -105,6 +107,10 @@ impl Trial {
             (Phase::Settling, t.touch_down),
             (Phase::Walking, t.walk),
         ]
+    }
+
+    fn is_airborne(&self, time_s: f64) -> bool {
+        (self.times.flight..self.times.touch_down).contains(&time_s)
     }
 
     fn touch_down_s(&self) -> f64 {

@@ -148,7 +148,7 @@ impl JumpSpec {
         }
     }
 
-    fn check(&self) -> Result<(), GenerateError> {
+    pub(super) fn check(&self) -> Result<(), GenerateError> {
         range("rate_hz", self.rate_hz, *RATE_HZ.start(), *RATE_HZ.end())?;
         range("markers", self.n_markers as f64, 1.0, MARKERS_MAX as f64)?;
         range("first trial", f64::from(self.first_trial), 0.0, f64::from(TRIALS_MAX))?;

@@ -63,6 +63,16 @@ pub(super) struct SubjectState {
     pub(super) since_impact_s: f64,
 }
 
+/// What the floor has to bear at one time, in the axes of the capture volume.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Support {
+    /// The pelvis without postural drift, whose place is that of the body.
+    pub(super) pelvis: V3,
+    /// Left and right ankle.
+    pub(super) feet: [V3; 2],
+    pub(super) is_airborne: bool,
+}
+
 /// A subject, drawn from a seed.
 #[derive(Debug)]
 pub(super) struct Subject {
@@ -143,6 +153,24 @@ impl Subject {
         pose.arms[1].swing += right;
         let (sites, lateral) = self.body.place(&pose);
         SubjectState { sites, lateral, since_impact_s: local_s - placed.trial.touch_down_s() }
+    }
+
+    /// Stature in metres.
+    pub(super) fn stature_m(&self) -> f64 {
+        self.body.stature
+    }
+
+    /// The body and its feet, as far as the floor feels them.
+    pub(super) fn support(&self, time_s: f64) -> Support {
+        let index = self.trials.partition_point(|p| p.start_s <= time_s).saturating_sub(1);
+        let placed = &self.trials[index];
+        let local_s = time_s - placed.start_s;
+        let pose = placed.trial.pose(local_s);
+        Support {
+            pelvis: placed.to_volume(pose.pelvis),
+            feet: pose.ankles.map(|ankle| placed.to_volume(ankle)),
+            is_airborne: placed.trial.is_airborne(local_s),
+        }
     }
 
     /// The phases within `n_frames` frames, each with its first frame.

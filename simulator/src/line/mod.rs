@@ -5,7 +5,7 @@ mod serve;
 
 use std::{io, time::Duration};
 
-use crate::device::{SentFrame, SentLog};
+use crate::device::{SentBatch, SentFrame, SentLog};
 
 pub(crate) use serve::host_ns;
 pub use serve::{ServeOptions, serve};
@@ -115,6 +115,16 @@ pub trait LineDevice {
     /// Whether it has gone for good: nothing more goes over its line.
     fn is_gone(&self) -> bool {
         false
+    }
+
+    /// The header of a log file of batches of samples.
+    fn batch_log_header(&self) -> &'static str {
+        SentBatch::CSV_HEADER
+    }
+
+    /// Takes the rows of the logged batches out of the device.
+    fn take_batch_lines(&mut self) -> Vec<String> {
+        Vec::new()
     }
 
     /// The header of a log file.

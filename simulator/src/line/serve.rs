@@ -35,6 +35,8 @@ pub struct ServeOptions {
     /// Destination of the frame log, one CSV row per frame produced: a [`SentFrame`](crate::device::SentFrame), or with
     /// faults a [`FrameFate`](crate::faults::FrameFate).
     pub log: Option<Box<dyn Write + Send>>,
+    /// Destination of the log of batches of samples, one CSV row per batch.
+    pub batch_log: Option<Box<dyn Write + Send>>,
 }
 
 impl std::fmt::Debug for ServeOptions {
@@ -44,6 +46,7 @@ impl std::fmt::Debug for ServeOptions {
             .field("batch", &self.batch)
             .field("once", &self.once)
             .field("log", &self.log.is_some())
+            .field("batch_log", &self.batch_log.is_some())
             .finish()
     }
 }
@@ -61,7 +64,7 @@ pub fn serve(
 ) -> Result<SentLog, LineError> {
     // Default timer slack makes a sleep up to 50 us late, unlike a device's timer. If the kernel refuses, it stays.
     rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).ok();
-    if options.log.is_some() {
+    if options.log.is_some() || options.batch_log.is_some() {
         device.keep_frame_log();
     }
     let mut server = Server {
@@ -71,15 +74,17 @@ pub fn serve(
         baud: options.baud,
         timer: options.batch.map(|period| LatencyTimer::new(period.as_nanos() as u64, host_ns())),
         log: options.log,
+        batch_log: options.batch_log,
         open_again_ns: 0,
         plugged: true,
     };
     server.log_line(server.device.log_header())?;
+    server.log_batch(server.device.batch_log_header())?;
     server.run(options.once, stop)?;
     server.drain()?;
     server.device.close();
     server.log_frames()?;
-    if let Some(log) = &mut server.log {
+    for log in server.log.iter_mut().chain(&mut server.batch_log) {
         log.flush().map_err(LineError::Log)?;
     }
     Ok(device.log())
@@ -99,6 +104,7 @@ struct Server<'a> {
     /// Speed limit of the line; a device may run its own end slower.
     baud: Option<u32>,
     log: Option<Box<dyn Write + Send>>,
+    batch_log: Option<Box<dyn Write + Send>>,
     open_again_ns: u64,
     /// Whether the cable is plugged in.
     plugged: bool,
@@ -261,8 +267,17 @@ impl Server<'_> {
         self.log.as_mut().map_or(Ok(()), |log| writeln!(log, "{text}")).map_err(LineError::Log)
     }
 
+    fn log_batch(&mut self, text: &str) -> Result<(), LineError> {
+        let log = self.batch_log.as_mut();
+        log.map_or(Ok(()), |log| writeln!(log, "{text}")).map_err(LineError::Log)
+    }
+
     fn log_frames(&mut self) -> Result<(), LineError> {
-        if self.log.is_some() {
+        // Both are taken, also if only one is written: the device keeps both.
+        if self.log.is_some() || self.batch_log.is_some() {
+            for line in self.device.take_batch_lines() {
+                self.log_batch(&line)?;
+            }
             for line in self.device.take_log_lines() {
                 self.log_line(&line)?;
             }

@@ -6,7 +6,7 @@ use mocapd_take::motion::{Position, is_gap};
 use super::report::{Bx2Options, FrameReport, bx2};
 use super::setup::mode;
 use super::{Answer, NdiDevice};
-use crate::device::{SentCounters, SentFrame, frame_after_ns};
+use crate::device::{Queued, SentCounters, SentFrame, frame_after_ns};
 
 const SECOND_NS: u64 = 1_000_000_000;
 
@@ -179,7 +179,7 @@ impl NdiDevice {
             "TX" => mode(args).map(|mode| {
                 let first = self.fetch(false);
                 let text = self.report().tx(mode);
-                self.outbox.put(first, |out| put_text(&text, out));
+                self.outbox.put(Queued::frame_if(first), |out| put_text(&text, out));
                 String::new()
             }),
             "BX" => mode(args).map(|mode| {
@@ -231,7 +231,7 @@ impl NdiDevice {
     }
 
     fn put_binary(&mut self, is_frame: bool, block: &[u8]) -> String {
-        self.outbox.put(is_frame, |out| put_binary(block, out));
+        self.outbox.put(Queued::frame_if(is_frame), |out| put_binary(block, out));
         String::new()
     }
 }

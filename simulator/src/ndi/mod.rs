@@ -12,7 +12,7 @@ use mocapd_drivers::ndi::{BAUD_AT_RESET, ReceivedRequest, RequestReader, put_tex
 use mocapd_take::motion::{Marker, Motion};
 use setup::Ports;
 
-use crate::device::{DeviceError, LineDevice, Outbox, Rates, SentFrame, SentLog};
+use crate::device::{DeviceError, LineDevice, Outbox, Queued, Rates, SentFrame, SentLog};
 use crate::replay::Replay;
 
 mod frames;
@@ -89,7 +89,7 @@ impl NdiDevice {
         let n_columns = markers.len();
         let replay = rates.replay(motion, rates.rate_millihertz);
         let mut outbox = Outbox::default();
-        outbox.resize(0, rates.rate_millihertz, None);
+        outbox.resize(0, rates.rate_millihertz, 0, None);
         Ok(Self {
             replay,
             rates,
@@ -143,7 +143,7 @@ impl NdiDevice {
         });
         let answer = answer.unwrap_or_else(|code| format!("ERROR{code:02X}"));
         if !answer.is_empty() {
-            self.outbox.put(false, |out| put_text(&answer, out));
+            self.outbox.put(Queued::Other, |out| put_text(&answer, out));
         }
     }
 }
@@ -182,7 +182,7 @@ impl LineDevice for NdiDevice {
         self.line = RequestReader::default();
         self.outbox.discard();
         (self.baud, self.baud_after) = (BAUD_AT_RESET, None);
-        self.outbox.put(false, |out| put_text("RESET", out));
+        self.outbox.put(Queued::Other, |out| put_text("RESET", out));
     }
 
     fn poll(&mut self, now_ns: u64) -> u64 {

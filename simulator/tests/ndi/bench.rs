@@ -149,7 +149,11 @@ impl Bench {
             DeviceEvent::Pong(pong) => pongs.push(pong.host_ns),
             DeviceEvent::Note(message) => notes.push(message.to_owned()),
             DeviceEvent::Status(now) => *status = Some(now),
-            DeviceEvent::Trigger(_) | DeviceEvent::RateSet(_) => {}
+            // An NDI system has no sampled channels.
+            DeviceEvent::SampledGroup(_)
+            | DeviceEvent::Samples(_)
+            | DeviceEvent::Trigger(_)
+            | DeviceEvent::RateSet(_) => {}
         });
     }
 

@@ -18,6 +18,7 @@ use mocapd_simulator::{
     device::{Device, DeviceSettings},
     generator::{JumpSpec, SAMPLES_MAX},
     pty::{ServeOptions, serve_pty},
+    sampled::{Electrodes, SampledSource},
 };
 use mocapd_take::motion::Motion;
 
@@ -110,6 +111,8 @@ pub(crate) struct DeviceArgs {
     rate: f64,
     #[arg(long, value_parser = units::duration)]
     seconds: Duration,
+    #[arg(long)]
+    emg: Vec<Electrodes>,
 }
 
 /// Checks that the motion of a benchmark fits into memory.
@@ -138,7 +141,10 @@ fn motion(markers: usize, rate_hz: f64, seconds: f64) -> anyhow::Result<Motion> 
 fn serve_device(args: &DeviceArgs) -> anyhow::Result<Outcome> {
     let stop = stop_on_signal()?;
     let motion = motion(args.markers, args.rate, args.seconds.as_secs_f64())?;
-    let mut device = Device::new(motion, DeviceSettings::default())?;
+    let sampled = (0..).zip(&args.emg);
+    let sampled = sampled.map(|(id, of)| SampledSource::electrodes(id, *of, id.into()));
+    let sampled = sampled.collect::<Result<Vec<_>, _>>()?;
+    let mut device = Device::new(motion, DeviceSettings { sampled, ..Default::default() })?;
     let log = serve_pty(&mut device, None, ServeOptions::default(), &stop, |path| {
         print(&format!("{}\n", path.display())).ok();
     })?;

@@ -14,7 +14,7 @@ use anyhow::{Context, bail, ensure};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
     header,
-    ledger::LedgerDocument,
+    ledger::{GroupLedgerDocument, LedgerDocument, SampleLedgerDocument},
     pipeline::{NewTake, Pipeline, PipelineConfig},
 };
 use mocapd_codec::Settings;
@@ -24,7 +24,7 @@ use mocapd_drivers::{
     uri::{DeviceUri, Location},
 };
 use mocapd_service::{process, units};
-use mocapd_simulator::device::TICK_HZ;
+use mocapd_simulator::{device::TICK_HZ, sampled::Electrodes};
 use mocapd_take::motion::{Motion, is_gap};
 use serde::{Deserialize, Serialize};
 
@@ -45,6 +45,9 @@ pub(crate) struct Args {
     #[arg(long, value_name = "HZ", default_value = "1000Hz", value_parser = units::rate_hz,
           allow_hyphen_values = true)]
     rate: f64,
+    /// Sampled channels of the simulated device, such as 16@2kHz: their number and rate (repeatable)
+    #[arg(long, value_name = "N@HZ")]
+    emg: Vec<Electrodes>,
     /// Length of each recording: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = values::length,
           allow_hyphen_values = true)]
@@ -89,6 +92,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let report = PipelineBenchReport {
         markers: args.markers,
         rate_hz: args.rate,
+        emg: args.emg.iter().map(ToString::to_string).collect(),
         seconds: args.seconds.as_secs_f64(),
         runs: args.runs,
         resampler: codec.kind.to_string(),
@@ -169,6 +173,7 @@ struct RecordJson {
     ring_latency_us: LatencyReport,
     process: ProcessReport,
     ledger: LedgerDocument,
+    sample_ledger: Option<SampleLedgerDocument>,
 }
 
 /// How long the bare read loop runs.
@@ -202,10 +207,14 @@ fn over_pty(args: &Args, codec: Settings) -> anyhow::Result<PtyRun> {
     let take = TemporaryTake(args.dir.join(format!(".mocapd-bench-{}.take", std::process::id())));
     let recorded = record(&own, &uri, &take.0, codec)?;
     let after = simulator_usage();
+    let groups = recorded.sample_ledger.as_ref().map_or(&[][..], |ledger| &ledger.groups);
+    let samples = |of: fn(&GroupLedgerDocument) -> u64| groups.iter().map(of).sum();
     let percent = |cpu_s: f64| 100.0 * cpu_s / recorded.seconds;
     Ok(PtyRun {
         frames_sent: recorded.ledger.frames_sent,
         frames_recorded: recorded.frames,
+        samples_taken: samples(|group| group.taken),
+        samples_recorded: samples(|group| group.stored),
         ledger_closes: recorded.ledger.closes,
         record_cpu_percent: percent(recorded.process.cpu_s),
         record_peak_memory_mb: recorded.process.peak_memory_bytes as f64 / 1e6,
@@ -223,6 +232,7 @@ fn simulate(own: &Path, args: &Args) -> anyhow::Result<(Simulator, DeviceUri)> {
         .args(["bench", "device", "--markers", &args.markers.to_string()])
         .args(["--rate", &args.rate.to_string()])
         .args(["--seconds", &args.seconds.as_secs_f64().to_string()])
+        .args(args.emg.iter().flat_map(|electrodes| ["--emg".to_owned(), electrodes.to_string()]))
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .spawn()
@@ -266,6 +276,8 @@ fn codec_args(codec: Settings) -> Vec<String> {
 struct PtyRun {
     frames_sent: u64,
     frames_recorded: u64,
+    samples_taken: u64,
+    samples_recorded: u64,
     ledger_closes: bool,
     record_cpu_percent: f64,
     record_peak_memory_mb: f64,
@@ -288,6 +300,7 @@ struct InProcessReport {
 struct PipelineBenchReport {
     markers: u16,
     rate_hz: f64,
+    emg: Vec<String>,
     seconds: f64,
     runs: u16,
     resampler: String,
@@ -298,9 +311,11 @@ struct PipelineBenchReport {
 }
 
 impl PipelineBenchReport {
-    /// Whether any frame was lost.
+    /// Whether any frame or sample was lost.
     fn lost_anything(&self) -> bool {
-        let lost = self.pty.iter().any(|run| run.frames_recorded < run.frames_sent);
+        let lost = self.pty.iter().any(|run| {
+            run.frames_recorded < run.frames_sent || run.samples_recorded < run.samples_taken
+        });
         lost || self.in_process.frames_lost > 0
     }
 
@@ -308,12 +323,15 @@ impl PipelineBenchReport {
         let of = |figure: fn(&PtyRun) -> f64| median(self.pty.iter().map(figure));
         let sent: u64 = self.pty.iter().map(|run| run.frames_sent).sum();
         let recorded: u64 = self.pty.iter().map(|run| run.frames_recorded).sum();
+        let taken: u64 = self.pty.iter().map(|run| run.samples_taken).sum();
+        let stored: u64 = self.pty.iter().map(|run| run.samples_recorded).sum();
         let unbalanced = self.pty.iter().filter(|run| !run.ledger_closes).count();
         let alone = &self.in_process;
         format!(
             "{} markers at {}, {} s, {} {} mm, {} cores; medians of {} runs\n\
              over a pty to disk\n\
              \x20 frames lost                   {:>9}   of {sent} sent; ledgers that do not close: {unbalanced}\n\
+             \x20 samples lost                  {:>9}   of {taken} of each channel\n\
              \x20 record, processor             {:>9.1} % of one core; reference: {:.1} % for reading the line alone\n\
              \x20 simulator, processor          {:>9.1} % of one core\n\
              \x20 record, peak memory           {:>9.1} MB\n\
@@ -329,6 +347,7 @@ impl PipelineBenchReport {
             self.cores,
             self.runs,
             sent.saturating_sub(recorded),
+            taken.saturating_sub(stored),
             of(|run| run.record_cpu_percent),
             of(|run| run.bare_read_cpu_percent),
             of(|run| run.simulator_cpu_percent),

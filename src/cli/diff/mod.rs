@@ -14,7 +14,7 @@ use mocapd_take::{
     TakeFrames,
     compare::{
         ContentDifference, Difference, EventDifference, FieldDifference, TimesDifference, compare,
-        compare_times,
+        compare_recorded, compare_times,
     },
     damage::Problem,
     motion::FrameSource,
@@ -135,12 +135,25 @@ fn of_takes(args: &Args) -> anyhow::Result<DiffReport> {
     });
     let (_, found) = compare_motion(args, &mut a, &mut b)?;
     let content = match content {
-        Some(content) => Some((content, times(args, &a, &b, &read)?)),
+        Some(mut content) => {
+            content.foreign.extend(recorded(args, &a, &b)?);
+            Some((content, times(args, &a, &b, &read)?))
+        }
         None => None,
     };
     let problems = a.problems().iter().map(|problem| (&args.a, problem));
     let others = b.problems().iter().map(|problem| (&args.b, problem));
     Ok(DiffReport::new(args, found, content, problems.chain(others)))
+}
+
+/// Compares the sampled channels of two recordings.
+fn recorded(args: &Args, a: &Frames, b: &Frames) -> anyhow::Result<Vec<FieldDifference>> {
+    if [a, b].iter().all(|frames| frames.map().recorded_groups().next().is_none()) {
+        return Ok(Vec::new());
+    }
+    let open = |path: &Path| remote::open(path).map(BufReader::new);
+    let (mut one, mut other) = (open(&args.a)?, open(&args.b)?);
+    Ok(compare_recorded((a.map(), &mut one), (b.map(), &mut other))?)
 }
 
 /// Compares the times of two recordings; an import has none.

@@ -16,7 +16,7 @@ use mocapd_acquire::{
     files::CountingFile,
     health::TakeHealth,
     inspect::{Summary, size_ratio},
-    ledger::LedgerDocument,
+    ledger::{LedgerDocument, SampleLedgerDocument},
 };
 use mocapd_store::{ObjectUrl, Store, StoredTake};
 use mocapd_take::{
@@ -146,6 +146,7 @@ struct InfoReport {
     sr1: Option<f64>,
     sr2: Option<f64>,
     ledger: Option<LedgerDocument>,
+    sample_ledger: Option<SampleLedgerDocument>,
     outages: OutagesReport,
     clock: Option<ClockReport>,
     events: Vec<EventReport>,
@@ -247,6 +248,8 @@ impl InfoReport {
             text: event.text.clone(),
         });
         let parts = summary.take.foreign.iter();
+        // Channels of a recording are no part of a file.
+        let parts = parts.filter(|part| !part.kind.is_empty());
         let foreign_parts = parts.map(|part| ForeignReport {
             kind: part.kind.clone(),
             bytes: part.data_bytes(),
@@ -295,6 +298,7 @@ impl InfoReport {
             sr1: summary.statistics.sr1(),
             sr2: summary.statistics.sr2(),
             ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
+            sample_ledger: summary.take.sample_ledger.as_ref().map(SampleLedgerDocument::from),
             outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
             clock: ClockReport::new(&summary.clock, &summary.take.clock_lines),
             events: events.collect(),

@@ -16,6 +16,7 @@ use crate::cli::{
 #[derive(Debug, Serialize)]
 pub(super) struct SampledGroupReport {
     pub(super) kind: String,
+    number: u32,
     form: &'static str,
     rate_hz: f64,
     samples_per_frame: u32,
@@ -56,6 +57,7 @@ impl SampledGroupReport {
         };
         Self {
             kind: group.kind.clone(),
+            number: group.number,
             form: group.form.name(),
             rate_hz: group.rate_hz,
             samples_per_frame: group.samples_per_frame,

@@ -71,6 +71,9 @@ pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
         let is_import = report.source.is_some();
         out += &if is_import { ledger::import_text(document) } else { ledger::text(document) };
     }
+    if let Some(document) = &report.sample_ledger {
+        out += &ledger::samples_text(document);
+    }
     if let Some(outages) = report.outages.text() {
         writeln!(out, "{:<10} {outages}", "outages").ok();
     }
@@ -127,6 +130,10 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
         for warning in &file.warnings {
             line("note", warning);
         }
+    }
+    for group in report.sampled_groups.iter().filter(|group| group.kind.is_empty()) {
+        let shape = sampled::shape(&[group]);
+        line("sampled", shape.trim_start_matches(": "));
     }
     for part in &report.foreign_parts {
         let groups = report.sampled_groups.iter().filter(|group| group.kind == part.kind);

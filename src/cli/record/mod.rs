@@ -179,12 +179,17 @@ fn outcome(recorded: &Recorded, report: &RecordReport, takes: &[SeriesTake]) -> 
     if let Some(losses) = report.losses() {
         notify(&format!("not in the take: {losses}"));
     }
+    let sample_losses = report.sample_losses();
+    sample_losses.iter().for_each(|losses| notify(losses));
     if let Some(why) = report.not_closing() {
         notify(&why);
     }
     let ledger = &recorded.written.ledger;
     let had_outage = disconnected || recorded.recording.outages > 0;
     let is_displaced = recorded.file.state != FileState::InPlace;
-    let lost_anything = ledger.lost_anything() || !ledger.closes() || report.log_lost();
+    let lost_anything = ledger.lost_anything()
+        || !sample_losses.is_empty()
+        || !ledger.closes()
+        || report.log_lost();
     Outcome::of(lost_anything || had_outage || is_full || is_displaced)
 }

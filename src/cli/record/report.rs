@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use mocapd_acquire::{
     files::FileState,
-    ledger::LedgerDocument,
+    ledger::{LedgerDocument, SampleLedgerDocument},
     record::Recorded,
     series::{SeriesOptions, SeriesTake},
 };
@@ -44,6 +44,7 @@ pub(crate) struct RecordReport {
     pub(super) outages: OutagesReport,
     clock: Option<ClockReport>,
     ledger: LedgerDocument,
+    sample_ledger: Option<SampleLedgerDocument>,
 }
 
 #[derive(Debug, Serialize)]
@@ -100,6 +101,7 @@ impl RecordReport {
             outages: OutagesReport::new(counts.outages, ledger.unknown_after_disconnect, rate_hz),
             clock: ClockReport::new(&written.clock, &written.clock_lines),
             ledger: LedgerDocument::from(ledger),
+            sample_ledger: written.sample_ledger.as_ref().map(SampleLedgerDocument::from),
         }
     }
 
@@ -116,6 +118,15 @@ impl RecordReport {
     /// What was lost, by cause and in one line.
     pub(crate) fn losses(&self) -> Option<String> {
         ledger::losses(&self.ledger)
+    }
+
+    /// The samples of sampled channels that were lost, one line per group.
+    pub(crate) fn sample_losses(&self) -> Vec<String> {
+        self.sample_ledger.as_ref().map(ledger::sample_losses).unwrap_or_default()
+    }
+
+    fn samples_text(&self) -> String {
+        self.sample_ledger.as_ref().map(ledger::samples_text).unwrap_or_default()
     }
 
     /// Why the ledger does not close, in one line.
@@ -154,7 +165,7 @@ impl RecordReport {
             rate(self.rate_hz),
             self.size.text(),
             self.raw_log.as_ref().map(RawLogReport::text).unwrap_or_default(),
-            ledger::text(&self.ledger),
+            ledger::text(&self.ledger) + &self.samples_text(),
             self.clock.as_ref().map(ClockReport::text).unwrap_or_default()
         )
     }
@@ -186,6 +197,7 @@ struct PartReport {
     file_bytes: u64,
     max_error_mm: f64,
     ledger: LedgerDocument,
+    sample_ledger: Option<SampleLedgerDocument>,
 }
 
 impl PartReport {
@@ -205,6 +217,7 @@ impl PartReport {
             file_bytes: written.file_bytes,
             max_error_mm: written.max_error_mm,
             ledger: LedgerDocument::from(ledger),
+            sample_ledger: written.sample_ledger.as_ref().map(SampleLedgerDocument::from),
         }
     }
 

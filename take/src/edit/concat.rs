@@ -6,10 +6,13 @@ use std::{
     iter,
 };
 
-use super::{CONCAT, CUT, EditContext, Seam, SourceTake, damaged, foreign};
+use super::{
+    CONCAT, CUT, EditContext, Seam, SourceTake, damaged, foreign, recorded::JoinedSamples,
+};
 use crate::{
     TakeError, TakeEvent, TakeMap, TakeTraversal, TakeWriter,
     record::{Channel, Clock, Event, EventKind, Header, Ledger, SeriesPlace},
+    sampled::GroupSamples,
     statistics::StretchTally,
     stretch::{CopiedStretch, NUMBERS, Span, Stretch},
     timeline::{LossCauses, RowRun, Timeline},
@@ -138,6 +141,8 @@ pub fn concat<R: Read + Seek, W: Write>(
     if sources.iter().any(|source| source.map().subject != first.map().subject) {
         left_out.push("the subjects of later takes, which differ from the first take's".to_owned());
     }
+    let (mut samples, not_joined) = JoinedSamples::begin(sources, &mut take)?;
+    left_out.extend(not_joined);
     let frames_continue = plan.seams.iter().all(|seam| *seam == Seam::Continuous);
     let parts = foreign::join(sources, &mut open, frames_continue, context)?;
     parts.parts.iter().try_for_each(|found| take.foreign_with_lost(&found.part, &found.lost))?;
@@ -154,11 +159,14 @@ pub fn concat<R: Read + Seek, W: Write>(
         announced: 0,
         payload: Vec::new(),
     };
+    let (clocks, segments) = clocks(sources);
     for (i, source) in sources.iter().enumerate() {
         let (first_row, missing) = (plan.first_rows[i], plan.rows_before(i));
         joiner.add(source, open(i)?, first_row, missing, context)?;
+        samples.add(source.map(), &mut open(i)?, segments[i], &mut joiner.take)?;
     }
-    for clock in clocks(sources) {
+    samples.finish(&mut joiner.take)?;
+    for clock in clocks {
         joiner.take.clock(&clock)?;
     }
     let ledger = plan.ledger(sources, joiner.announced);
@@ -280,23 +288,32 @@ fn is_one_series(sources: &[SourceTake]) -> bool {
 
 /// The observations of the clocks in all takes. Those of a take count as segments of their own, as after a jump: each line
 /// is fitted to the observations of its own take. Takes that were cut from one have the same records, which are kept
-/// once.
-fn clocks(sources: &[SourceTake]) -> Vec<Clock> {
+/// once. Returns also the number that the first segment of each take has.
+fn clocks(sources: &[SourceTake]) -> (Vec<Clock>, Vec<u32>) {
     let mut all: Vec<Clock> = Vec::new();
     let mut kept: Option<&[Clock]> = None;
-    for source in sources.iter().filter(|source| !source.clocks.is_empty()) {
-        if kept == Some(&source.clocks) {
+    let mut firsts = Vec::new();
+    let (mut first, mut next) = (0, 0_u32);
+    for source in sources {
+        if !source.clocks.is_empty() && kept == Some(&source.clocks) {
+            firsts.push(first);
             continue;
         }
-        let first = all.last().map_or(0, |clock| clock.segment.saturating_add(1));
+        first = next;
+        // Samples may be of a segment for which there was no time to observe its clock.
+        let of_samples = source.map().recorded_groups().flat_map(GroupSamples::anchors);
+        let segments = source.clocks.iter().map(|clock| clock.segment);
+        let last = segments.chain(of_samples.map(|anchor| anchor.segment)).max();
+        next = last.map_or(first, |last| first.saturating_add(last).saturating_add(1));
         let renumbered = source
             .clocks
             .iter()
             .map(|clock| Clock { segment: clock.segment.saturating_add(first), ..clock.clone() });
         all.extend(renumbered);
         kept = Some(&source.clocks);
+        firsts.push(first);
     }
-    all
+    (all, firsts)
 }
 
 /// Writes the stretches of the takes.

@@ -10,11 +10,12 @@ use mocapd_codec::{
     BlockEncoder, BlockReport, DecodedRows, GROUP_CHANNELS, Position, ResamplerKind, Rows, Settings,
 };
 
-use super::{CUT, EditContext, SourceTake, damaged, foreign, seam::CutOrigin};
+use super::{CUT, EditContext, SourceTake, damaged, foreign, recorded, seam::CutOrigin};
 use crate::{
     TakeError, TakeEvent, TakeTraversal, TakeWriter,
     record::{EndingKind, Event, Header, Ledger, SeriesPlace, TakeEnding},
     recovery::LedgerTally,
+    sampled::RECORDED,
     statistics::{BlockTally, StretchTally},
     stretch::{CopiedStretch, NUMBERS, Span, Stretch, StretchHeaderWriter, put_block},
     timeline::{RowRun, Timeline, TimelineEncoder},
@@ -65,10 +66,11 @@ pub fn cut<W: Write>(
     let mut take = TakeWriter::new(out, &header)?;
     source.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
     take.order(&source.map().order.extended(header.channels.len()))?;
+    recorded::write_groups(source.map(), &mut take)?;
     let mut left_out: Vec<String> = source.left_out().collect();
     let first_frame = source.first_frame();
     let frames = first_frame.saturating_add(rows.start)..first_frame.saturating_add(rows.end);
-    for part in &source.map().foreign {
+    for part in source.map().foreign.iter().filter(|part| part.kind != RECORDED) {
         match foreign::cut(part, &mut input, &frames, context)? {
             Some(found) => take.foreign_with_lost(&found.part, &found.lost)?,
             None => left_out.push(part.kind.clone()),
@@ -90,6 +92,7 @@ pub fn cut<W: Write>(
     if let Some(problem) = traversal.problems().first() {
         return Err(damaged(problem));
     }
+    recorded::cut(source, &mut input, &rows, &mut cutter.take)?;
     CutReport { left_out, ..cutter.finish()? }.into_result(&rows)
 }
 

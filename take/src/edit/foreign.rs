@@ -15,7 +15,7 @@ use crate::{
         content::{PartStore, ScratchFile, Spool},
     },
     interchange::c3d::sample_parts,
-    sampled::{LostSamples, SampledPart},
+    sampled::{LostSamples, RECORDED, SampledPart},
 };
 
 /// How the content of a part relates to frames.
@@ -125,7 +125,8 @@ pub(super) fn join<R: Read + Seek>(
     context: &EditContext<'_>,
 ) -> Result<JoinedParts, TakeError> {
     let mut kinds: Vec<&str> = Vec::new();
-    for part in sources.iter().flat_map(|source| &source.map().foreign) {
+    let parts = sources.iter().flat_map(|source| &source.map().foreign);
+    for part in parts.filter(|part| part.kind != RECORDED) {
         if !kinds.contains(&part.kind.as_str()) {
             kinds.push(&part.kind);
         }

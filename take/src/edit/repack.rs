@@ -16,12 +16,13 @@ use mocapd_codec::{
 pub use self::check::check_repacked;
 
 use self::joining::{StretchJoiner, Waiting, stated};
-use super::{EditContext, SourceTake, damaged, foreign};
+use super::{EditContext, SourceTake, damaged, foreign, recorded};
 use crate::{
     ChannelOrder, TakeError, TakeEvent, TakeTraversal, TakeWriter,
     frames::TakeFrames,
     motion_encoder::{EncodePlan, MotionWriter, stretch_rows},
     record::{Header, KeyDistance},
+    sampled::RECORDED,
     statistics::{BlockTally, StretchTally},
     stretch::{CopiedStretch, NUMBERS, Span, Stretch, is_alone, put_block, put_renumbered},
     timeline::Timeline,
@@ -95,7 +96,8 @@ pub fn repack<W: Write>(
     let mut take = TakeWriter::new(out, &header)?;
     map.subject.iter().try_for_each(|subject| take.subject(subject))?;
     take.order(&map.order)?;
-    for part in &map.foreign {
+    recorded::write_groups(map, &mut take)?;
+    for part in map.foreign.iter().filter(|part| part.kind != RECORDED) {
         let whole = foreign::read_whole(part, &mut input, context)?;
         take.foreign_with_lost(&whole.part, &whole.lost)?;
     }
@@ -130,6 +132,7 @@ pub fn repack<W: Write>(
     for clock in &source.clocks {
         take.clock(clock)?;
     }
+    recorded::copy(map, &mut input, &mut take)?;
     take.close(&map.ledger.clone().unwrap_or_default(), map.ending.clone())?;
     report.bytes = take.bytes();
     Ok(report)

@@ -85,7 +85,8 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
             | types::INDEX
             | types::FOOTER
             | types::SAMPLED_GROUP
-            | types::SAMPLES => chunks.is_whole(chunk_bytes)?,
+            | types::SAMPLES
+            | types::SAMPLE_TIMES => chunks.is_whole(chunk_bytes)?,
             _ if types::ALL.contains(&kind) => {
                 let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
                 add_record(&mut map, kind, &payload, offset)
@@ -133,7 +134,7 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
         Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
         Ok(Some(event)) => map.add_content(event, offset, payload.len() as u64),
         // A newer version that a reader may skip.
-        Err(TakeError::Unsupported { .. }) if kind & MAY_SKIP != 0 => {}
+        Err(TakeError::Unsupported { .. }) if kind & MAY_SKIP != 0 => map.later_samples.skip(kind),
         Err(_) => return false,
         // MODEL, which this version does not read.
         Ok(None) => return kind & MAY_SKIP != 0,

@@ -10,9 +10,10 @@ use crate::{
     foreign::{self, ForeignPart, InflateCheck},
     index::{Footer, parse_index},
     record::{
-        Clock, Event, Header, Ledger, MoreChannels, Record, SampledGroup, Subject, SummaryRecord,
+        Clock, Event, Header, Ledger, MoreChannels, Record, SampleLedger, SampledGroup, Subject,
+        SummaryRecord,
     },
-    sampled::SamplesChunk,
+    sampled::{SampleTimes, SamplesChunk},
     stretch::{self, CHANNELS_MAX, Placement, StretchChain},
 };
 
@@ -212,6 +213,10 @@ pub(crate) fn record(
         types::CLOCK => TakeEvent::Clock(Box::new(Clock::from_payload(payload, offset)?)),
         types::SUMMARY => TakeEvent::Summary(SummaryRecord::from_payload(payload, offset)?),
         types::INDEX => TakeEvent::Index(parse_index(payload, offset)?),
+        types::SAMPLE_TIMES => TakeEvent::SampleTimes(SampleTimes::from_payload(payload, offset)?),
+        types::SAMPLE_LEDGER => {
+            TakeEvent::SampleLedger(Box::new(SampleLedger::from_payload(payload, offset)?))
+        }
         types::SAMPLED_GROUP => {
             TakeEvent::SampledGroup(Box::new(SampledGroup::from_chunk_payload(payload, offset)?))
         }

@@ -5,7 +5,9 @@ use std::fmt;
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 
-use super::{Header, Record, deflate, inflate, put_section, section_content, statistics};
+use super::{
+    Header, Record, SampleLedger, deflate, inflate, put_section, section_content, statistics,
+};
 use crate::{ChannelOrder, TakeError, chunk::types, statistics::TakeStatistics, varint::Cursor};
 
 /// Longest payload: two records at their limit of 4 MiB, which leaves room for copies of the header and the channel
@@ -32,6 +34,7 @@ const STATISTICS_TAG: u64 = 3;
 
 /// The section that holds a [`ChannelOrder`].
 const ORDER_TAG: u64 = 5;
+const SAMPLE_LEDGER_TAG: u64 = 6;
 
 /// Why a take ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -187,6 +190,8 @@ pub struct SummaryRecord {
     pub statistics: Option<TakeStatistics>,
     /// The order of the markers in the source; `None` if not stated.
     pub order: Option<ChannelOrder>,
+    /// The last ledger of sampled channels; `None` if the take has none.
+    pub sample_ledger: Option<SampleLedger>,
 }
 
 impl SummaryRecord {
@@ -216,6 +221,9 @@ impl SummaryRecord {
         }
         if let Some(order) = &self.order {
             put_section(&mut out, ORDER_TAG, &order.to_payload());
+        }
+        if let Some(ledger) = &self.sample_ledger {
+            put_section(&mut out, SAMPLE_LEDGER_TAG, &ledger.to_payload()?);
         }
         if out.len() > SUMMARY_BYTES_MAX {
             return Err(TakeError::InvalidArgument(format!(
@@ -253,6 +261,7 @@ impl SummaryRecord {
                 HEADER_TAG => summary.header.is_some(),
                 STATISTICS_TAG => summary.statistics.is_some(),
                 ORDER_TAG => summary.order.is_some(),
+                SAMPLE_LEDGER_TAG => summary.sample_ledger.is_some(),
                 _ => continue,
             };
             if is_twice {
@@ -273,6 +282,9 @@ impl SummaryRecord {
             ENDING_TAG => self.ending = Some(TakeEnding::from_payload(section, offset)?),
             HEADER_TAG => self.header = Some(Box::new(header_of_section(section, offset)?)),
             STATISTICS_TAG => self.statistics = Some(statistics::of_section(section, offset)?),
+            SAMPLE_LEDGER_TAG => {
+                self.sample_ledger = Some(SampleLedger::from_payload(section, offset)?);
+            }
             _ => self.order = Some(ChannelOrder::from_payload(section, offset)?),
         }
         Ok(())

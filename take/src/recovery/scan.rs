@@ -8,14 +8,16 @@ use crate::{
     chunk::types,
     damage::{DamageOrigin, LedgerTotals, LostRows, Problem},
     reader::TakeInput,
-    record::{Channel, EndingKind, Header, Ledger, TakeEnding},
+    record::{Channel, EndingKind, Header, Ledger, SampleLedger, TakeEnding},
     statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
     stretch::{NUMBERS, Span, Stretch},
     traversal::{Decode, LocatedEvent, LostEntries, Progress, TakeTraversal},
 };
 
 /// Maximum number of chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the
-/// shortest stretches, 50 ms, and half a gigabyte. Only a crafted file has more.
+/// shortest stretches, 50 ms, and half a gigabyte. Only a crafted file has more. Chunks of samples and of their times that
+/// belong to a group are not counted, so that they never cost the markers: the map of the take, which the recovery reads,
+/// holds each of them too, and its limits by group are theirs.
 const CHUNKS_MAX: usize = 1 << 23;
 
 /// Counts of one channel, over the whole take.
@@ -50,6 +52,8 @@ pub struct RecoveryScan {
     pub recorded: u64,
     /// The ledger of the new take.
     pub ledger: Ledger,
+    /// The ledger of the samples of the new take, if it is of a recording that has some.
+    pub sample_ledger: Option<SampleLedger>,
     /// The ending that the new take states: the ending of the old take, or that it was cut off.
     pub ending: Option<TakeEnding>,
     /// Whether the old take was closed: its last ledger exists, if not its footer.
@@ -140,6 +144,10 @@ struct RecoveryScanner {
     closed: bool,
     /// A ledger before the last that contradicts the stretches before it.
     contradiction: Option<Problem>,
+    /// Chunks of samples and their times in `output`.
+    n_sample_chunks: usize,
+    /// File offsets of the chunks of sampled channels of later versions, which are copied; in order.
+    later_samples_at: Vec<u64>,
     /// The order of the markers according to the summary.
     stated_order: Option<ChannelOrder>,
 }
@@ -170,6 +178,8 @@ impl RecoveryScanner {
             // Which samples can be kept is known when all were read.
             TakeEvent::SampledGroup(_) => (types::SAMPLED_GROUP, ChunkAction::Copy(None)),
             TakeEvent::Samples(_) => (types::SAMPLES, ChunkAction::Copy(None)),
+            TakeEvent::SampleTimes(_) => (types::SAMPLE_TIMES, ChunkAction::Copy(None)),
+            TakeEvent::SampleLedger(_) => (types::SAMPLE_LEDGER, ChunkAction::Rewrite),
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
                 self.ledger.mark_ledger();
@@ -197,7 +207,10 @@ impl RecoveryScanner {
                 self.closed = true;
                 (types::FOOTER, ChunkAction::Rewrite)
             }
-            TakeEvent::Skipped { kind } => (*kind, ChunkAction::Copy(None)),
+            TakeEvent::Skipped { kind } => {
+                self.remember_skipped(*kind, found.offset);
+                (*kind, ChunkAction::Copy(None))
+            }
             TakeEvent::Damaged { kind, .. } => {
                 if self.recovered[ChunkKind::Header as usize] > 0 {
                     self.missing_at.get_or_insert(self.output.len());
@@ -210,13 +223,24 @@ impl RecoveryScanner {
             TakeEvent::Repaired { .. } | TakeEvent::End { .. } => return Ok(()),
         };
         self.add_chunk(found, kind, action);
-        if self.output.len() > CHUNKS_MAX {
+        self.end_row = progress.end_row();
+        self.check_limit(progress.take.samples_orphaned)
+    }
+
+    fn check_limit(&self, samples_orphaned: u64) -> Result<(), TakeError> {
+        let of_groups = self.n_sample_chunks.saturating_sub(samples_orphaned as usize);
+        if self.output.len().saturating_sub(of_groups) > CHUNKS_MAX {
             return Err(TakeError::InvalidArgument(format!(
-                "the file has more than {CHUNKS_MAX} chunks, the most that a recovery can hold"
+                "the file has more than {CHUNKS_MAX} chunks besides those of samples, the most that a recovery can hold"
             )));
         }
-        self.end_row = progress.end_row();
         Ok(())
+    }
+
+    fn remember_skipped(&mut self, kind: u8, offset: u64) {
+        if matches!(kind, types::SAMPLED_GROUP | types::SAMPLE_TIMES) {
+            self.later_samples_at.push(offset);
+        }
     }
 
     fn add_chunk(&mut self, found: &LocatedEvent<'_>, kind: u8, action: ChunkAction) {
@@ -230,6 +254,8 @@ impl RecoveryScanner {
             ChunkAction::Rewrite => self.recovered[index] += 1,
             ChunkAction::Copy(span) => {
                 self.recovered[index] += 1;
+                self.n_sample_chunks +=
+                    usize::from(matches!(kind, types::SAMPLES | types::SAMPLE_TIMES));
                 self.output.push(OutputChunk::Copied { offset, len, kind, span });
             }
         }
@@ -281,10 +307,11 @@ impl RecoveryScanner {
                 OutputChunk::Copied {
                     offset,
                     len,
-                    kind: kind @ (types::SAMPLED_GROUP | types::SAMPLES),
+                    kind: kind @ (types::SAMPLED_GROUP | types::SAMPLES | types::SAMPLE_TIMES),
                     ..
                 } => {
-                    if !samples.keeps(offset) {
+                    let is_later = self.later_samples_at.binary_search(&offset).is_ok();
+                    if !is_later && !samples.keeps(offset) {
                         left_out.push((kind, len));
                         return Vec::new();
                     }
@@ -359,6 +386,7 @@ impl RecoveryScanner {
             output: self.output,
             names_lost: self.names_lost,
             samples_lost_of: samples.kinds,
+            sample_ledger: samples.ledger,
             contradicted: self.contradiction.is_some() || lacks_ledger,
         };
         scan.problems.extend(self.contradiction);

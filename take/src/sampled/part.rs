@@ -8,20 +8,25 @@ use std::{
 
 use mocapd_codec::sampled::SampledDecoder;
 
-use super::{SampleContent, SampleSpan, SamplesChunk, fits};
+use super::{
+    RECORDED, SampleAnchor, SampleClock, SampleContent, SampleSpan, SampleTimes, SamplesChunk, fits,
+};
 use crate::{
     TakeError,
     foreign::content::{Content, ScratchFile, Spool},
     interchange::c3d::columns::{
         ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered, word,
     },
-    record::{SampleForm, SampledGroup},
+    record::{GroupLedger, SAMPLES_MAX, SampleForm, SampleLedger, SampledGroup},
     timeline::LossCauses,
 };
 
-/// Most SAMPLES chunks that a reader remembers of a part, in 64 MiB: a group of a recording has one in half a second,
-/// which makes six days. Only a crafted file has more.
-const CHUNKS_MAX: usize = 1 << 20;
+/// Most SAMPLES chunks that a reader remembers of a part, in 256 MiB: a group of a recording has one in half a second,
+/// which makes 24 days, and two of the shortest stretches. Only a crafted file has more.
+const CHUNKS_MAX: usize = 1 << 22;
+
+/// Most times of samples that a reader remembers of a group, in 256 MiB: a recorder writes two for each block.
+const ANCHORS_MAX: usize = 2 * CHUNKS_MAX;
 
 /// Samples that a take does not have, of all channels of a group.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,6 +48,12 @@ pub struct GroupSamples {
     pub group: SampledGroup,
     /// In the order of the file.
     chunks: Vec<SamplesChunk>,
+    /// The times of some samples, in ascending order of these; only in a recording.
+    anchors: Vec<SampleAnchor>,
+    /// File offsets of the chunks that state them.
+    times_at: Vec<u64>,
+    /// The number of samples that a ledger states.
+    n_stated: u64,
     /// Size of all its chunks.
     pub stored_bytes: u64,
     /// File offset of the chunk that describes it.
@@ -70,14 +81,22 @@ pub(crate) enum SampleRun<'a> {
 impl GroupSamples {
     /// A group whose chunk is at file offset `offset` and has `chunk_bytes`.
     pub(crate) fn new(group: SampledGroup, offset: u64, chunk_bytes: u64) -> Self {
-        Self { group, chunks: Vec::new(), stored_bytes: chunk_bytes, offset }
+        let (chunks, anchors, times_at) = (Vec::new(), Vec::new(), Vec::new());
+        Self { group, chunks, anchors, times_at, n_stated: 0, stored_bytes: chunk_bytes, offset }
     }
 
     /// Samples of each channel, lost ones included.
     #[must_use]
     pub fn n_samples(&self) -> u64 {
         let found = self.chunks.last().map_or(0, |chunk| chunk.span.end());
-        self.group.n_samples.unwrap_or(found)
+        self.group.n_samples.unwrap_or(found.max(self.n_stated))
+    }
+
+    /// A ledger states that the take had this many samples by then.
+    fn state(&mut self, ledger: &GroupLedger) {
+        if self.group.kind == RECORDED && ledger.taken <= SAMPLES_MAX {
+            self.n_stated = self.n_stated.max(ledger.taken);
+        }
     }
 
     /// Adds a chunk. Returns whether it belongs to the group: its samples follow those before.
@@ -89,6 +108,80 @@ impl GroupSamples {
             self.chunks.push(chunk);
         }
         belongs
+    }
+
+    /// Adds times of its samples. Returns whether they belong to the group: they follow those before.
+    fn push_times(&mut self, times: &SampleTimes, offset: u64, chunk_bytes: u64) -> bool {
+        let place = |anchor: &SampleAnchor| (anchor.run_start, anchor.number);
+        let (Some(first), Some(last)) = (times.anchors.first(), times.anchors.last()) else {
+            return false;
+        };
+        let belongs = self.group.kind == RECORDED
+            && last.run_start <= first.number
+            && self.anchors.last().is_none_or(|known| {
+                known.run_start <= first.run_start
+                    && known.number < first.number
+                    // A run begins behind the samples of the one before.
+                    && (known.run_start == first.run_start || known.number < first.run_start)
+            })
+            && self.anchors.len().saturating_add(times.anchors.len()) <= ANCHORS_MAX;
+        debug_assert!(times.anchors.is_sorted_by_key(place));
+        if belongs {
+            self.stored_bytes += chunk_bytes;
+            self.times_at.push(offset);
+            self.anchors.extend_from_slice(&times.anchors);
+        }
+        belongs
+    }
+
+    /// The stated times of samples, in order.
+    #[must_use]
+    pub fn anchors(&self) -> &[SampleAnchor] {
+        &self.anchors
+    }
+
+    /// The times of all samples of a recording, by the device's clock, which has `tick_hz`.
+    #[must_use]
+    pub fn clock(&self, tick_hz: u64) -> SampleClock<'_> {
+        SampleClock::new(&self.anchors, &self.chunks, self.group.rate_hz, tick_hz)
+    }
+
+    /// The counts of its chunks whose file offset `counts`: those of a ledger, except duplicates and jumps.
+    pub(crate) fn ledger(&self, counts: impl Fn(u64) -> bool) -> GroupLedger {
+        let mut ledger = GroupLedger { group: self.group.number, ..GroupLedger::default() };
+        for chunk in self.chunks.iter().filter(|chunk| counts(chunk.offset)) {
+            ledger.count(chunk.span.content, chunk.span.n);
+        }
+        ledger
+    }
+
+    /// The ledger that its chunks give, except duplicates and jumps, which they do not show.
+    #[must_use]
+    pub fn found_ledger(&self) -> GroupLedger {
+        self.ledger(|_| true)
+    }
+
+    /// Its chunks of samples: what each holds, and the file offset and size of its block.
+    pub(crate) fn stored(&self) -> impl Iterator<Item = (SampleSpan, u64, u64)> {
+        self.chunks.iter().map(|chunk| (chunk.span, chunk.block_at, chunk.block_bytes))
+    }
+
+    /// Decodes all samples of the group. `each` receives the number of the first sample, the number of samples of each
+    /// channel and the samples, channel after channel, or `None` where they are lost.
+    ///
+    /// # Errors
+    /// `Io`, and those of `each`.
+    pub fn read(
+        &self,
+        input: &mut (impl Read + Seek),
+        mut each: impl FnMut(u64, u64, Option<&[f32]>) -> io::Result<()>,
+    ) -> Result<Vec<LostSamples>, TakeError> {
+        let mut first = 0;
+        self.decode(input, |n, samples| {
+            each(first, n, samples)?;
+            first += n;
+            Ok(())
+        })
     }
 
     /// All samples in order. `each` receives them run by run.
@@ -145,7 +238,12 @@ impl GroupSamples {
 
     /// File offsets of its chunks of samples.
     pub(crate) fn chunk_offsets(&self) -> impl Iterator<Item = u64> {
-        self.chunks.iter().map(|chunk| chunk.offset)
+        self.chunks.iter().map(|chunk| chunk.offset).chain(self.times_offsets())
+    }
+
+    /// File offsets of its chunks of times.
+    pub(crate) fn times_offsets(&self) -> impl Iterator<Item = u64> {
+        self.times_at.iter().copied()
     }
 
     /// What a recovery writes of the group, given the samples whose blocks cannot be decoded.
@@ -176,6 +274,23 @@ impl GroupSamples {
         }
         lose(&mut kept, next, self.n_samples());
         kept
+    }
+
+    /// Decodes its samples run by run.
+    pub(crate) fn reader(&self) -> GroupReader<'_> {
+        let mut runs = Vec::new();
+        let Ok(()) = self.runs(|run| {
+            runs.push(match run {
+                SampleRun::Block(chunk) => (chunk.span, Some((chunk.block_at, chunk.block_bytes))),
+                SampleRun::Lost { first, n, causes } => {
+                    let content = SampleContent::Lost(causes.unwrap_or(LossCauses::DAMAGED));
+                    (SampleSpan { group: self.group.number, first, n, content }, None)
+                }
+            });
+            Ok::<_, Infallible>(())
+        });
+        let (decoder, block) = (SampledDecoder::new(), Vec::new());
+        GroupReader { group: self, runs: runs.into_iter(), decoder, block }
     }
 
     /// Decodes all samples in order. `each` receives the number of samples of each channel and the samples, channel
@@ -212,6 +327,40 @@ impl GroupSamples {
             Ok::<_, TakeError>(())
         })?;
         Ok(undecodable)
+    }
+}
+
+/// A run of samples, and the samples channel after channel, if they are there.
+pub(crate) type DecodedRun<'a> = (SampleSpan, Option<&'a [f32]>);
+
+/// Decodes the samples of a group one run after another, so that two groups can be read in step.
+#[derive(Debug)]
+pub(crate) struct GroupReader<'a> {
+    group: &'a GroupSamples,
+    /// With the place of the block, unless the samples are lost.
+    runs: std::vec::IntoIter<(SampleSpan, Option<(u64, u64)>)>,
+    decoder: SampledDecoder,
+    block: Vec<u8>,
+}
+
+impl GroupReader<'_> {
+    /// The next run: its span and its samples, channel after channel, or `None` where they are lost or cannot be decoded.
+    pub(crate) fn next(
+        &mut self,
+        input: &mut (impl Read + Seek),
+    ) -> Result<Option<DecodedRun<'_>>, TakeError> {
+        let Some((span, place)) = self.runs.next() else { return Ok(None) };
+        let Some((at, bytes)) = place else { return Ok(Some((span, None))) };
+        input.seek(SeekFrom::Start(at))?;
+        self.block.clear();
+        input.by_ref().take(bytes).read_to_end(&mut self.block)?;
+        let n_channels = self.block.first().map(|head| usize::from(head & 0x7f));
+        let fits = n_channels == Some(self.group.group.channels.len());
+        let block = if fits { &self.block[..] } else { &[] };
+        let is_key = span.content == SampleContent::Key;
+        let decoded = self.decoder.decode(block, span.n as usize, is_key).ok();
+        let form = self.group.group.form;
+        Ok(Some((span, decoded.filter(|samples| are_of_form(samples, form)))))
     }
 }
 
@@ -268,7 +417,11 @@ impl SampledPart {
     #[expect(clippy::result_large_err, reason = "it is no error: the group begins another part")]
     pub(crate) fn push_group(&mut self, group: GroupSamples) -> Result<(), GroupSamples> {
         let end = self.groups.last().map_or(0, |last| last.channels()[1]);
-        if group.group.kind != self.kind() || u64::from(group.group.first_channel) < end {
+        let is_recorded = self.kind() == RECORDED;
+        if is_recorded
+            || group.group.kind != self.kind()
+            || u64::from(group.group.first_channel) < end
+        {
             return Err(group);
         }
         self.groups.push(group);
@@ -284,6 +437,21 @@ impl SampledPart {
         let belongs = group.push(chunk, chunk_bytes);
         self.n_chunks += usize::from(belongs);
         belongs
+    }
+
+    /// Adds times of samples if they are of one of the groups. Returns whether they are.
+    pub(crate) fn push_times(&mut self, times: &SampleTimes, offset: u64, bytes: u64) -> bool {
+        let mut groups = self.groups.iter_mut();
+        let found = groups.find(|found| found.group.number == times.group);
+        found.is_some_and(|group| group.push_times(times, offset, bytes))
+    }
+
+    /// Adds what a ledger states of its groups.
+    pub(crate) fn state(&mut self, ledger: &SampleLedger) {
+        for group in &mut self.groups {
+            let stated = ledger.groups.iter().find(|of| of.group == group.group.number);
+            stated.into_iter().for_each(|stated| group.state(stated));
+        }
     }
 
     /// Samples of each channel, lost ones included.

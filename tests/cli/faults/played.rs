@@ -14,9 +14,11 @@ use mocapd_drivers::{
     link::HostLink,
 };
 use mocapd_simulator::{
-    device::{Device, DeviceSettings, LineDevice, SentFrame, SentLog},
-    faults::{Fate, FaultyDevice, FrameFate, KINDS, Kind, Kinds, Script},
+    device::{Device, DeviceSettings, LineDevice, SentBatch, SentFrame, SentLog},
+    faults::{BatchFate, Fate, FaultyDevice, FrameFate, KINDS, Kind, Kinds, Script},
+    generator::{ForcePlates, JumpSpec},
     pty::{PtyLine, ServeOptions, serve},
+    sampled::SampledSource,
 };
 use mocapd_take::motion::Motion;
 use serde_json::Value;
@@ -35,6 +37,8 @@ pub(super) struct Played {
     pub(super) sent: SentLog,
     /// Every frame in the order in which the device produced it.
     pub(super) fates: Vec<FrameFate>,
+    /// Every batch of samples, likewise.
+    pub(super) batches: Vec<BatchFate>,
 }
 
 fn motion() -> Motion {
@@ -45,7 +49,7 @@ fn motion() -> Motion {
 pub(crate) fn record_from(
     folder: &Folder,
     mut device: impl LineDevice + Send + 'static,
-    log: Option<Box<dyn Write + Send>>,
+    [log, batch_log]: [Option<Box<dyn Write + Send>>; 2],
     options: &[&str],
 ) -> (Ran, SentLog) {
     let link = folder.path("rig");
@@ -53,7 +57,7 @@ pub(crate) fn record_from(
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
     let thread = Builder::new().name("simulator".to_owned()).spawn(move || {
-        let options = ServeOptions { log, ..ServeOptions::default() };
+        let options = ServeOptions { log, batch_log, ..ServeOptions::default() };
         serve(&mut line, &mut device, options, &stopped).unwrap()
     });
     let uri = format!("serial:{}", link.display());
@@ -65,10 +69,20 @@ pub(crate) fn record_from(
     (ran, sent)
 }
 
+/// The sampled channels of the device: two force plates and five electrodes.
+pub(super) fn sources() -> Vec<SampledSource> {
+    let plates = Arc::new(ForcePlates::new(&JumpSpec::new(1, RATE_HZ)).unwrap());
+    vec![
+        SampledSource::plates(0, plates, 1000.0).unwrap(),
+        SampledSource::electrodes(1, "5@2kHz".parse().unwrap(), 9).unwrap(),
+    ]
+}
+
 fn settings(script: &Arc<Script>) -> DeviceSettings {
     // A busy machine must not make the device drop frames; a stall must.
     let queue_bytes = if script.has(Kind::Stall) { None } else { Some(64 << 20) };
-    DeviceSettings { queue_bytes, faults: Some(Arc::clone(script)), ..DeviceSettings::default() }
+    let (sampled, faults) = (sources(), Some(Arc::clone(script)));
+    DeviceSettings { queue_bytes, faults, sampled, ..DeviceSettings::default() }
 }
 
 /// A log file that the test reads when the device is done.
@@ -96,12 +110,13 @@ pub(super) fn play(folder: &Folder, script: &Script) -> Played {
     let script = Arc::new(script.clone());
     let device = Device::new(motion(), settings(&script)).unwrap();
     let device = FaultyDevice::new(device, &script);
-    let log = SharedLog::default();
-    let (ran, sent) = record_from(folder, device, Some(Box::new(log.clone())), &["-o", "a.take"]);
-    let log = log.text();
+    let logs = [SharedLog::default(), SharedLog::default()];
+    let [log, batch_log] = logs.clone().map(|log| Some(Box::new(log) as Box<dyn Write + Send>));
+    let (ran, sent) = record_from(folder, device, [log, batch_log], &["-o", "a.take"]);
+    let [log, batch_log] = logs.map(|log| log.text());
     let report = ran.json();
     let info = folder.run(&["info", "a.take", "--json"]).json();
-    Played { ran, report, info, sent, fates: fates(&log) }
+    Played { ran, report, info, sent, fates: fates(&log), batches: batch_fates(&batch_log) }
 }
 
 /// Reads the log file back.
@@ -109,6 +124,33 @@ pub(crate) fn fates(log: &str) -> Vec<FrameFate> {
     let mut lines = log.lines();
     assert_eq!(lines.next(), Some(FrameFate::CSV_HEADER));
     lines.map(|line| fate_of(line).unwrap_or_else(|| panic!("{line}"))).collect()
+}
+
+/// Reads the log file of batches back.
+fn batch_fates(log: &str) -> Vec<BatchFate> {
+    let mut lines = log.lines();
+    assert_eq!(lines.next(), Some(BatchFate::CSV_HEADER));
+    lines.map(|line| batch_fate_of(line).unwrap_or_else(|| panic!("{line}"))).collect()
+}
+
+/// Parses a batch from a line of its log file; `None` for other lines.
+fn batch_fate_of(line: &str) -> Option<BatchFate> {
+    let cells: Vec<&str> = line.split(',').collect();
+    let number = |i: usize| cells.get(i)?.parse::<u64>().ok();
+    let frame = SentBatch {
+        run: number(0)?,
+        group: number(1)? as u8,
+        number: number(2)? as u32,
+        first: number(3)?,
+        first_in_run: number(4)?,
+        n: number(5)?,
+        device_ticks: number(6)?,
+        dropped: number(7)? == 1,
+        host_ns: number(8)?,
+    };
+    let (fate, again) = (fate_named(cells.get(9)?)?, number(10)? as u32);
+    let (faults, frames) = (kinds_named(cells.get(11)?)?, number(12)?);
+    Some(BatchFate { frame, frames, fate, again, faults })
 }
 
 /// The contents of each frame in the log.
@@ -152,7 +194,6 @@ fn commands_in_virtual_time(script: &Script) -> Vec<Vec<MarkerSample>> {
 
 /// Parses a frame from a line of the log file; `None` for other lines.
 fn fate_of(line: &str) -> Option<FrameFate> {
-    use Fate::{Damaged, Discarded, Dropped, Late, Lost, Unasked, Waiting, Whole};
     let mut cells = line.split(',');
     let mut cell = || cells.next();
     let frame = SentFrame {
@@ -164,14 +205,23 @@ fn fate_of(line: &str) -> Option<FrameFate> {
         host_ns: cell()?.parse().ok()?,
         unasked: cell()? == "1",
     };
-    let name = cell()?;
-    let fates = [Whole, Late, Unasked, Damaged, Lost, Dropped, Discarded, Waiting];
-    let fate = fates.into_iter().find(|fate| fate.name() == name)?;
+    let fate = fate_named(cell()?)?;
     let again = cell()?.parse().ok()?;
-    let mut faults = Kinds::default();
-    for name in cell()?.split('+').filter(|name| !name.is_empty()) {
-        faults.add(Kinds::of(KINDS.iter().find(|keys| keys.name == name)?.kind));
-    }
+    let faults = kinds_named(cell()?)?;
     let frames = cell()?.parse().ok()?;
     Some(FrameFate { frame, frames, fate, again, faults })
+}
+
+fn fate_named(name: &str) -> Option<Fate> {
+    use Fate::{Damaged, Discarded, Dropped, Late, Lost, Unasked, Waiting, Whole};
+    let fates = [Whole, Late, Unasked, Damaged, Lost, Dropped, Discarded, Waiting];
+    fates.into_iter().find(|fate| fate.name() == name)
+}
+
+fn kinds_named(names: &str) -> Option<Kinds> {
+    let mut faults = Kinds::default();
+    for name in names.split('+').filter(|name| !name.is_empty()) {
+        faults.add(Kinds::of(KINDS.iter().find(|keys| keys.name == name)?.kind));
+    }
+    Some(faults)
 }

@@ -62,6 +62,11 @@ impl ClockTracker {
         self.model.close(&mut |item| self.queue.send(item));
     }
 
+    /// The present segment of the device's clock.
+    pub(super) fn segment(&self) -> u32 {
+        self.model.segment()
+    }
+
     pub(super) fn status(&self) -> ClockStatus {
         ClockStatus { stored: self.queue.sent, ..self.model.status() }
     }

@@ -197,6 +197,11 @@ impl Intake {
         let fill = |ring: &RingProducer<Sample>| ring.fill_permille();
         let fullest = self.rings[..self.n_channels].iter().map(fill).max().unwrap_or(0);
         self.progress.ring_fill_permille.store(fullest, Ordering::Relaxed);
+        // Boundaries have no rows.
+        let (stretch, is_boundary) = (self.feed.next_stretch(), end.span.n_rows == 0);
+        let segment = self.clocks.segment();
+        self.samples.end_stretch(stretch, end.span.key, is_boundary, segment);
+        self.blocks_since_ns = self.now_ns;
         if !self.feed.end_stretch(end, self.counts()) {
             self.progress.failed.store(true, Ordering::Relaxed);
         }

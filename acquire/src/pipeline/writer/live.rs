@@ -9,11 +9,14 @@ use std::{
 use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, ClockLine, EndingKind, Event, EventKind, Ledger, TakeEnding},
+    record::{
+        Channel, ClockLine, EndingKind, Event, EventKind, Ledger, SampleLedger, SampledGroup,
+        TakeEnding,
+    },
     stretch::{NUMBERS, Span, put_renumbered},
 };
 
-use super::clocks::ClockWriter;
+use super::{clocks::ClockWriter, samples::TakeSamples};
 use crate::{
     clock::ClockStatus,
     files::FileState,
@@ -23,9 +26,18 @@ use crate::{
         commands::Reply,
         disk::DiskReserve,
         lock,
-        messages::{FrameTimes, PartReport, StretchReport},
+        messages::{FrameTimes, PartReport, SamplePart, StretchReport},
     },
 };
+
+/// Where a take begins.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::pipeline) struct TakePlace {
+    /// The pipeline's counters before it.
+    pub(in crate::pipeline) base: Counts,
+    /// The pipeline's row that is its row 0.
+    pub(in crate::pipeline) rows_before: u64,
+}
 
 /// An open take, from its header to its footer.
 #[derive(Debug)]
@@ -41,6 +53,11 @@ pub(in crate::pipeline) struct LiveTake {
     first_reported: bool,
     shifted: Vec<u8>,
     report: PartReport,
+    samples: TakeSamples,
+    /// Whether it was closed before all its samples were encoded.
+    misses_samples: bool,
+    /// The last ledger of its samples, once it is closed.
+    sample_ledger: Option<SampleLedger>,
     counts: Counts,
     sync_every: Duration,
     synced_bytes: u64,
@@ -53,19 +70,22 @@ pub(in crate::pipeline) struct LiveTake {
 }
 
 impl LiveTake {
-    /// Begins a take whose row 0 is the pipeline's row `rows_before`; `base` are the counters before it.
+    /// Begins a take with these groups of sampled channels.
     pub(in crate::pipeline) fn begin(
         new: NewTake,
         reply: &Reply,
-        base: Counts,
-        rows_before: u64,
+        place: TakePlace,
+        groups: &[SampledGroup],
         sync_every: Duration,
     ) -> anyhow::Result<Self> {
         let started = TakeWriter::new(new.output, &new.header).and_then(|mut take| {
             new.subject.map_or(Ok(()), |subject| take.subject(&subject))?;
-            Ok(take)
+            let samples = TakeSamples::begin(groups, &mut take)?;
+            Ok((take, samples))
         });
-        let take = started.context("cannot write the take's header").context(NothingRecorded)?;
+        let TakePlace { base, rows_before } = place;
+        let (take, samples) =
+            started.context("cannot write the take's header").context(NothingRecorded)?;
         let mut take = Self {
             take,
             reply: reply.clone(),
@@ -77,6 +97,9 @@ impl LiveTake {
             first_reported: false,
             shifted: Vec::new(),
             report: PartReport::default(),
+            samples,
+            misses_samples: false,
+            sample_ledger: None,
             counts: Counts::default(),
             sync_every,
             synced_bytes: 0,
@@ -90,9 +113,10 @@ impl LiveTake {
         Ok(take)
     }
 
-    /// Allocates the buffers.
-    pub(super) fn reserve(&mut self, stretch_bytes: usize) {
+    /// Allocates the buffers, for stretches and blocks of samples of up to these sizes.
+    pub(super) fn reserve(&mut self, stretch_bytes: usize, block_bytes: usize) {
         self.shifted.reserve(stretch_bytes);
+        self.take.reserve_samples(block_bytes);
     }
 
     pub(super) fn channel(&mut self, channel: &Channel) -> anyhow::Result<()> {
@@ -150,6 +174,16 @@ impl LiveTake {
         Ok(())
     }
 
+    /// Writes samples of a group of sampled channels.
+    pub(super) fn samples(&mut self, part: &SamplePart) -> anyhow::Result<()> {
+        self.samples.write(part, &mut self.take).context("cannot write samples")
+    }
+
+    /// Its last samples were not encoded in time.
+    pub(super) fn miss_samples(&mut self) {
+        self.misses_samples = true;
+    }
+
     /// Skips rows lost before the first key, which no reader could use: a take requested while nothing came begins with
     /// what came next. The absence of the device is not the take's loss, but frames that arrived and found the rings
     /// full are.
@@ -176,6 +210,7 @@ impl LiveTake {
         let ledger_is_due = self.ledgers.is_due(&self.counts, Instant::now());
         clocks.write(Some(&mut self.take), &self.counts.clock, ledger_is_due)?;
         if ledger_is_due {
+            self.write_sample_ledger(false)?;
             self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
         }
         self.poll_disk(progress);
@@ -186,6 +221,14 @@ impl LiveTake {
             self.sync_pending()?;
         }
         Ok(())
+    }
+
+    fn write_sample_ledger(&mut self, finished: bool) -> anyhow::Result<Option<SampleLedger>> {
+        let ledger = self.samples.ledger(finished, self.counts.batches_refused);
+        if let Some(ledger) = &ledger {
+            self.take.sample_ledger(ledger).context("cannot write the ledger of samples")?;
+        }
+        Ok(ledger)
     }
 
     pub(super) fn poll_disk(&mut self, progress: &PipelineProgress) {
@@ -299,6 +342,7 @@ impl LiveTake {
         TakeAccount {
             ledger,
             clock: self.counts.clock,
+            sample_ledger: self.sample_ledger.clone(),
             samples: self.report.samples,
             kept: self.report.kept,
             max_error_mm: self.report.max_error_mm,
@@ -320,7 +364,12 @@ impl LiveTake {
                 self.report.refused
             ));
         }
+        if self.misses_samples {
+            let text = "the last samples of sampled channels are missing: the processor was too slow to encode them in time";
+            ledger.contradictions.push(text.to_owned());
+        }
         let closing = "cannot close the take";
+        self.sample_ledger = self.write_sample_ledger(true)?;
         self.take.close(&ledger, Some(ending.clone())).context(closing)?;
         let file_bytes = self.take.bytes();
         self.take.get_mut().release(file_bytes).context(closing)?;
@@ -396,7 +445,7 @@ fn problem_counters(counts: &Counts) -> ProblemCounters {
         counts.events_dropped,
         counts.link.bytes_skipped,
         counts.link.messages_damaged,
-        counts.link.messages_unknown,
+        counts.link.messages_unknown + counts.batches_refused,
         counts.status.map_or(0, |status| status.frames_dropped),
     ]
 }

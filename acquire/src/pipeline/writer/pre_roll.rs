@@ -6,7 +6,7 @@ use mocapd_take::{record::Event, stretch::Span};
 
 use crate::pipeline::{
     Counts, PreRollConfig,
-    messages::{FrameTimes, StretchEnd, StretchReport},
+    messages::{FrameTimes, SamplePart, StretchEnd, StretchReport},
 };
 
 /// Events kept with the stretches: as many as may wait for the writer. Beyond this, the oldest are dropped.
@@ -40,6 +40,9 @@ pub(super) struct PreRollBuffer {
     bytes_max: usize,
     stretches: VecDeque<PreRollStretch>,
     events: VecDeque<(u64, Event)>,
+    /// Samples of sampled channels, by group in order of their stretches.
+    samples: VecDeque<SamplePart>,
+    sample_bytes: usize,
     bytes: usize,
     /// Whether stretches were dropped early because of the memory limit.
     cut: bool,
@@ -54,6 +57,8 @@ impl PreRollBuffer {
             bytes_max: config.bytes_max,
             stretches: VecDeque::with_capacity(usual),
             events: VecDeque::with_capacity(EVENTS_MAX),
+            samples: VecDeque::with_capacity(usual),
+            sample_bytes: 0,
             bytes: 0,
             cut: false,
         }
@@ -69,6 +74,7 @@ impl PreRollBuffer {
     ) {
         // A decoder can start only at a key.
         if self.stretches.is_empty() && !end.span.key {
+            self.drop_samples(stretch + 1);
             return;
         }
         let kept = PreRollStretch {
@@ -83,7 +89,40 @@ impl PreRollBuffer {
         };
         self.bytes += kept.bytes();
         self.stretches.push_back(kept);
-        self.trim(end.last_arrival_ns);
+        self.trim(end.last_arrival_ns, stretch);
+    }
+
+    /// Keeps samples of sampled channels.
+    pub(super) fn samples(&mut self, part: SamplePart) {
+        self.bytes += part.bytes();
+        self.sample_bytes += part.bytes();
+        self.samples.push_back(part);
+        self.evict_samples();
+    }
+
+    /// Drops the oldest samples while they need more than half of the memory: frames are kept before them. While no frame
+    /// comes, no stretch does either, and nothing else drops them.
+    fn evict_samples(&mut self) {
+        while self.sample_bytes > self.bytes_max / 2
+            && let Some(oldest) = self.samples.pop_front()
+        {
+            self.bytes -= oldest.bytes();
+            self.sample_bytes -= oldest.bytes();
+            self.cut = true;
+        }
+    }
+
+    /// The samples of stretches from `stretch` on.
+    pub(super) fn samples_from(&self, stretch: u64) -> impl Iterator<Item = &SamplePart> {
+        self.samples.iter().filter(move |part| part.stretch >= stretch)
+    }
+
+    /// Drops the samples of stretches before `stretch`.
+    fn drop_samples(&mut self, stretch: u64) {
+        while let Some(part) = self.samples.pop_front_if(|part| part.stretch < stretch) {
+            self.bytes -= part.bytes();
+            self.sample_bytes -= part.bytes();
+        }
     }
 
     pub(super) fn event(&mut self, stretch: u64, event: Event) {
@@ -140,8 +179,9 @@ impl PreRollBuffer {
     }
 
     /// Drops stretches that are older than configured, up to a key at a time.
-    fn trim(&mut self, newest_ns: u64) {
+    fn trim(&mut self, newest_ns: u64, newest: u64) {
         let from_ns = newest_ns.saturating_sub(self.time_ns);
+        self.evict_samples();
         let mut over = self.bytes > self.bytes_max;
         while let Some(next_key) = self.next_key() {
             let is_old = self.stretches[next_key].first.arrival_ns <= from_ns;
@@ -150,6 +190,8 @@ impl PreRollBuffer {
             }
             self.cut |= !is_old;
             self.drop_first(next_key);
+            let first = self.stretches.front().map_or(newest + 1, |kept| kept.stretch);
+            self.drop_samples(first);
             over = self.bytes > self.bytes_max;
         }
         if over {
@@ -157,6 +199,8 @@ impl PreRollBuffer {
             self.cut = true;
             self.drop_first(self.stretches.len());
         }
+        let first = self.stretches.front().map_or(newest + 1, |kept| kept.stretch);
+        self.drop_samples(first);
         let first = self.stretches.front().map_or(u64::MAX, |kept| kept.stretch);
         while self.events.front().is_some_and(|(stretch, _)| *stretch < first) {
             self.events.pop_front();

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use anyhow::anyhow;
 use mocapd_take::record::{EndingKind, Event, TakeEnding};
 
-use super::{LiveTake, Writer};
+use super::{LiveTake, TakePlace, Writer};
 use crate::{
     files::FileState,
     pipeline::{
@@ -123,7 +123,9 @@ impl Writer {
         };
         take.header.channels = self.table.iter().map(|(_, channel)| channel.clone()).collect();
         let (reply, base) = (Reply::of_series(ended), self.counts.in_rows());
-        let mut next = match LiveTake::begin(take, &reply, base, first_row, self.sync_every) {
+        let place = TakePlace { base, rows_before: first_row };
+        let begun = LiveTake::begin(take, &reply, place, &self.samples.groups, self.sync_every);
+        let mut next = match begun {
             Ok(next) => next,
             Err(error) => {
                 progress.add_notice(format!("{name}: {error:#}; {goes_on}"));
@@ -131,7 +133,7 @@ impl Writer {
                 return false;
             }
         };
-        next.reserve(self.payload.capacity());
+        next.reserve(self.payload.capacity(), self.samples.block_bytes_max());
         let Some(open) = self.live.take() else { return false };
         let ending = TakeEnding::new(EndingKind::Length, format!("continued in {name}"));
         let is_closed = open.end(&base, &mut self.clocks, ending);

@@ -6,11 +6,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
+use mocapd_drivers::link::GROUPS_MAX;
 use mocapd_drivers::raw_log::MAGIC;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
-use mocapd_simulator::generator::{JumpSpec, Occlusion};
+use mocapd_simulator::generator::{ForcePlates, JumpSpec, Occlusion};
 use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
+use mocapd_simulator::sampled::SampledSource;
 use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
 use mocapd_take::motion::Motion;
 
@@ -23,15 +25,20 @@ const GENERATED_RATE_HZ: f64 = 120.0;
 /// Mean length of generated gaps, seconds: the time that a limb takes to pass in front of a marker.
 const MEAN_GAP_S: f64 = 0.2;
 
+/// The generated motion, if one was asked for.
+fn generated(args: &ServeArgs) -> Option<JumpSpec> {
+    let Generated { seed } = args.generate?;
+    let rate_hz = args.rate.unwrap_or(GENERATED_RATE_HZ);
+    let seconds = args.seconds.as_ref().map(Duration::as_secs_f64);
+    let mut spec = JumpSpec { seconds, ..JumpSpec::new(seed, rate_hz) };
+    spec.n_markers = args.markers.unwrap_or(spec.n_markers);
+    spec.noise_mm = args.noise.unwrap_or(spec.noise_mm);
+    spec.occlusion = args.occlusion.map(|fraction| Occlusion { fraction, mean_gap_s: MEAN_GAP_S });
+    Some(spec)
+}
+
 pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
-    if let Some(Generated { seed }) = args.generate {
-        let rate_hz = args.rate.unwrap_or(GENERATED_RATE_HZ);
-        let seconds = args.seconds.as_ref().map(Duration::as_secs_f64);
-        let mut spec = JumpSpec { seconds, ..JumpSpec::new(seed, rate_hz) };
-        spec.n_markers = args.markers.unwrap_or(spec.n_markers);
-        spec.noise_mm = args.noise.unwrap_or(spec.noise_mm);
-        spec.occlusion =
-            args.occlusion.map(|fraction| Occlusion { fraction, mean_gap_s: MEAN_GAP_S });
+    if let Some(spec) = generated(args) {
         return Ok(spec.generate().map_err(Failure::usage)?.motion);
     }
     let path = args.take.as_deref().unwrap_or(Path::new(""));
@@ -47,6 +54,30 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
         source::keep_first(&mut motion, seconds.as_secs_f64());
     }
     Ok(motion)
+}
+
+/// The sampled channels of the device.
+pub(super) fn sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
+    let mut sources = Vec::new();
+    if let (Some(rate_hz), Some(spec)) = (args.plates, generated(args)) {
+        if args.speed != 1.0 || args.looping {
+            return Err(Failure::usage_message(
+                "--plates needs a motion that is played once, at its own speed: remove --speed and --loop",
+            ));
+        }
+        let plates = Arc::new(ForcePlates::new(&spec).map_err(Failure::usage)?);
+        sources.push(SampledSource::plates(0, plates, rate_hz).map_err(Failure::usage)?);
+    }
+    for electrodes in &args.emg {
+        let (id, seed) = (sources.len(), args.generate.map_or(0, |Generated { seed }| seed));
+        if id >= GROUPS_MAX {
+            let message = format!("a device has at most {GROUPS_MAX} groups of sampled channels");
+            return Err(Failure::usage_message(message));
+        }
+        let source = SampledSource::electrodes(id as u8, *electrodes, seed.wrapping_add(id as u64));
+        sources.push(source.map_err(Failure::usage)?);
+    }
+    Ok(sources)
 }
 
 /// Reads the fault script, if there is one.
@@ -125,6 +156,8 @@ fn refuse_motion_options(args: &ServeArgs, path: &Path) -> Result<(), Failure> {
         ("--loop", args.looping),
         ("--faults", args.faults.is_some()),
         ("--log", args.log.is_some()),
+        ("--batch-log", args.batch_log.is_some()),
+        ("--emg", !args.emg.is_empty()),
         ("--drift-ppm", args.drift_ppm != 0.0),
         ("--protocol", args.protocol != DeviceProtocol::Dvmc),
         ("--tool", !args.tool.is_empty()),

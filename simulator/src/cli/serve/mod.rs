@@ -12,6 +12,7 @@ use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice};
 use mocapd_simulator::faults::{FaultyDevice, Script};
 use mocapd_simulator::line::{ServeOptions, serve};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
+use mocapd_simulator::sampled::Electrodes;
 use mocapd_simulator::source::Generated;
 use mocapd_take::motion::Motion;
 use mocapd_take::quantity::{duration, duration_above_zero, length_mm, rate_hz};
@@ -105,6 +106,16 @@ pub(super) struct ServeArgs {
     /// With --generate: fraction of samples that are occluded, 0 to 0.9 [default: 0]
     #[arg(long, value_name = "FRACTION", value_parser = number, allow_hyphen_values = true)]
     occlusion: Option<f64>,
+    /// With --generate: send the samples of two force plates under the jumps, 6 channels each, at this rate [default:
+    /// 1kHz]
+    #[arg(long, value_name = "HZ", num_args = 0..=1, default_missing_value = "1kHz", value_parser = rate_hz)]
+    plates: Option<f64>,
+    /// Send a stream like that of electrodes, such as 16@2kHz: the number of channels and their rate (repeatable)
+    #[arg(long, value_name = "N@HZ")]
+    emg: Vec<Electrodes>,
+    /// Log what became of every batch of samples to this CSV file; it must not exist (docs/faults.md)
+    #[arg(long, value_name = "FILE")]
+    batch_log: Option<PathBuf>,
     /// Exit once the motion has ended or the host has stopped it, and the host has read everything
     #[arg(long, conflicts_with = "looping")]
     once: bool,
@@ -141,6 +152,7 @@ impl ServeArgs {
             ("--markers", self.markers.is_some()),
             ("--noise", self.noise.is_some()),
             ("--occlusion", self.occlusion.is_some()),
+            ("--plates", self.plates.is_some()),
         ];
         match options.iter().find(|(_, is_set)| *is_set && self.generate.is_none()) {
             Some((option, _)) => Err(Failure::usage_message(format!(
@@ -220,14 +232,23 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
         // Recordings are checked against a log: never overwrite one.
         frames = Some(Box::new(BufWriter::new(files::create(path)?)));
     }
+    let mut batches: Option<Box<dyn Write + Send>> = None;
+    if let Some(path) = &args.batch_log {
+        batches = Some(Box::new(BufWriter::new(files::create(path)?)));
+    }
     notify(&description);
     if args.json {
         print_json_line(&LineReport { path: &name })?;
     } else {
         print(&format!("{name}\n"))?;
     }
-    let options =
-        ServeOptions { baud: args.baud, batch: args.batch(), once: args.once, log: frames };
+    let options = ServeOptions {
+        baud: args.baud,
+        batch: args.batch(),
+        once: args.once,
+        log: frames,
+        batch_log: batches,
+    };
     let sent = serve(&mut *line, device.as_mut(), options, &stop)?;
     if device.is_gone() {
         notify(
@@ -258,11 +279,17 @@ fn device(
         DeviceProtocol::Ndi if args.wire.is_some() => {
             return usage("--wire applies to the link protocol only: an NDI system sends f32");
         }
+        DeviceProtocol::Ndi if args.plates.is_some() || !args.emg.is_empty() => {
+            return usage(
+                "--plates and --emg apply to the link protocol only: remove --protocol ndi",
+            );
+        }
         DeviceProtocol::Ndi if script.is_some() => {
             return usage("--faults applies to the link protocol only: remove --protocol ndi");
         }
         DeviceProtocol::Dvmc => {
-            let settings = DeviceSettings { faults: script.clone(), ..settings(args) };
+            let sampled = input::sampled(args)?;
+            let settings = DeviceSettings { faults: script.clone(), sampled, ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));
             let rate_millihertz = device.hello().rate_millihertz;

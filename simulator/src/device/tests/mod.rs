@@ -1,7 +1,8 @@
 mod commands;
 mod frames;
+mod samples;
 
-use mocapd_drivers::device::{DeviceEvent, LinkBudget, Pong, Protocol};
+use mocapd_drivers::device::{DeviceEvent, LinkBudget, Pong, Protocol, SampledGroupInfo};
 use mocapd_drivers::link::{FrameForm, HostLink};
 use mocapd_take::motion::is_gap;
 
@@ -13,6 +14,8 @@ const MS: u64 = 1_000_000;
 /// A message that the host received.
 #[derive(Debug, Clone, PartialEq)]
 enum Event {
+    Group(SampledGroupInfo),
+    Samples(SentSamples),
     Hello(Hello),
     Markers(usize),
     Frame { seq: u32, ticks: u64, samples: Vec<MarkerSample> },
@@ -22,6 +25,16 @@ enum Event {
     Refused(LinkBudget),
     RateSet(u32),
     End(Status),
+}
+
+/// A batch as received.
+#[derive(Debug, Clone, PartialEq)]
+struct SentSamples {
+    group: u8,
+    number: u32,
+    first: u64,
+    ticks: u64,
+    samples: Vec<f32>,
 }
 
 /// A device and a host in virtual time.
@@ -61,6 +74,14 @@ impl Bench {
                     ticks: frame.device_ticks,
                     samples: frame.markers.to_vec(),
                 },
+                DeviceEvent::SampledGroup(group) => Event::Group(group.clone()),
+                DeviceEvent::Samples(batch) => Event::Samples(SentSamples {
+                    group: batch.group,
+                    number: batch.number,
+                    first: batch.first,
+                    ticks: batch.device_ticks,
+                    samples: batch.samples.to_vec(),
+                }),
                 DeviceEvent::Status(status) => Event::Status(status),
                 DeviceEvent::Pong(pong) => Event::Pong(pong),
                 DeviceEvent::Started(budget) => Event::Started(budget),

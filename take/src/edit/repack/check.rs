@@ -5,7 +5,7 @@ use std::io::{Read, Seek};
 use super::{REPACK, RepackSettings};
 use crate::{
     TakeError, TakeFrames,
-    compare::{ContentDifference, compare_times},
+    compare::{ContentDifference, compare_recorded, compare_times},
     damage::Problem,
     edit::{EditContext, SourceTake},
     motion::{FrameSource, GAP, Position, is_gap},
@@ -38,6 +38,10 @@ pub fn check_repacked(
     }
     if let Some(why) = frames_difference((&mut old, &mut new), settings, context)? {
         return Ok(Some(why));
+    }
+    let recorded = compare_recorded((source.map(), &mut old), (found.map(), &mut new))?;
+    if let Some(difference) = recorded.first() {
+        return Ok(Some(format!("the {} differ", difference.field)));
     }
     // Times are compared where both takes have them.
     if source.has_time_lines != found.has_time_lines {

@@ -1,0 +1,207 @@
+//! Derives lost and repeated samples from the numbers of a group's batches.
+
+use mocapd_drivers::device::SampleBatch;
+use mocapd_take::timeline::LossCauses;
+
+/// Numbers at most this many seconds of samples behind are those of a batch that came late or twice: links do not reorder
+/// further. Beyond it the device started again.
+const LATE_S_MAX: f64 = 0.7;
+
+/// How much earlier than the numbers say the time of a late batch may be: the batch before may have been stamped late.
+const LATE_STAMP_S: f64 = 0.05;
+
+/// Gaps up to this many seconds are never doubted, whatever the clock says: a few batches.
+const DOUBTED_S_MIN: f64 = 0.5;
+
+/// Numbers that advanced this many times further than the device's clock allows jumped: as for frames.
+const CLOCK_FACTOR: f64 = 4.0;
+
+/// Largest gap that counts as loss in any case: an hour at 1 MHz. A take can state it in few bytes.
+const MISSING_MAX: i64 = 1 << 32;
+
+/// Time by which a batch may differ from where the one before leads, in seconds, and still be of the same run: devices
+/// stamp batches when they are read out. Two periods of a slow group exceed it.
+const JITTER_S: f64 = 5e-3;
+
+/// Difference of the rates of a device's clock and its converters over a gap: crystals and what a device does to them
+/// stay well below.
+const DRIFT: f64 = 1e-3;
+
+/// What the numbers of a batch say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum BatchStep {
+    /// The next one, after `missing` samples.
+    Next {
+        missing: u64,
+        causes: LossCauses,
+        /// Whether its time is where the batch before leads.
+        continues: bool,
+    },
+    /// It came before, or overlaps one that did.
+    Duplicate,
+    /// The numbers jumped as no loss explains, or began again.
+    Jump,
+}
+
+/// What the next batch has if nothing is lost.
+#[derive(Debug, Clone, Copy)]
+struct Expected {
+    first: u64,
+    number: u32,
+    device_ticks: u64,
+}
+
+/// Follows the numbers of a group.
+#[derive(Debug)]
+pub(super) struct SampleCounter {
+    expected: Option<Expected>,
+    /// Whether the device was away, or started again, since the last batch.
+    rejoining: bool,
+    rate_hz: f64,
+    tick_hz: f64,
+}
+
+impl SampleCounter {
+    pub(super) fn new(rate_hz: f64, tick_hz: u64) -> Self {
+        Self { expected: None, rejoining: false, rate_hz, tick_hz: tick_hz as f64 }
+    }
+
+    /// The device's numbers may begin again with the next batch.
+    pub(super) fn rejoin(&mut self) {
+        self.rejoining = self.expected.is_some();
+    }
+
+    pub(super) fn step(&mut self, batch: &SampleBatch<'_>) -> BatchStep {
+        let rejoins = std::mem::take(&mut self.rejoining);
+        let step = match self.expected {
+            None => BatchStep::Next { missing: 0, causes: LossCauses(0), continues: false },
+            Some(expected) => self.compare(batch, expected, rejoins),
+        };
+        if step == BatchStep::Duplicate {
+            return step;
+        }
+        let n = batch.n_samples() as u64;
+        let passed = (n as f64 * self.tick_hz / self.rate_hz).round() as u64;
+        self.expected = Some(Expected {
+            first: batch.first.wrapping_add(n),
+            number: batch.number.wrapping_add(1),
+            device_ticks: batch.device_ticks.wrapping_add(passed),
+        });
+        step
+    }
+
+    fn compare(&self, batch: &SampleBatch<'_>, expected: Expected, rejoins: bool) -> BatchStep {
+        let ahead = batch.first.wrapping_sub(expected.first).cast_signed();
+        let ticks = batch.device_ticks.wrapping_sub(expected.device_ticks).cast_signed() as f64;
+        let (ahead_s, passed_s) = (ahead as f64 / self.rate_hz, ticks / self.tick_hz);
+        if ahead < 0 {
+            let has_its_time = (ahead_s - LATE_STAMP_S..=ahead_s + JITTER_S).contains(&passed_s);
+            let is_late = -ahead_s <= LATE_S_MAX && has_its_time;
+            // A device that started again may number as before, but its clock did, too.
+            return if is_late && !rejoins { BatchStep::Duplicate } else { BatchStep::Jump };
+        }
+        // A clock that went back proves nothing, unless the device was away.
+        let is_refuted = match passed_s {
+            passed_s if passed_s < -JITTER_S => rejoins,
+            passed_s => ahead_s > DOUBTED_S_MIN && ahead_s > CLOCK_FACTOR * passed_s,
+        };
+        if is_refuted || ahead > MISSING_MAX {
+            return BatchStep::Jump;
+        }
+        let causes = match batch.number == expected.number {
+            _ if rejoins => LossCauses::DISCONNECTED,
+            true => LossCauses::DROPPED_BY_DEVICE,
+            false => LossCauses::NOT_RECEIVED,
+        };
+        let apart_s = (passed_s - ahead_s).abs();
+        let continues = apart_s <= JITTER_S.max(2.0 / self.rate_hz) + DRIFT * ahead_s;
+        BatchStep::Next { missing: ahead.cast_unsigned(), causes, continues: continues && !rejoins }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NONE: LossCauses = LossCauses(0);
+    const TEN: [f32; 10] = [0.0; 10];
+
+    /// A batch of ten samples at 1000 Hz by a clock of 1 MHz.
+    fn step(counter: &mut SampleCounter, number: u32, first: u64, device_ticks: u64) -> BatchStep {
+        counter.step(&SampleBatch {
+            group: 0,
+            number,
+            first,
+            device_ticks,
+            form: Default::default(),
+            n_channels: 1,
+            samples: &TEN,
+        })
+    }
+
+    fn next(missing: u64, causes: LossCauses, continues: bool) -> BatchStep {
+        BatchStep::Next { missing, causes, continues }
+    }
+
+    fn started() -> SampleCounter {
+        let mut counter = SampleCounter::new(1000.0, 1_000_000);
+        assert_eq!(step(&mut counter, 5, 100, 7_000_000), next(0, NONE, false));
+        counter
+    }
+
+    #[test]
+    fn batch_numbers_tell_a_loss_on_the_link_from_one_in_the_device() {
+        let mut counter = started();
+        let causes = LossCauses::DROPPED_BY_DEVICE;
+        assert_eq!(step(&mut counter, 6, 110, 7_010_000), next(0, causes, true));
+        assert_eq!(step(&mut counter, 8, 130, 7_030_100), next(10, LossCauses::NOT_RECEIVED, true));
+        assert_eq!(step(&mut counter, 9, 160, 7_060_000), next(20, causes, true));
+    }
+
+    #[test]
+    fn batches_that_come_twice_or_overlap_are_duplicates_and_change_nothing() {
+        let mut counter = started();
+        assert_eq!(step(&mut counter, 5, 100, 7_000_000), BatchStep::Duplicate);
+        assert_eq!(step(&mut counter, 4, 90, 6_990_000), BatchStep::Duplicate);
+        assert_eq!(step(&mut counter, 6, 105, 7_005_000), BatchStep::Duplicate);
+        assert_eq!(
+            step(&mut counter, 6, 110, 7_010_000),
+            next(0, LossCauses::DROPPED_BY_DEVICE, true)
+        );
+    }
+
+    #[test]
+    fn numbers_that_begin_again_or_run_ahead_of_the_clock_are_jumps() {
+        let mut counter = started();
+        assert_eq!(step(&mut counter, 0, 0, 0), BatchStep::Jump, "both began again");
+        assert_eq!(step(&mut counter, 1, 5, 10_500), BatchStep::Jump, "its clock went on");
+        assert_eq!(step(&mut counter, 2, 50_000, 30_000), BatchStep::Jump, "50 s in 10 ms");
+        assert_eq!(step(&mut counter, 3, u64::MAX, 40_000), BatchStep::Jump, "51 s back");
+        assert_eq!(step(&mut counter, 4, 9, 50_000), next(0, LossCauses::DROPPED_BY_DEVICE, true));
+    }
+
+    #[test]
+    fn a_clock_that_jumps_begins_a_run_and_loses_nothing() {
+        let mut counter = started();
+        let causes = LossCauses::DROPPED_BY_DEVICE;
+        assert_eq!(step(&mut counter, 6, 110, 2_000_000), next(0, causes, false));
+        assert_eq!(step(&mut counter, 7, 120, 2_010_000), next(0, causes, true));
+        assert_eq!(step(&mut counter, 8, 130, 9_000_000), next(0, causes, false));
+        assert_eq!(step(&mut counter, 9, 140, 9_014_000), next(0, causes, true), "read out late");
+    }
+
+    #[test]
+    fn after_an_outage_numbers_continue_or_begin_again() {
+        let mut counter = started();
+        counter.rejoin();
+        let missing = next(4_990, LossCauses::DISCONNECTED, false);
+        assert_eq!(step(&mut counter, 505, 5_100, 12_000_000), missing);
+        counter.rejoin();
+        assert_eq!(step(&mut counter, 0, 0, 0), BatchStep::Jump);
+        counter.rejoin();
+        assert_eq!(step(&mut counter, 0, 0, 0), BatchStep::Jump, "the same numbers as before");
+        let mut counter = SampleCounter::new(1000.0, 1_000_000);
+        counter.rejoin();
+        assert_eq!(step(&mut counter, 9, 77, 5), next(0, NONE, false), "nothing came before");
+    }
+}

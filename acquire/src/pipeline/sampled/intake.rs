@@ -1,0 +1,357 @@
+//! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
+
+use mocapd_drivers::{
+    device::{SampleBatch, SampledGroupInfo},
+    link::SAMPLE_VALUES_MAX,
+};
+use mocapd_take::timeline::LossCauses;
+
+use super::{
+    GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
+    SampleWakes,
+    counter::{BatchStep, SampleCounter},
+};
+use crate::pipeline::messages::BlockTime;
+
+/// The causes of losses that have not been stated yet, in the order in which they are stated.
+const CAUSES: [LossCauses; 5] = [
+    REFUSED,
+    LossCauses::DISCONNECTED,
+    LossCauses::DROPPED_BY_DEVICE,
+    LossCauses::NOT_RECEIVED,
+    LossCauses::RING_FULL,
+];
+
+/// The cause of samples that arrived and were refused, which has no name of its own.
+const REFUSED: LossCauses = LossCauses(0);
+
+/// Numbers of samples stay below this, half of what a take can hold: a device whose numbers go further jumped.
+const NUMBERS_MAX: u64 = 1 << 49;
+
+/// Stretches over which the segment of the device's clock has to differ from that of a run before another run begins:
+/// frames and batches that show a jump of the clock come within one.
+const SEGMENT_STRETCHES: u32 = 2;
+
+/// What became of a batch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::pipeline) enum BatchOutcome {
+    /// It is in the ring, or was counted as lost or as a duplicate.
+    Counted,
+    /// Its group was not announced before the start, or the batch does not fit it.
+    Refused,
+}
+
+/// Accepts the batches of all groups. Belongs to the thread that reads the device.
+#[derive(Debug)]
+pub(in crate::pipeline) struct SampledIntake {
+    groups: Vec<GroupIntake>,
+    /// Index of the group with each number; `None` for one that was not announced.
+    by_id: [Option<u8>; 256],
+    wakes: SampleWakes,
+}
+
+/// One group.
+#[derive(Debug)]
+struct GroupIntake {
+    info: SampledGroupInfo,
+    /// Whether the device announced it otherwise since.
+    is_contradicted: bool,
+    plan: GroupPlan,
+    samples: RingProducer<f32>,
+    items: RingProducer<SampleItem>,
+    counter: SampleCounter,
+    /// Number of the next sample since the pipeline began, those that are pending not included.
+    next: u64,
+    open: Option<OpenBlock>,
+    /// Lost samples that have not been stated yet, by cause.
+    pending: [u64; CAUSES.len()],
+    duplicates: u64,
+    jumps: u32,
+    run_start: u64,
+    /// The segment of the run; `None` until its first block ends.
+    segment: Option<u32>,
+    segment_stretches: u32,
+    /// Whether the next sample begins a run.
+    begins_run: bool,
+    /// Blocks since the last key block, and whether the next one has to be a key block.
+    since_key: u32,
+    key_at: u64,
+    needs_key: bool,
+    /// Whether a block of the open stretch has ended.
+    has_early_block: bool,
+}
+
+/// The block that is being filled.
+#[derive(Debug, Clone, Copy)]
+struct OpenBlock {
+    n: u32,
+    device_ticks: u64,
+    /// The sample at which the last batch began, and its time.
+    last_batch: (u32, u64),
+}
+
+impl SampledIntake {
+    pub(super) fn new(
+        infos: &[SampledGroupInfo],
+        plans: &[GroupPlan],
+        rings: Vec<Rings>,
+        tick_hz: u64,
+        wakes: SampleWakes,
+    ) -> Self {
+        let mut by_id = [None; 256];
+        let groups = infos.iter().zip(plans).zip(rings).enumerate();
+        let groups = groups.map(|(index, ((info, plan), (samples, items)))| {
+            by_id[usize::from(info.id)] = Some(index as u8);
+            let rate_hz = f64::from(info.rate_millihertz) / 1000.0;
+            GroupIntake {
+                info: info.clone(),
+                is_contradicted: false,
+                plan: *plan,
+                samples,
+                items,
+                counter: SampleCounter::new(rate_hz, tick_hz),
+                next: 0,
+                open: None,
+                pending: [0; CAUSES.len()],
+                duplicates: 0,
+                jumps: 0,
+                run_start: 0,
+                segment: None,
+                segment_stretches: 0,
+                begins_run: true,
+                since_key: 0,
+                key_at: 0,
+                needs_key: true,
+                has_early_block: false,
+            }
+        });
+        Self { groups: groups.collect(), by_id, wakes }
+    }
+
+    fn group_mut(&mut self, id: u8) -> Option<&mut GroupIntake> {
+        let index = self.by_id.get(usize::from(id)).copied().flatten()?;
+        self.groups.get_mut(usize::from(index))
+    }
+
+    /// Whether the next batch of a group might find its ring full. For sources that can wait.
+    pub(in crate::pipeline) fn is_full(&self) -> bool {
+        self.groups.iter().any(|group| {
+            group.samples.vacant() < SAMPLE_VALUES_MAX
+                || group.items.vacant() <= ITEMS_RESERVED + CAUSES.len()
+        })
+    }
+
+    /// Whether an announcement is that of a known group. Samples of a group that is announced otherwise are refused until
+    /// it is announced as before: they must not be stored under another description.
+    pub(in crate::pipeline) fn announce(&mut self, info: &SampledGroupInfo) -> bool {
+        let Some(group) = self.group_mut(info.id) else { return false };
+        group.is_contradicted = group.info != *info;
+        !group.is_contradicted
+    }
+
+    /// Accepts a batch; `stretch` is the number of the open stretch.
+    pub(in crate::pipeline) fn batch(
+        &mut self,
+        batch: &SampleBatch<'_>,
+        stretch: u64,
+        segment: u32,
+    ) -> BatchOutcome {
+        let index = self.by_id.get(usize::from(batch.group)).copied().flatten();
+        let Some(group) = self.group_mut(batch.group) else { return BatchOutcome::Refused };
+        let fits = group.has_shape_of(batch) && !group.is_contradicted;
+        if !fits {
+            // One of another shape or form need not be of this series.
+            if group.is_contradicted && group.has_shape_of(batch) {
+                group.refuse(batch);
+            }
+            return BatchOutcome::Refused;
+        }
+        // While no stretch ends, nothing else wakes its thread.
+        if group.batch(batch, stretch, segment)
+            && let Some(index) = index
+        {
+            self.wakes.wake(index.into());
+        }
+        BatchOutcome::Counted
+    }
+
+    /// Ends the open blocks with a stretch, so that they are in the same takes, and begin where it can be decoded from
+    /// the start. `is_boundary`: a take may begin or end behind it.
+    pub(in crate::pipeline) fn end_stretch(
+        &mut self,
+        stretch: u64,
+        key: bool,
+        is_boundary: bool,
+        segment: u32,
+    ) {
+        for (index, group) in self.groups.iter_mut().enumerate() {
+            // A take may begin with this stretch, and so with its first block.
+            group.needs_key |= key && !group.has_early_block;
+            group.end_block(stretch, segment);
+            group.has_early_block = false;
+            // What was lost belongs to the take that ends here.
+            group.state_pending(stretch);
+            // Behind a boundary a take may begin.
+            group.needs_key |= is_boundary;
+            group.follow_segment(segment);
+            if is_boundary {
+                group.push(stretch, ItemContent::Boundary);
+            }
+            self.wakes.wake(index);
+        }
+    }
+
+    /// Ends the open blocks while no stretch is open that would end them.
+    pub(in crate::pipeline) fn end_blocks(&mut self, stretch: u64, segment: u32) {
+        for (index, group) in self.groups.iter_mut().enumerate() {
+            if group.end_early(stretch, segment) {
+                self.wakes.wake(index);
+            }
+        }
+    }
+
+    /// The device was away or started again: its numbers may begin again.
+    pub(in crate::pipeline) fn rejoin(&mut self) {
+        self.groups.iter_mut().for_each(|group| group.counter.rejoin());
+    }
+}
+
+impl GroupIntake {
+    fn has_shape_of(&self, batch: &SampleBatch<'_>) -> bool {
+        let n_channels = self.info.channels.len();
+        usize::from(batch.n_channels) == n_channels && batch.form == self.info.form
+    }
+
+    /// Counts the samples of a batch that cannot be stored.
+    fn refuse(&mut self, batch: &SampleBatch<'_>) {
+        if self.follow(batch) {
+            self.add_lost(batch.n_samples() as u64, REFUSED);
+        }
+    }
+
+    /// Follows the numbers of a batch, and counts what is missing before it. Returns `false` if it came before.
+    fn follow(&mut self, batch: &SampleBatch<'_>) -> bool {
+        match self.counter.step(batch) {
+            BatchStep::Duplicate => {
+                self.duplicates += batch.n_samples() as u64;
+                return false;
+            }
+            BatchStep::Next { missing, causes, continues } if self.has_numbers_for(missing) => {
+                self.add_lost(missing, causes);
+                self.begins_run |= !continues;
+            }
+            BatchStep::Jump | BatchStep::Next { .. } => {
+                self.jumps = self.jumps.saturating_add(1);
+                self.begins_run = true;
+            }
+        }
+        true
+    }
+
+    fn has_numbers_for(&self, missing: u64) -> bool {
+        let pending = self.pending.iter().fold(missing, |sum, n| sum.saturating_add(*n));
+        self.next.saturating_add(pending) < NUMBERS_MAX
+    }
+
+    /// Returns whether there is something to encode.
+    fn batch(&mut self, batch: &SampleBatch<'_>, stretch: u64, segment: u32) -> bool {
+        let n = batch.n_samples() as u32;
+        if !self.follow(batch) {
+            return false;
+        }
+        if n == 0 {
+            return false;
+        }
+        if self.samples.vacant() < batch.samples.len() || self.items.vacant() <= ITEMS_RESERVED {
+            self.add_lost(n.into(), LossCauses::RING_FULL);
+            return false;
+        }
+        let is_apart = self.begins_run || self.pending.iter().any(|&n| n > 0);
+        let is_ended = is_apart
+            || self.open.is_some_and(|open| {
+                open.n >= self.plan.rows_due || open.n + n > self.plan.rows_max
+            });
+        if is_ended {
+            self.end_early(stretch, segment);
+        }
+        if std::mem::take(&mut self.begins_run) {
+            (self.run_start, self.segment, self.segment_stretches) = (self.next, None, 0);
+        }
+        let ticks = batch.device_ticks;
+        let open = OpenBlock { n: 0, device_ticks: ticks, last_batch: (0, ticks) };
+        let open = self.open.get_or_insert(open);
+        open.last_batch = (open.n, ticks);
+        open.n += n;
+        self.next += u64::from(n);
+        self.samples.push_slice(batch.samples);
+        is_ended
+    }
+
+    fn add_lost(&mut self, n: u64, causes: LossCauses) {
+        if let Some(place) = CAUSES.iter().position(|cause| *cause == causes) {
+            self.pending[place] = self.pending[place].saturating_add(n);
+        }
+    }
+
+    /// Ends the open block before its stretch, and states what was lost. Returns whether there is something to encode.
+    fn end_early(&mut self, stretch: u64, segment: u32) -> bool {
+        let is_open = self.open.is_some();
+        // Whether a take may begin with this stretch is not known yet: its first block is a key.
+        self.needs_key |= is_open && !self.has_early_block;
+        self.has_early_block |= is_open;
+        self.end_block(stretch, segment);
+        self.state_pending(stretch);
+        is_open
+    }
+
+    /// Ends the open block.
+    fn end_block(&mut self, stretch: u64, segment: u32) {
+        let Some(OpenBlock { n, device_ticks, last_batch }) = self.open.take() else { return };
+        let segment = *self.segment.get_or_insert(segment);
+        let time = BlockTime { device_ticks, last_batch, run_start: self.run_start, segment };
+        // Up to the end of this block.
+        let is_late = self.next.saturating_sub(self.key_at) > self.plan.key_rows;
+        let key = self.needs_key || is_late || self.since_key + 1 >= KEY_BLOCKS;
+        if key {
+            self.key_at = self.next - u64::from(n);
+        }
+        self.since_key = if key { 0 } else { self.since_key + 1 };
+        self.needs_key = false;
+        self.push_at(self.next - u64::from(n), stretch, ItemContent::Block { n, key, time });
+    }
+
+    /// States the losses that are pending, if there is room.
+    fn state_pending(&mut self, stretch: u64) {
+        for (place, causes) in CAUSES.into_iter().enumerate() {
+            let n = self.pending[place];
+            if n > 0 && self.push(stretch, ItemContent::Lost { n, causes }) {
+                self.pending[place] = 0;
+                self.next += n;
+                self.needs_key = true;
+            }
+        }
+    }
+
+    fn push(&mut self, stretch: u64, content: ItemContent) -> bool {
+        self.push_at(self.next, stretch, content)
+    }
+
+    /// Returns `false` if there is no room: then the numbers of later samples close the gap, or the writer waits for a
+    /// boundary in vain.
+    fn push_at(&mut self, first: u64, stretch: u64, content: ItemContent) -> bool {
+        if self.items.vacant() == 0 {
+            return false;
+        }
+        let (duplicates, jumps) = (self.duplicates, self.jumps);
+        (self.duplicates, self.jumps) = (0, 0);
+        self.items.push(SampleItem { stretch, first, duplicates, jumps, content });
+        true
+    }
+
+    /// Begins another run if frames show, over a whole stretch, another segment of the clock than the run has.
+    fn follow_segment(&mut self, segment: u32) {
+        let differs = self.segment.is_some_and(|of_run| of_run != segment);
+        self.segment_stretches = if differs { self.segment_stretches + 1 } else { 0 };
+        self.begins_run |= self.segment_stretches >= SEGMENT_STRETCHES;
+    }
+}

@@ -1,0 +1,279 @@
+//! Sampled channels: batches of samples -> one ring per group -> blocks, beside the frames and never in their way.
+//!
+//! ```text
+//! reader thread    SampledIntake: batch -> the ring of its group, or lost as a whole; ends blocks with the stretches
+//! sampling threads SampledGroupCoder: ring -> block; a group belongs to one thread
+//! writer thread    blocks -> take file, before or behind the stretch that was open when they ended
+//! ```
+//!
+//! A stretch never waits for samples, except that a take is closed when the samples up to its end are encoded, or after
+//! [`SAMPLES_WAIT_MAX`]. The threads are not those of the resamplers: where they are too slow, batches find their ring
+//! full, and no frame does.
+//!
+//! A batch belongs to the take that was open when it arrived, as a whole: takes are divided between batches, at the
+//! place in the device's stream at which they are divided between frames.
+
+mod coder;
+mod counter;
+mod intake;
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+use mocapd_codec::sampled::max_block_bytes;
+use mocapd_drivers::{device::SampledGroupInfo, link::SAMPLE_VALUES_MAX};
+use mocapd_take::{
+    record::{SampleForm, SampledChannel, SampledGroup},
+    sampled::{BLOCK_ROWS_MAX, RECORDED, block_rows_max},
+    timeline::LossCauses,
+};
+
+use self::coder::SampledGroupCoder;
+pub(super) use self::intake::{BatchOutcome, SampledIntake};
+use super::{
+    messages::{BlockTime, WriterInput},
+    ring::{RingConsumer, RingProducer, ring},
+};
+use crate::threads;
+
+/// Length of a group's ring in seconds, as those of the markers. It has room for [`RING_BLOCKS`] of the longest batches in
+/// any case.
+const RING_S: f64 = 2.0;
+
+/// Blocks that a ring has room for: one that is filled, one that is encoded, and two more for a thread that the system does
+/// not run for a while.
+const RING_BLOCKS: usize = 4;
+
+/// Blocks and runs of lost samples that wait to be encoded: those of 2 s of the shortest stretches, 50 ms, with a loss
+/// behind each of 20 batches a second, ten times. If there are more, the batch is dropped as if the ring were full.
+const ITEMS_MAX: usize = 1024;
+
+/// Places among these that no batch takes: for the end of a block, a loss of each cause, and boundaries of takes, of
+/// which few are under way.
+const ITEMS_RESERVED: usize = 64;
+
+/// Encoded blocks of a group in memory: as many as encoded stretches, 32 s of a disk that stalls. Fewer if all
+/// of them would need more than [`MEMORY_BYTES`].
+const BUFFERS_MAX: usize = 64;
+const BUFFERS_MIN: usize = 4;
+
+/// Parts of a group that can be under way to the writer: its buffers, and boundaries.
+pub(super) const HELD_MAX: usize = BUFFERS_MAX + ITEMS_RESERVED;
+
+/// Limit of the buffers of all groups. They become resident only as far as they are filled.
+const MEMORY_BYTES: usize = 1 << 30;
+
+/// Key blocks are at most this many blocks, and seconds, apart: the format's limits.
+const KEY_BLOCKS: u32 = 8;
+const KEY_S: f64 = 10.0;
+
+/// How long a take that is to be closed waits for its last samples. Meanwhile stretches wait in memory, a third of what
+/// fits there. At the end of all, how long none may come.
+pub(super) const SAMPLES_WAIT_MAX: Duration = Duration::from_secs(10);
+
+/// An entry in the order of a group's samples.
+#[derive(Debug, Clone, Copy)]
+struct SampleItem {
+    /// The stretch that was open when it ended, or the boundary before which it ended.
+    stretch: u64,
+    /// Number of its first sample since the pipeline began.
+    first: u64,
+    /// Batches received twice, in samples, and jumps of the numbers since the item before.
+    duplicates: u64,
+    jumps: u32,
+    content: ItemContent,
+}
+
+/// What an item is.
+#[derive(Debug, Clone, Copy)]
+enum ItemContent {
+    /// Samples in the ring that become a block.
+    Block { n: u32, key: bool, time: BlockTime },
+    /// Samples that are lost.
+    Lost { n: u64, causes: LossCauses },
+    /// A boundary of takes, behind all samples that arrived before it.
+    Boundary,
+}
+
+/// The sizes of a group.
+#[derive(Debug, Clone, Copy)]
+struct GroupPlan {
+    n_channels: usize,
+    /// Samples in the ring, those of all channels.
+    ring_values: usize,
+    /// Most samples of a channel in a block.
+    rows_max: u32,
+    /// Samples of a channel at which a block ends, before the next batch: those of a stretch.
+    rows_due: u32,
+    /// Samples of a channel in ten seconds, which key blocks are apart at most.
+    key_rows: u64,
+}
+
+impl GroupPlan {
+    fn new(group: &SampledGroupInfo, stretch: Duration) -> Self {
+        let n_channels = group.channels.len();
+        let rate_hz = f64::from(group.rate_millihertz) / 1000.0;
+        let ring_rows = (RING_S * rate_hz).ceil() as usize;
+        let ring_values = (ring_rows * n_channels).max(RING_BLOCKS * SAMPLE_VALUES_MAX);
+        // A block ends with its stretch, or before it fills too much of the ring, which it leaves only as a whole.
+        let stretch_rows = (stretch.as_secs_f64() * rate_hz).ceil() as u64;
+        let of_ring = (ring_values / n_channels.max(1) / RING_BLOCKS) as u64;
+        let held_max = block_rows_max(n_channels).min(BLOCK_ROWS_MAX);
+        // The longest batch fits into a block.
+        let batch_rows = (SAMPLE_VALUES_MAX / n_channels.max(1)) as u64;
+        let rows_due = stretch_rows.min(of_ring).min(held_max.saturating_sub(batch_rows)).max(1);
+        let rows_max = (rows_due + batch_rows).min(held_max).max(1) as u32;
+        let key_rows = (KEY_S * rate_hz) as u64;
+        Self { n_channels, ring_values, rows_max, rows_due: rows_due as u32, key_rows }
+    }
+
+    fn block_bytes_max(&self) -> usize {
+        max_block_bytes(self.n_channels, self.rows_max as usize)
+    }
+}
+
+/// Wakes the thread that encodes a group.
+#[derive(Debug, Clone)]
+pub(super) struct SampleWakes(Vec<Sender<()>>);
+
+impl SampleWakes {
+    pub(super) fn wake(&self, group: usize) {
+        if !self.0.is_empty() {
+            // Full: it is awake, or will be. Closed: its thread has ended.
+            self.0[group % self.0.len()].try_send(()).ok();
+        }
+    }
+}
+
+/// The writer's ends of the queues to the sampling threads.
+#[derive(Debug)]
+pub(super) struct SampleReturns {
+    pub(super) buffers: Vec<Sender<Vec<u8>>>,
+    pub(super) wakes: SampleWakes,
+    /// Size of the largest block.
+    pub(super) block_bytes_max: usize,
+    /// By thread, whether it has ended: nothing more comes from it than what is in the queue.
+    are_gone: Arc<[AtomicBool]>,
+}
+
+impl SampleReturns {
+    /// Whether the thread of a group has ended.
+    pub(super) fn is_gone(&self, group: usize) -> bool {
+        let n_threads = self.are_gone.len().max(1);
+        self.are_gone.get(group % n_threads).is_none_or(|gone| gone.load(Ordering::Acquire))
+    }
+}
+
+/// The sampling threads.
+#[derive(Debug)]
+pub(super) struct SamplingThreads(Vec<std::thread::JoinHandle<()>>);
+
+/// Number of places that sampled channels need in the queue to the writer, so that sending never waits: one for each
+/// buffer, and some for boundaries, without which the writer waits for a time.
+pub(super) fn parts_max(groups: &[SampledGroupInfo]) -> usize {
+    groups.len() * HELD_MAX
+}
+
+/// Allocates the memory of all groups and starts their threads.
+pub(super) fn start(
+    groups: &[SampledGroupInfo],
+    stretch: Duration,
+    (tick_hz, workers): (u64, usize),
+    to_writer: &Sender<WriterInput>,
+) -> anyhow::Result<(SampledIntake, SampleReturns, SamplingThreads)> {
+    let plans: Vec<GroupPlan> = groups.iter().map(|group| GroupPlan::new(group, stretch)).collect();
+    let bytes: usize = plans.iter().map(GroupPlan::block_bytes_max).sum();
+    let n_buffers = (MEMORY_BYTES / bytes.max(1)).clamp(BUFFERS_MIN, BUFFERS_MAX);
+    let n_threads = workers.clamp(1, 8).min(groups.len());
+    let mut coders: Vec<Vec<SampledGroupCoder>> = (0..n_threads).map(|_| Vec::new()).collect();
+    let (mut rings, mut buffers) = (Vec::new(), Vec::new());
+    for (index, plan) in plans.iter().enumerate() {
+        let (samples, samples_out) = ring(plan.ring_values);
+        let (items, items_out) = ring(ITEMS_MAX);
+        let (back, free) = bounded(n_buffers);
+        for _ in 0..n_buffers {
+            back.try_send(Vec::with_capacity(plan.block_bytes_max())).ok();
+        }
+        coders[index % n_threads].push(SampledGroupCoder::new(
+            index,
+            *plan,
+            (samples_out, items_out),
+            free,
+        ));
+        rings.push((samples, items));
+        buffers.push(back);
+    }
+    let are_gone: Arc<[AtomicBool]> = (0..n_threads).map(|_| AtomicBool::new(false)).collect();
+    let (mut wakes, mut handles) = (Vec::new(), Vec::new());
+    for (index, coders) in coders.into_iter().enumerate() {
+        // One wake-up is enough: the thread looks at all its groups.
+        let (wake, woken) = bounded(1);
+        wakes.push(wake);
+        let (parts, gone) = (to_writer.clone(), GoneOnDrop(Arc::clone(&are_gone), index));
+        handles.push(threads::spawn(&format!("mocapd-smpl-{index}"), move || {
+            coder::run(coders, &woken, &parts);
+            drop(gone);
+        })?);
+    }
+    let wakes = SampleWakes(wakes);
+    let intake = SampledIntake::new(groups, &plans, rings, tick_hz, wakes.clone());
+    let block_bytes_max = plans.iter().map(GroupPlan::block_bytes_max).max().unwrap_or(0);
+    let returns = SampleReturns { buffers, wakes, block_bytes_max, are_gone };
+    Ok((intake, returns, SamplingThreads(handles)))
+}
+
+/// Tells the writer that a thread has ended, also if it panicked: takes then are not closed later than needed.
+struct GoneOnDrop(Arc<[AtomicBool]>, usize);
+
+impl Drop for GoneOnDrop {
+    fn drop(&mut self) {
+        if let Some(is_gone) = self.0.get(self.1) {
+            is_gone.store(true, Ordering::Release);
+        }
+    }
+}
+
+impl SamplingThreads {
+    /// Waits for the threads, which end with the intake. A panic of one has cost samples, which the ledgers show.
+    pub(super) fn join(self) {
+        self.0.into_iter().for_each(|handle| drop(handle.join()));
+    }
+}
+
+/// The groups as takes describe them.
+pub(super) fn records(groups: &[SampledGroupInfo]) -> Vec<SampledGroup> {
+    let record = |group: &SampledGroupInfo| SampledGroup {
+        number: group.id.into(),
+        kind: RECORDED.to_owned(),
+        form: match group.form {
+            mocapd_drivers::device::SampleForm::Int16 => SampleForm::Int16,
+            // All counts of the link are numbers of float32.
+            mocapd_drivers::device::SampleForm::Int32
+            | mocapd_drivers::device::SampleForm::Float32 => SampleForm::Float32,
+        },
+        part_channels: group.channels.len() as u32,
+        rate_hz: f64::from(group.rate_millihertz) / 1000.0,
+        channels: (0..)
+            .zip(&group.channels)
+            .map(|(index, channel)| SampledChannel {
+                name: channel.name.clone(),
+                unit: channel.unit.clone(),
+                index,
+                scale: channel.scale,
+                offset: channel.offset,
+            })
+            .collect(),
+        ..SampledGroup::default()
+    };
+    groups.iter().map(record).collect()
+}
+
+type Rings = (RingProducer<f32>, RingProducer<SampleItem>);
+type RingEnds = (RingConsumer<f32>, RingConsumer<SampleItem>);
+type FreeBuffers = Receiver<Vec<u8>>;

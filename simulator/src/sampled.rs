@@ -1,0 +1,226 @@
+//! Sampled channels of a simulated device: force plates under the generated jumps, and a stream like that of electrodes.
+//!
+//! Every sample is a function of its number in the run, so the ground truth of a recording can be computed again.
+
+use std::f64::consts::TAU;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use mocapd_drivers::device::{SampleForm, SampledChannelInfo, SampledGroupInfo};
+use mocapd_drivers::link::{SAMPLE_VALUES_MAX, SAMPLED_CHANNELS_MAX};
+use mocapd_take::quantity::rate_hz;
+
+use crate::generator::{ForcePlates, PLATE_COMPONENTS, Rng};
+
+/// Newtons, and newton metres, of a count. An unloaded plate has exactly 0.
+const NEWTONS_PER_COUNT: f64 = 0.25;
+const NEWTON_METRES_PER_COUNT: f64 = 0.05;
+
+/// Volts of a count of the electrodes: 10 V over 65 536 counts, and a gain of 1000.
+const VOLTS_PER_COUNT: f64 = 1.525_878_906_25e-7;
+
+/// A stream like that of electrodes, as written on a command line: `16@2kHz`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Electrodes {
+    /// Number of channels.
+    pub n_channels: usize,
+    /// Samples of a channel in a second.
+    pub rate_hz: f64,
+}
+
+impl FromStr for Electrodes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('@');
+        let parsed = parts.and_then(|(n, rate)| Some((n.parse().ok()?, rate_hz(rate).ok()?)));
+        let electrodes = parsed.map(|(n_channels, rate_hz)| Self { n_channels, rate_hz });
+        electrodes.ok_or_else(|| {
+            format!("'{text}' is not a number of channels and a rate: give one such as 16@2kHz")
+        })
+    }
+}
+
+impl fmt::Display for Electrodes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}@{}Hz", self.n_channels, self.rate_hz)
+    }
+}
+
+/// How much device time a batch covers.
+pub(crate) const BATCH_MS: u64 = 10;
+
+/// Where the samples come from.
+#[derive(Debug, Clone)]
+enum Signal {
+    /// Two plates of six components each.
+    Plates(Arc<ForcePlates>),
+    /// Noise of a bandwidth like that of muscles, in bursts.
+    Electrodes { seed: u64 },
+}
+
+/// A group of sampled channels and its samples.
+#[derive(Debug, Clone)]
+pub struct SampledSource {
+    info: SampledGroupInfo,
+    signal: Signal,
+}
+
+impl PartialEq for SampledSource {
+    fn eq(&self, other: &Self) -> bool {
+        self.info == other.info
+    }
+}
+
+/// Why a group cannot be made.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{n_channels} sampled channels at {rate_hz} Hz: expected 1 to 64 channels at 1 to 100000 Hz, and at most 4000000 samples a second"
+)]
+pub struct SampledError {
+    n_channels: usize,
+    rate_hz: String,
+}
+
+impl SampledSource {
+    /// Two force plates: Fx, Fy, Fz in newtons and Mx, My, Mz in newton metres of each, as counts of 16 bits.
+    ///
+    /// # Errors
+    /// When the rate is out of range.
+    pub fn plates(id: u8, plates: Arc<ForcePlates>, rate_hz: f64) -> Result<Self, SampledError> {
+        let channel = |plate: usize, name: &str| {
+            let is_force = name.starts_with('F');
+            SampledChannelInfo {
+                name: format!("{name}{plate}"),
+                unit: if is_force { "N" } else { "Nm" }.to_owned(),
+                scale: if is_force { NEWTONS_PER_COUNT } else { NEWTON_METRES_PER_COUNT },
+                offset: 0.0,
+            }
+        };
+        let of_plate = |plate: usize| PLATE_COMPONENTS.map(|name| channel(plate, name));
+        let channels = [1, 2].into_iter().flat_map(of_plate).collect();
+        Self::new(id, channels, rate_hz, Signal::Plates(plates))
+    }
+
+    /// Electrodes, as counts of 16 bits.
+    ///
+    /// # Errors
+    /// When a number is out of range.
+    pub fn electrodes(
+        id: u8,
+        Electrodes { n_channels, rate_hz }: Electrodes,
+        seed: u64,
+    ) -> Result<Self, SampledError> {
+        let channel = |i: usize| SampledChannelInfo {
+            name: format!("EMG{}", i + 1),
+            unit: "V".to_owned(),
+            scale: VOLTS_PER_COUNT,
+            offset: 0.0,
+        };
+        let channels = (0..n_channels.min(SAMPLED_CHANNELS_MAX + 1)).map(channel).collect();
+        Self::new(id, channels, rate_hz, Signal::Electrodes { seed })
+    }
+
+    fn new(
+        id: u8,
+        channels: Vec<SampledChannelInfo>,
+        rate_hz: f64,
+        signal: Signal,
+    ) -> Result<Self, SampledError> {
+        let n_channels = channels.len();
+        let is_possible = (1..=SAMPLED_CHANNELS_MAX).contains(&n_channels)
+            && (1.0..=100_000.0).contains(&rate_hz)
+            && rate_hz * n_channels as f64 <= 4e6;
+        if !is_possible {
+            return Err(SampledError { n_channels, rate_hz: rate_hz.to_string() });
+        }
+        let rate_millihertz = (rate_hz * 1000.0).round() as u32;
+        let info = SampledGroupInfo { id, form: SampleForm::Int16, rate_millihertz, channels };
+        Ok(Self { info, signal })
+    }
+
+    /// The description that the device announces.
+    #[must_use]
+    pub fn info(&self) -> &SampledGroupInfo {
+        &self.info
+    }
+
+    /// Samples of a batch.
+    pub(crate) fn batch_samples(&self) -> u64 {
+        let n = u64::from(self.info.rate_millihertz) * BATCH_MS / 1_000_000;
+        n.clamp(1, (SAMPLE_VALUES_MAX / self.info.channels.len().max(1)) as u64)
+    }
+
+    /// Appends `n` samples of all channels, one after another, from number `first` of the run.
+    pub fn samples(&self, first: u64, n: u64, out: &mut Vec<f32>) {
+        let rate_hz = f64::from(self.info.rate_millihertz) / 1000.0;
+        for number in first..first + n {
+            match &self.signal {
+                Signal::Plates(plates) => {
+                    let felt = plates.at(number as f64 / rate_hz);
+                    let counts = self.info.channels.iter().zip(felt.as_flattened());
+                    out.extend(counts.map(|(channel, value)| count(value / channel.scale)));
+                }
+                Signal::Electrodes { seed } => {
+                    let channels = 0..self.info.channels.len() as u64;
+                    out.extend(channels.map(|channel| electrode(*seed, channel, number, rate_hz)));
+                }
+            }
+        }
+    }
+}
+
+/// The nearest count of 16 bits; a converter is clipped at its ends. Never -0, which no count is.
+fn count(value: f64) -> f32 {
+    f32::from(value.round().clamp(-32_768.0, 32_767.0) as i16)
+}
+
+/// A sample of an electrode: noise, smoothed over two samples and differenced over four, whose size rises and falls with
+/// a period of about a second.
+fn electrode(seed: u64, channel: u64, number: u64, rate_hz: f64) -> f32 {
+    let noise = |back: u64| {
+        let at = number.wrapping_sub(back).wrapping_add(1 << 20);
+        let bits = Rng::stream(seed ^ channel.wrapping_mul(0x9e37_79b9), at).next_u64();
+        (bits >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+    };
+    // A triangle from 0 to 1: sines differ between C libraries in the last bit.
+    let turns = number as f64 / rate_hz * (0.8 + 0.05 * channel as f64) + channel as f64 / TAU;
+    let burst = 1.0 - (2.0 * (turns - turns.floor()) - 1.0).abs();
+    let size = 30.0 + 2500.0 * burst * burst * burst;
+    count(size * (noise(0) + 0.7 * noise(1) - 0.7 * noise(3) - noise(4)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generator::JumpSpec;
+
+    #[test]
+    fn samples_do_not_depend_on_how_they_are_divided() {
+        let plates = Arc::new(ForcePlates::new(&JumpSpec::new(1, 100.0)).unwrap());
+        for source in [
+            SampledSource::plates(0, plates, 1000.0).unwrap(),
+            SampledSource::electrodes(1, "5@2kHz".parse().unwrap(), 7).unwrap(),
+        ] {
+            let (mut whole, mut pieces) = (Vec::new(), Vec::new());
+            source.samples(0, 500, &mut whole);
+            for first in (0..500).step_by(20) {
+                source.samples(first, 20, &mut pieces);
+            }
+            assert_eq!(whole, pieces);
+            assert_eq!(whole.len(), 500 * source.info().channels.len());
+            assert!(whole.iter().all(|&sample| SampleForm::Int16.has(sample)));
+            assert!(whole.iter().any(|&sample| sample != 0.0));
+        }
+    }
+
+    #[test]
+    fn numbers_out_of_range_are_refused() {
+        for (n_channels, rate_hz) in [(0, 1000.0), (65, 1000.0), (1, 0.5), (64, 99_000.0)] {
+            let error =
+                SampledSource::electrodes(0, Electrodes { n_channels, rate_hz }, 1).unwrap_err();
+            assert!(error.to_string().contains("expected"), "{error}");
+        }
+    }
+}
