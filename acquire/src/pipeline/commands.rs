@@ -43,8 +43,8 @@ pub struct NewTake {
     pub pre_roll: Duration,
     /// When the take was requested, by the host's monotonic clock.
     pub requested_ns: u64,
-    /// The number of rows from its request on, lost ones included, at which the take ends by itself, with the ending
-    /// [`Length`](EndingKind::Length); those of the pre-roll come in addition.
+    /// The take ends by itself after this many rows, lost ones included, with the ending
+    /// [`Length`](EndingKind::Length). They are counted from its request: those of the pre-roll come in addition.
     pub length_rows: Option<u64>,
     /// The notes of the request, which become the first event of the take.
     pub notes: Option<Event>,

@@ -359,7 +359,7 @@ impl Intake {
         }
         let is_at_length = matches!(command, TakeCommand::End(EndingKind::Length));
         match self.take_end_row.filter(|_| is_at_length && self.length_is_reached()) {
-            // The length counts, although the reader was told later.
+            // The take ends at its length, even if the reader learned of the end some rows later.
             Some(end_row) => self.close_pending_up_to(end_row),
             None => self.close_pending(),
         }

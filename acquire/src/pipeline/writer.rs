@@ -254,8 +254,8 @@ impl Writer {
         self.publish_clock();
     }
 
-    /// Writes the samples that belong before the oldest stretch, as far as they are encoded. Returns `false` if that
-    /// stretch is a boundary, and others are to be waited for.
+    /// Writes those samples that belong before the oldest stretch and are encoded by now. Returns `false` if that
+    /// stretch is a boundary, which has to wait for the rest.
     fn write_samples_before_front(&mut self) -> bool {
         let Some(front) = self.assembler.front() else { return true };
         let (stretch, is_boundary) = (front.stretch, front.end.span.n_rows == 0);

@@ -44,8 +44,8 @@ impl SampledGroupCoder {
         Self { index, plan, rings, buffers, waiting, encoder, rows, columns, is_out_of_step }
     }
 
-    /// Encodes what there is, as far as buffers are free. Returns `false` when nothing more will come, or the writer is
-    /// gone.
+    /// Encodes the samples in the rings while there are free buffers. Returns `false` when no more will come, or the
+    /// writer is gone.
     fn run(&mut self, parts: &Sender<WriterInput>) -> bool {
         loop {
             let Some(item) = self.waiting.take().or_else(|| self.rings.1.pop()) else {

@@ -22,7 +22,7 @@ const CAUSES: [LossCauses; 5] = [
     LossCauses::RING_FULL,
 ];
 
-/// The cause of samples that arrived and were refused, which has no name of its own.
+/// The cause of samples that arrived and were refused: there is no more specific one.
 const REFUSED: LossCauses = LossCauses(0);
 
 /// Numbers of samples stay below this, half of what a take can hold: a device whose numbers go further jumped.

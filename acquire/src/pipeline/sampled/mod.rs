@@ -66,7 +66,7 @@ const BUFFERS_MIN: usize = 4;
 /// Parts of a group that can be under way to the writer: its buffers, and boundaries.
 pub(super) const HELD_MAX: usize = BUFFERS_MAX + ITEMS_RESERVED;
 
-/// Limit of the buffers of all groups. They become resident only as far as they are filled.
+/// Limit of the buffers of all groups. The system provides their memory only when it is first written to.
 const MEMORY_BYTES: usize = 1 << 30;
 
 /// Key blocks are at most this many blocks, and seconds, apart: the format's limits.
