@@ -251,7 +251,15 @@ pub(super) fn remove_leftovers(folder: &Path, prefix: &OsStr, dataset: &Path) {
             continue;
         }
         let root = entry.path();
-        match open_file(&root.join(LOCK)) {
+        let mut lock = open_file(&root.join(LOCK));
+        if lock.as_ref().is_err_and(|error| error.kind() == ErrorKind::NotFound) {
+            if fs::remove_dir(&root).is_ok() {
+                continue;
+            }
+            // It is not empty: a program that creates its folder now has created the lock first of all.
+            lock = open_file(&root.join(LOCK));
+        }
+        match lock {
             Ok(lock) => {
                 // Otherwise the program still runs, or there are no locks.
                 if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_ok() {
