@@ -190,6 +190,14 @@ impl TakeMap {
                 self.samples_orphaned += u64::from(!is_known);
             }
             TakeEvent::Summary(summary) => {
+                if let Some(ledger) = summary.sample_ledger {
+                    // The last one again, whose chunk may be damaged.
+                    self.add_content(
+                        TakeEvent::SampleLedger(Box::new(ledger)),
+                        offset,
+                        chunk_bytes,
+                    );
+                }
                 (self.ending, self.statistics) = (summary.ending, summary.statistics);
             }
             _ => {}

@@ -205,6 +205,8 @@ impl Writer {
             take.check_file(&progress);
             if is_idle { take.sync_pending() } else { Ok(()) }
         });
+        // Samples alone make a file longer, too.
+        self.ask_for_split();
     }
 
     /// The ending of a take that is open when the reading is over.

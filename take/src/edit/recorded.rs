@@ -166,6 +166,9 @@ pub(super) fn cut<W: Write>(
     let mut ledger = SampleLedger { finished: true, ..SampleLedger::default() };
     if *rows == (0..map.n_rows) {
         ledger.batches_refused = stated.batches_refused;
+        // Groups whose description is lost, as in a recovered take.
+        let is_known = |of: u32| map.recorded_groups().any(|group| group.group.number == of);
+        ledger.groups.extend(stated.groups.iter().filter(|group| !is_known(group.group)).copied());
     }
     for group in map.recorded_groups() {
         let n = group.n_samples();
@@ -183,6 +186,7 @@ pub(super) fn cut<W: Write>(
             false => of_part,
         });
     }
+    ledger.groups.sort_by_key(|group| group.group);
     take.sample_ledger(&ledger)
 }
 

@@ -55,6 +55,8 @@ struct Expected {
 #[derive(Debug)]
 pub(super) struct SampleCounter {
     expected: Option<Expected>,
+    /// What was expected when the device's clock last jumped: batches from before may still come.
+    before_jump: Option<Expected>,
     /// Whether the device was away, or started again, since the last batch.
     rejoining: bool,
     rate_hz: f64,
@@ -63,7 +65,13 @@ pub(super) struct SampleCounter {
 
 impl SampleCounter {
     pub(super) fn new(rate_hz: f64, tick_hz: u64) -> Self {
-        Self { expected: None, rejoining: false, rate_hz, tick_hz: tick_hz as f64 }
+        Self {
+            expected: None,
+            before_jump: None,
+            rejoining: false,
+            rate_hz,
+            tick_hz: tick_hz as f64,
+        }
     }
 
     /// The device's numbers may begin again with the next batch.
@@ -80,6 +88,14 @@ impl SampleCounter {
         if step == BatchStep::Duplicate {
             return step;
         }
+        match step {
+            BatchStep::Next { continues: false, .. } if !rejoins => {
+                self.before_jump = self.expected
+            }
+            BatchStep::Jump => self.before_jump = None,
+            _ if rejoins => self.before_jump = None,
+            _ => {}
+        }
         let n = batch.n_samples() as u64;
         let passed = (n as f64 * self.tick_hz / self.rate_hz).round() as u64;
         self.expected = Some(Expected {
@@ -90,15 +106,27 @@ impl SampleCounter {
         step
     }
 
-    fn compare(&self, batch: &SampleBatch<'_>, expected: Expected, rejoins: bool) -> BatchStep {
+    /// How far a batch is ahead of what is expected, in samples, in seconds by its numbers and in seconds by its clock.
+    fn ahead(&self, batch: &SampleBatch<'_>, expected: Expected) -> (i64, f64, f64) {
         let ahead = batch.first.wrapping_sub(expected.first).cast_signed();
         let ticks = batch.device_ticks.wrapping_sub(expected.device_ticks).cast_signed() as f64;
-        let (ahead_s, passed_s) = (ahead as f64 / self.rate_hz, ticks / self.tick_hz);
+        (ahead, ahead as f64 / self.rate_hz, ticks / self.tick_hz)
+    }
+
+    /// Whether a batch came before one that led to `expected`, by its numbers and by its clock.
+    fn is_late(&self, batch: &SampleBatch<'_>, expected: Expected) -> bool {
+        let (ahead, ahead_s, passed_s) = self.ahead(batch, expected);
+        let has_its_time = (ahead_s - LATE_STAMP_S..=ahead_s + JITTER_S).contains(&passed_s);
+        ahead < 0 && -ahead_s <= LATE_S_MAX && has_its_time
+    }
+
+    fn compare(&self, batch: &SampleBatch<'_>, expected: Expected, rejoins: bool) -> BatchStep {
+        let (ahead, ahead_s, passed_s) = self.ahead(batch, expected);
         if ahead < 0 {
-            let has_its_time = (ahead_s - LATE_STAMP_S..=ahead_s + JITTER_S).contains(&passed_s);
-            let is_late = -ahead_s <= LATE_S_MAX && has_its_time;
+            let mut tracks = std::iter::once(expected).chain(self.before_jump);
             // A device that started again may number as before, but its clock did, too.
-            return if is_late && !rejoins { BatchStep::Duplicate } else { BatchStep::Jump };
+            let is_late = !rejoins && tracks.any(|expected| self.is_late(batch, expected));
+            return if is_late { BatchStep::Duplicate } else { BatchStep::Jump };
         }
         // A clock that went back proves nothing, unless the device was away.
         let is_refuted = match passed_s {
@@ -188,6 +216,22 @@ mod tests {
         assert_eq!(step(&mut counter, 7, 120, 2_010_000), next(0, causes, true));
         assert_eq!(step(&mut counter, 8, 130, 9_000_000), next(0, causes, false));
         assert_eq!(step(&mut counter, 9, 140, 9_014_000), next(0, causes, true), "read out late");
+    }
+
+    #[test]
+    fn a_batch_from_before_a_jump_of_the_clock_is_a_duplicate_behind_it() {
+        let mut counter = started();
+        let causes = LossCauses::DROPPED_BY_DEVICE;
+        assert_eq!(step(&mut counter, 6, 110, 2_000_000), next(0, causes, false));
+        assert_eq!(step(&mut counter, 5, 100, 7_000_000), BatchStep::Duplicate, "by the old clock");
+        assert_eq!(step(&mut counter, 6, 110, 2_000_000), BatchStep::Duplicate, "by the new one");
+        assert_eq!(step(&mut counter, 7, 120, 2_010_000), next(0, causes, true));
+        assert_eq!(step(&mut counter, 0, 0, 0), BatchStep::Jump, "it started again");
+        assert_eq!(
+            step(&mut counter, 0, 0, 7_000_000),
+            BatchStep::Jump,
+            "the old clock is forgotten"
+        );
     }
 
     #[test]

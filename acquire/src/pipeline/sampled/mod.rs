@@ -46,7 +46,11 @@ use crate::threads;
 /// any case.
 const RING_S: f64 = 2.0;
 
-/// Blocks that a ring has room for: one that is filled, one that is encoded, and two more for a thread that the system does
+/// Stretches after which a block ends in any case. A stretch has somewhat more samples than its length says if the device's
+/// converters run fast, or its frames slowly: its block must not be divided for that.
+const LONG_BLOCK: f64 = 1.5;
+
+/// Blocks of a stretch that a ring has room for: one that is filled, one that is encoded, and two more for a thread that the system does
 /// not run for a while.
 const RING_BLOCKS: usize = 4;
 
@@ -109,7 +113,7 @@ struct GroupPlan {
     ring_values: usize,
     /// Most samples of a channel in a block.
     rows_max: u32,
-    /// Samples of a channel at which a block ends, before the next batch: those of a stretch.
+    /// Samples of a channel at which a block ends, before the next batch: those of [`LONG_BLOCK`] stretches.
     rows_due: u32,
     /// Samples of a channel in ten seconds, which key blocks are apart at most.
     key_rows: u64,
@@ -122,8 +126,9 @@ impl GroupPlan {
         let ring_rows = (RING_S * rate_hz).ceil() as usize;
         let ring_values = (ring_rows * n_channels).max(RING_BLOCKS * SAMPLE_VALUES_MAX);
         // A block ends with its stretch, or before it fills too much of the ring, which it leaves only as a whole.
-        let stretch_rows = (stretch.as_secs_f64() * rate_hz).ceil() as u64;
-        let of_ring = (ring_values / n_channels.max(1) / RING_BLOCKS) as u64;
+        let stretch_rows = (stretch.as_secs_f64() * rate_hz * LONG_BLOCK).ceil() as u64;
+        let of_ring = (ring_values as f64 / n_channels.max(1) as f64 / RING_BLOCKS as f64
+            * LONG_BLOCK) as u64;
         let held_max = block_rows_max(n_channels).min(BLOCK_ROWS_MAX);
         // The longest batch fits into a block.
         let batch_rows = (SAMPLE_VALUES_MAX / n_channels.max(1)) as u64;
