@@ -39,7 +39,7 @@ pub(crate) struct Args {
     files: Vec<PathBuf>,
     #[command(flatten)]
     input: InputArgs,
-    /// Format of standard input
+    /// Format of standard input, and of files whose extension does not show it
     #[arg(long, value_name = "FORMAT")]
     format: Option<InputFormatName>,
     /// Write one row per gap to this CSV file, which must not exist; `-` for standard output. For several files it has a

@@ -49,7 +49,7 @@ pub(crate) struct Args {
     output: Option<PathBuf>,
     #[command(flatten)]
     input: InputArgs,
-    /// Format of standard input
+    /// Format of standard input, and of files whose extension does not show it
     #[arg(long, value_name = "FORMAT")]
     format: Option<InputFormatName>,
     #[command(flatten)]

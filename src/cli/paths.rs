@@ -51,7 +51,7 @@ impl InputFormat {
     }
 }
 
-/// Names of the formats that `--format` has for standard input.
+/// Names of the formats that `--format` has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum InputFormatName {
     Take,

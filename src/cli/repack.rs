@@ -147,6 +147,7 @@ fn repack_one(
 ) -> anyhow::Result<FileReport> {
     let output = job.output.context("no output name: please report this bug")?;
     let reading = || format!("cannot read {}", job.input.name.display());
+    job.input.check_is_no_motion_file()?;
     let path = &job.input.path;
     let read = Arc::default();
     let source = SourceTake::read(&mut open(path, &read)?).with_context(reading)?;

@@ -214,3 +214,77 @@ fn a_csv_with_zeros_for_missing_markers_gets_a_warning() {
     // They are kept: our own format marks gaps otherwise.
     assert_eq!(motion.frame(3)[0], [0.0; 3]);
 }
+
+/// A QTM export of two markers and three frames.
+fn tsv() -> String {
+    let head = "NO_OF_FRAMES\t3\nNO_OF_MARKERS\t2\nFREQUENCY\t59.94\nDESCRIPTION\t1,5 m, wall to wall\n\
+        DATA_INCLUDED\t3D\nMARKER_NAMES\tHEAD\tKNEE 1,2\n";
+    let row = |i: i32| format!("{i}.125\t-200.5\t1700.250\t{}\t0.5\t900.000\n", 300 + i);
+    head.to_owned() + &(0..3).map(row).collect::<String>()
+}
+
+#[test]
+fn decimal_commas_between_tabs_read_like_points() {
+    let with_commas = |text: &str| -> String {
+        let is_digit = |c: Option<&u8>| c.is_some_and(u8::is_ascii_digit);
+        let bytes = text.as_bytes();
+        let at = |i: usize| match bytes[i] {
+            b'.' if is_digit(bytes.get(i.wrapping_sub(1))) && is_digit(bytes.get(i + 1)) => b',',
+            byte => byte,
+        };
+        String::from_utf8((0..bytes.len()).map(at).collect()).unwrap()
+    };
+    for (format, text) in [(Format::Tsv, tsv()), (Format::Trc, trc("\t"))] {
+        let expected = format.read(text.as_bytes()).unwrap();
+        let found = format.read(with_commas(&text).as_bytes()).unwrap();
+        assert_eq!(found.positions_mm, expected.positions_mm, "{text}");
+        assert_eq!(labels(&found), labels(&expected));
+        assert_eq!(found.info.rate_hz, expected.info.rate_hz);
+        assert_eq!(found.info.source.warnings, [""; 0]);
+    }
+    // Beside a number with a point, commas separate thousands, which are not supported.
+    let mixed = tsv().replace("-200.5", "-1,200");
+    let motion = Format::Tsv.read(mixed.as_bytes()).unwrap();
+    assert!((0..3).all(|frame| is_gap(motion.frame(frame)[0])));
+}
+
+#[test]
+fn rows_that_are_no_numbers_are_named() {
+    let text = tsv().replace(".125\t", "x125\t");
+    let error = Format::Tsv.read(text.as_bytes()).unwrap_err().to_string();
+    assert!(error.starts_with("tsv line 7: expected a row of numbers, found `0x125`"), "{error}");
+}
+
+#[test]
+fn a_file_of_another_format_is_recognised() {
+    let c3d = [&[2, 0x50][..], &[0; 600]].concat();
+    let utf_16: Vec<u8> =
+        "\u{feff}NO_OF_FRAMES".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for (format, bytes, expected) in [
+        (Format::Csv, &c3d[..], "looks like c3d: name it .c3d, or give --format c3d"),
+        (Format::Tsv, &utf_16, "looks like text in UTF-16: save it as UTF-8"),
+        (Format::C3d, tsv().as_bytes(), "looks like tsv"),
+        (Format::Trc, tsv().as_bytes(), "looks like tsv"),
+        (Format::Tsv, trc("\t").as_bytes(), "looks like trc"),
+        (Format::Trc, b"PK\x03\x04\x14\0\0\0", "looks like a ZIP archive"),
+        (Format::Csv, b"\x89TAK\r\n\x1a\n", "looks like a take"),
+        (Format::Trc, b"a\0b", "looks like binary data"),
+    ] {
+        let error = format.read(bytes).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+        assert!(error.len() < 300, "{error}");
+    }
+}
+
+#[test]
+fn format_names_the_format_of_a_file_with_another_extension() {
+    let folder = Folder::new();
+    folder.write("walk.txt", tsv());
+    let refused = folder.refuses(&["import", "walk.txt"], 2);
+    assert!(refused.contains("unknown file extension"), "{refused}");
+    let imported = folder.run(&["import", "walk.txt", "--format", "tsv", "-o", "walk.take"]);
+    assert_eq!(imported.code, Some(0), "{}", imported.stderr);
+    folder.write("walk.trc", trc("\t"));
+    let refused = folder.refuses(&["export", "walk.trc", "-o", "walk.html"], 2);
+    assert!(refused.contains("import it first: mocapd import walk.trc"), "{refused}");
+}

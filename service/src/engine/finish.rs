@@ -84,7 +84,7 @@ impl Inner {
         };
         let Stopped { name: name_now, seconds, bytes, .. } = &stopped;
         let message =
-            format!("{name_now} closed ({ending}): {seconds:.1} s, {bytes} bytes, {lost}");
+            format!("{name_now} closed ({ending}): {seconds:.3} s, {bytes} bytes, {lost}");
         let kind = match ending {
             EndingKind::Saved => ServiceEventKind::TakeSaved,
             _ => ServiceEventKind::TakeStopped,

@@ -151,7 +151,7 @@ fn already_waits(pending: &PendingStart) -> Refusal {
 fn next_occurrence(text: &str, now: &Zoned) -> Result<Zoned, Refusal> {
     let invalid = |message: String| Refusal::new(RefusalKind::Invalid, message);
     let not_a_time =
-        || invalid(format!("{text:?} is not a time: write HH:MM:SS, such as 14:05:00"));
+        || invalid(format!("{text:?} is not a time: write HH:MM or HH:MM:SS, such as 14:05"));
     let time = time_of(text).ok_or_else(not_a_time)?;
     let today = now.datetime();
     let is_past = time <= today.time();
@@ -180,10 +180,11 @@ fn next_occurrence(text: &str, now: &Zoned) -> Result<Zoned, Refusal> {
     Ok(at)
 }
 
-/// A time of day as `HH:MM` or `HH:MM:SS`, and nothing else.
+/// A time of day as `HH:MM`, `H:MM` or either with `:SS`, and nothing else.
 fn time_of(text: &str) -> Option<Time> {
-    let mut parts = text.split(':').map(|part| {
-        let is_number = part.len() == 2 && part.bytes().all(|byte| byte.is_ascii_digit());
+    let mut parts = text.split(':').enumerate().map(|(index, part)| {
+        let has_its_digits = part.len() == 2 || index == 0 && part.len() == 1;
+        let is_number = has_its_digits && part.bytes().all(|byte| byte.is_ascii_digit());
         part.parse::<i8>().ok().filter(|_| is_number)
     });
     let (hour, minute) = (parts.next()??, parts.next()??);
@@ -208,6 +209,7 @@ mod tests {
         let now = "2026-11-22T14:05:09.5+01:00[Europe/Berlin]";
         assert_eq!(next("14:05:10", now).unwrap(), "2026-11-22T14:05:10+01:00");
         assert_eq!(next("23:59", now).unwrap(), "2026-11-22T23:59:00+01:00");
+        assert_eq!(next("9:05", now).unwrap(), "2026-11-23T09:05:00+01:00");
         assert_eq!(next("14:05:09", now).unwrap(), "2026-11-23T14:05:09+01:00");
         assert_eq!(next("00:00:00", now).unwrap(), "2026-11-23T00:00:00+01:00");
         for text in [
@@ -216,7 +218,8 @@ mod tests {
             "24:00",
             "14:60",
             "14:05:60",
-            "2:05",
+            "2:5",
+            "014:05",
             "14:05:09.5",
             "14:05:09:01",
             "+1:05",

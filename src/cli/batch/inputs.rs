@@ -89,6 +89,20 @@ impl Input {
         self.spool.is_some()
     }
 
+    /// Checks that it is not a motion file of another tool, by its extension.
+    ///
+    /// # Errors
+    /// A usage error that says how to import it.
+    pub(crate) fn check_is_no_motion_file(&self) -> anyhow::Result<()> {
+        if let (None, Ok(InputFormat::MotionFile(_))) = (self.format, InputFormat::of(&self.path)) {
+            let name = self.name.display();
+            bail!(UsageError(format!(
+                "{name} is not a take: import it first: mocapd import {name}"
+            )));
+        }
+        Ok(())
+    }
+
     /// Its format: the one given with `--format`, else that of its extension.
     ///
     /// # Errors
@@ -126,7 +140,8 @@ pub(crate) fn find_named(
     find(arguments, &InputArgs { recursive, max_input: 0 }, kinds, None)
 }
 
-/// Finds the files that `arguments` name. `format` is that of standard input.
+/// Finds the files that `arguments` name. `format` is that of standard input and of the files that are named, not of those
+/// in folders.
 ///
 /// # Errors
 /// A usage error for a folder without such files, `-` given twice, or without a format; an error of reading standard
@@ -171,7 +186,7 @@ pub(crate) fn find(
             return Err(FileError::NotFound(argument.clone()).into());
         } else {
             let name = argument.file_name().unwrap_or(argument.as_os_str());
-            inputs.add_file(argument.clone(), PathBuf::from(name), &mut seen);
+            inputs.add_file(argument.clone(), PathBuf::from(name), format, &mut seen);
         }
     }
     Ok(inputs)
@@ -227,7 +242,7 @@ impl Inputs {
         let n_found = found.len();
         for path in found {
             let relative = path.strip_prefix(folder).unwrap_or(&path).to_owned();
-            self.add_file(path, relative, seen);
+            self.add_file(path, relative, None, seen);
         }
         n_found
     }
@@ -254,7 +269,7 @@ impl Inputs {
             if kinds.includes(&path) {
                 let key = object.url.key();
                 let relative = key.strip_prefix(prefix).unwrap_or(key);
-                self.add_file(path, PathBuf::from(relative), seen);
+                self.add_file(path, PathBuf::from(relative), None, seen);
                 n_found += 1;
             }
         }
@@ -262,12 +277,18 @@ impl Inputs {
     }
 
     /// Adds a file, unless `seen` has it: its real path, with the name under which it is read.
-    fn add_file(&mut self, path: PathBuf, relative: PathBuf, seen: &mut HashMap<PathBuf, PathBuf>) {
+    fn add_file(
+        &mut self,
+        path: PathBuf,
+        relative: PathBuf,
+        format: Option<InputFormat>,
+        seen: &mut HashMap<PathBuf, PathBuf>,
+    ) {
         let real = path.canonicalize().unwrap_or_else(|_| path.clone());
         match seen.entry(real) {
             Entry::Vacant(place) => {
                 place.insert(path.clone());
-                self.files.push(Input::file(path, relative));
+                self.files.push(Input { format, ..Input::file(path, relative) });
             }
             Entry::Occupied(other) => self.repeated.push((path, other.get().clone())),
         }

@@ -1,6 +1,6 @@
 //! `ctl rate`, `rename`, `trash`, `trashed` and `restore`.
 
-use mocapd::outcome::Outcome;
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_service::finished::{MovedTake, TakeNotes, TrashedTake};
 use serde_json::{Value, json};
 
@@ -14,7 +14,7 @@ pub(super) struct RateArgs {
     /// The rating [default: unchanged]
     rating: Option<Rating>,
     /// New notes, in place of those that the take has; "" for none [default: unchanged]
-    #[arg(long, required_unless_present = "rating")]
+    #[arg(long)]
     notes: Option<String>,
 }
 
@@ -39,6 +39,10 @@ impl Rating {
 }
 
 pub(super) fn rate(client: &Client, args: &RateArgs, json: bool) -> anyhow::Result<Outcome> {
+    if args.rating.is_none() && args.notes.is_none() {
+        let message = "nothing to change: give a rating (good, bad or none), --notes TEXT, or both";
+        return Err(UsageError(message.to_owned()).into());
+    }
     let path = format!("/v1/takes/{}/notes", encoded(&args.name));
     let body = json!({"rating": args.rating.map(Rating::name), "text": args.notes});
     let document = client.post(&path, body)?;

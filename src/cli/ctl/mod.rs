@@ -140,7 +140,7 @@ struct StartArgs {
     #[arg(long, value_name = "TIME", value_parser = seconds)]
     seconds: Option<Duration>,
     /// Start at this time of day, by the clock of the service's machine; the rig has to be armed then
-    #[arg(long, value_name = "HH:MM:SS")]
+    #[arg(long, value_name = "HH:MM[:SS]")]
     at: Option<String>,
     /// Subject, such as S01: a take without a name is called after subject, session and trial, with a count
     #[arg(long)]

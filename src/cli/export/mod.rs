@@ -216,6 +216,7 @@ impl ExportPlan<'_> {
         let name = job.input.name.display();
         let output = job.output.context("no output name: please report this bug")?;
         let reading = || format!("cannot read {name}");
+        job.input.check_is_no_motion_file()?;
         let file = remote::open(&job.input.path)?;
         let bytes_read = file.len_bytes().with_context(reading)?;
         let is_restored = |kind: &str| format.restores(kind);

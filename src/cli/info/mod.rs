@@ -49,7 +49,7 @@ pub(crate) struct Args {
     files: Vec<PathBuf>,
     #[command(flatten)]
     input: InputArgs,
-    /// Format of standard input
+    /// Format of standard input, and of files whose extension does not show it
     #[arg(long, value_name = "FORMAT")]
     format: Option<InputFormatName>,
     /// List the markers: samples, gaps, kept samples and the largest error of each; --json always does

@@ -112,7 +112,7 @@ pub(crate) struct PictureArgs {
     to: Vec<TimeOrFormat<PictureFormat>>,
     #[command(flatten)]
     input: InputArgs,
-    /// Format of standard input
+    /// Format of standard input, and of files whose extension does not show it
     #[arg(long, value_name = "FORMAT")]
     format: Option<InputFormatName>,
     /// The original: a .c3d, .trc, .tsv or .csv file, or another .take

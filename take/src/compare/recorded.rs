@@ -8,8 +8,8 @@ use crate::{
     sampled::{GroupReader, GroupSamples},
 };
 
-/// Compares the groups of sampled channels of two recordings: descriptions, samples bit for bit, lost samples, runs,
-/// segments of the device's clock, and times to within a tick. Each difference has the number of a group.
+/// Compares the groups of sampled channels of two recordings: descriptions, samples bit for bit, lost samples, and times
+/// to within a tick. Each difference has the number of a group.
 ///
 /// # Errors
 /// `Io`.
@@ -138,8 +138,7 @@ impl<'a> Side<'a> {
     }
 }
 
-/// Whether the times of any sample differ by more than a tick, or it lies in another segment of the clock or another run:
-/// those of all stated ones are compared, and of the ends.
+/// Whether the times of any sample differ by more than a tick: those of all stated ones are compared, and of the ends.
 fn times_differ(
     (left, one): (&GroupSamples, &TakeMap),
     (right, other): (&GroupSamples, &TakeMap),
@@ -152,8 +151,7 @@ fn times_differ(
     numbers.any(|number| match (a.at(number), b.at(number)) {
         (Some(a), Some(b)) => {
             let ticks = a.device_ticks.wrapping_sub(b.device_ticks).cast_signed() as f64;
-            let is_apart = (ticks + a.fraction - b.fraction).abs() > 1.0;
-            is_apart || (a.segment, a.run_start) != (b.segment, b.run_start)
+            (ticks + a.fraction - b.fraction).abs() > 1.0
         }
         (a, b) => a.is_some() != b.is_some(),
     })

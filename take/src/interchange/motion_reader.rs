@@ -7,10 +7,11 @@ use std::{
 };
 
 use super::{
-    Format, ReadOptions, Result, c3d, csv, source_file::SourceFile, text_file::TextFile,
-    text_frames::TextFrames, trc, tsv, unsupported,
+    Format, InterchangeError, ReadOptions, Result, c3d, csv, source_file::SourceFile,
+    text_file::TextFile, text_frames::TextFrames, trc, tsv, unsupported,
 };
 use crate::{
+    chunk::MAGIC,
     foreign::content::{NewScratch, PartStore, ScratchFile},
     motion::{FrameSource, GAP, Motion, MotionInfo, Position},
 };
@@ -54,6 +55,73 @@ enum ReadFrames {
     Text(Box<TextFrames>),
 }
 
+/// Bytes at the beginning of a file by which its kind shows: more than every signature has, and a line or two of text.
+const HEAD_BYTES: usize = 256;
+
+/// What the beginning of a file looks like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ContentKind {
+    /// A format that can be imported.
+    Of(Format),
+    /// One that cannot, by its name.
+    Other(&'static str),
+    Unknown,
+}
+
+impl ContentKind {
+    fn of(head: &[u8]) -> Self {
+        let text = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head);
+        let is_utf_16 = head.starts_with(b"\xFF\xFE") || head.starts_with(b"\xFE\xFF");
+        match head {
+            _ if head.starts_with(&MAGIC) => Self::Other("a take: name it .take"),
+            _ if is_utf_16 => Self::Other("text in UTF-16: save it as UTF-8"),
+            [b'P', b'K', 3, 4, ..] => {
+                Self::Other("a ZIP archive, such as a workbook of a spreadsheet: export it as text")
+            }
+            [0x1F, 0x8B, ..] => Self::Other("compressed with gzip: unpack it"),
+            [b'X', b'D', b'F', b':', ..] => {
+                Self::Other("an XDF recording, which mocapd only writes")
+            }
+            // The block of the parameters, which is one of the first in every known file, and the signature.
+            [1..=9, 0x50, ..] if head.contains(&0) => Self::Of(Format::C3d),
+            _ if text.starts_with(b"PathFileType") => Self::Of(Format::Trc),
+            _ if text.starts_with(b"NO_OF_FRAMES") => Self::Of(Format::Tsv),
+            _ if head.contains(&0) => Self::Other("binary data"),
+            _ => Self::Unknown,
+        }
+    }
+
+    /// Adds to an error of reading a file as one of `format` that it looks like something else.
+    fn explain(self, format: Format, error: InterchangeError) -> InterchangeError {
+        let InterchangeError::Malformed { format: name, place, message } = error else {
+            return error;
+        };
+        let is_text = format != Format::C3d;
+        let looks_like = match self {
+            Self::Of(found) if found != format => format!(
+                "the file looks like {0}: name it .{0}, or give --format {0}",
+                match found {
+                    Format::C3d => "c3d",
+                    Format::Trc => "trc",
+                    _ => "tsv",
+                }
+            ),
+            Self::Other(kind) if is_text || kind != "binary data" => {
+                format!("the file looks like {kind}")
+            }
+            Self::Of(_) | Self::Other(_) | Self::Unknown => {
+                return InterchangeError::Malformed { format: name, place, message };
+            }
+        };
+        // What a reader of text says of other bytes helps nobody.
+        let message = match self {
+            Self::Other(_) | Self::Of(Format::C3d) => looks_like,
+            _ => format!("{message}; {looks_like}"),
+        };
+        InterchangeError::Malformed { format: name, place, message }
+    }
+}
+
 /// Opens a text file.
 type OpenText =
     fn(&mut TextFile<'_, '_>, &ReadOptions, NewScratch<'_>) -> Result<(MotionInfo, TextFrames)>;
@@ -70,11 +138,25 @@ impl<'a> MotionReader<'a> {
         settings: &ReaderSettings<'_>,
     ) -> Result<Self> {
         let mut source = SourceFile::new(input, Arc::clone(&settings.bytes_read))?;
+        let mut head = [0; HEAD_BYTES];
+        let n_head = source.read_some(0, &mut head)?;
+        let kind = ContentKind::of(head.get(..n_head).unwrap_or_default());
+        let read = Self::read_front(format, &mut source, settings);
+        let (info, frames) = read.map_err(|error| kind.explain(format, error))?;
+        Ok(Self { info, source, frames })
+    }
+
+    /// Reads everything but the samples.
+    fn read_front(
+        format: Format,
+        source: &mut SourceFile<'_>,
+        settings: &ReaderSettings<'_>,
+    ) -> Result<(MotionInfo, ReadFrames)> {
         let (options, new_scratch) = (&settings.options, settings.new_scratch);
-        let (info, frames) = match format {
+        Ok(match format {
             Format::C3d => {
                 let mut store = PartStore::new(settings.keeps_foreign, new_scratch);
-                let (info, frames) = c3d::open(&mut source, options, &mut store)?;
+                let (info, frames) = c3d::open(source, options, &mut store)?;
                 (info, ReadFrames::C3d(Box::new(frames)))
             }
             Format::Trc | Format::Tsv | Format::Csv | Format::CsvLong => {
@@ -83,7 +165,7 @@ impl<'a> MotionReader<'a> {
                     Format::Tsv => ("tsv", tsv::open),
                     _ => ("csv", csv::open),
                 };
-                let mut file = TextFile::new(name, &mut source);
+                let mut file = TextFile::new(name, source);
                 let (info, frames) = open(&mut file, options, new_scratch)?;
                 (info, ReadFrames::Text(Box::new(frames)))
             }
@@ -97,8 +179,7 @@ impl<'a> MotionReader<'a> {
             | Format::Mcap => {
                 return unsupported("this format is export only: import c3d, trc, tsv or csv");
             }
-        };
-        Ok(Self { info, source, frames })
+        })
     }
 
     /// The description of the file, to be changed before an import: its subject, for example.

@@ -30,6 +30,15 @@ pub(super) fn number(cell: &[u8]) -> Option<f64> {
     text.parse().ok()
 }
 
+/// A number with its decimal comma replaced by a point; `None` if the cell is not such a number.
+pub(super) fn with_point(cell: &[u8]) -> Option<Vec<u8>> {
+    let mut number = cell.trim_ascii().to_vec();
+    let comma = number.iter().position(|&b| b == b',')?;
+    number.get(comma + 1)?.is_ascii_digit().then_some(())?;
+    *number.get_mut(comma)? = b'.';
+    self::number(&number).map(|_| number)
+}
+
 /// Parses a cell as a whole number from 0 to 2^53; `12.0` counts as one.
 pub(super) fn whole_number(cell: &[u8]) -> Option<u64> {
     let value = number(cell)?;

@@ -50,6 +50,49 @@ impl<'s, 'a> TextFile<'s, 'a> {
         self.conversion = Some(conversion);
     }
 
+    /// Replaces decimal commas by points in lines that begin with a number or one of `names`, if cells are between tabs and
+    /// no such line has a number with a point: then commas separate thousands.
+    ///
+    /// # Errors
+    /// Those of [`Lines::next`].
+    pub(super) fn use_decimal_points(&mut self, names: &'static [&'static [u8]]) -> Result<()> {
+        let is_of_numbers = move |line: &[u8]| {
+            let first = Separator::TAB.cells(line).next().unwrap_or_default().trim_ascii();
+            text::number(first).is_some()
+                || text::with_point(first).is_some()
+                || names.contains(&first)
+        };
+        let mut has_commas = false;
+        let mut lines = self.lines();
+        while let Some(Line { bytes: line, .. }) = lines.next()? {
+            let may_have = line.contains(&b'\t') && (line.contains(&b',') || line.contains(&b'.'));
+            if !may_have || !is_of_numbers(line) {
+                continue;
+            }
+            let has_point = |cell: &[u8]| cell.contains(&b'.') && text::number(cell).is_some();
+            if Separator::TAB.cells(line).any(has_point) {
+                return Ok(());
+            }
+            has_commas |= Separator::TAB.cells(line).any(|cell| text::with_point(cell).is_some());
+        }
+        if has_commas {
+            self.convert(Box::new(move |line, out| {
+                if !is_of_numbers(line) {
+                    out.extend_from_slice(line);
+                    return;
+                }
+                for (index, cell) in Separator::TAB.cells(line).enumerate() {
+                    out.extend((index > 0).then_some(b'\t'));
+                    match text::with_point(cell) {
+                        Some(number) => out.extend_from_slice(&number),
+                        None => out.extend_from_slice(cell),
+                    }
+                }
+            }));
+        }
+        Ok(())
+    }
+
     /// All lines. An empty file has one, which is empty.
     pub(super) fn lines(&mut self) -> Lines<'_, 'a> {
         Lines {

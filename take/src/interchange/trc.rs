@@ -40,6 +40,7 @@ pub(super) fn open(
     new_scratch: NewScratch<'_>,
 ) -> Result<(MotionInfo, TextFrames)> {
     let mut notes = Notes::default();
+    file.use_decimal_points(&[])?;
     let header = TrcHeader::parse(file, &mut notes.warnings)?;
     let unit = FileUnit::resolve(&header.unit, options.unit, &mut notes);
     let millimetres = ToMillimetres::new(unit.factor, options.rotation());

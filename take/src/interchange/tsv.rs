@@ -39,6 +39,7 @@ pub(super) fn open(
     new_scratch: NewScratch<'_>,
 ) -> Result<(MotionInfo, TextFrames)> {
     let mut notes = Notes::default();
+    file.use_decimal_points(&[b"FREQUENCY"])?;
     let header = TsvHeader::parse(file)?;
     let unit = FileUnit::resolve("mm", options.unit, &mut notes);
     let millimetres = ToMillimetres::new(unit.factor, options.rotation());
@@ -61,6 +62,11 @@ pub(super) fn open(
         table.end_row()?;
     }
     table.end(lines.n_bytes());
+    if let Some((line, cell)) = header.unread.as_ref().filter(|_| table.n_frames() == 0) {
+        let message =
+            format!("expected a row of numbers, found `{cell}`: correct the row and import again");
+        return Err(malformed(*line, &message));
+    }
     let up = options.up(UpAxis::Unknown, &mut notes);
     table.report_not_finite(&mut notes.warnings);
     table.report_damaged(&mut notes.warnings);
@@ -102,6 +108,8 @@ struct TsvHeader {
     frame_column: Option<usize>,
     n_lines: usize,
     lines: Vec<u8>,
+    /// The first line below the names of markers that is neither a row nor names of columns, and its number.
+    unread: Option<(usize, String)>,
 }
 
 impl TsvHeader {
@@ -128,6 +136,10 @@ impl TsvHeader {
                     ));
                 }
                 _ if is_column_line(line) => header.read_columns(line),
+                _ if !header.labels.is_empty() && !is_of_types(line) => {
+                    let cell = || (number, text::shortened(&text::decode(first)));
+                    header.unread.get_or_insert_with(cell);
+                }
                 _ => {}
             }
             is_qtm |= QTM_NAMES.contains(&first);
@@ -209,6 +221,11 @@ fn is_column_line(line: &[u8]) -> bool {
     is_lead_column(first)
         || (without_axis(first).is_some()
             && cells.next().is_some_and(|next| without_axis(next).is_some()))
+}
+
+/// Whether a line has the types of the trajectories, which QTM writes below the names of markers.
+fn is_of_types(line: &[u8]) -> bool {
+    line.starts_with(b"TRAJECTORY_TYPES") || line.trim_ascii().is_empty()
 }
 
 /// A column name without its ending ` X`, `_X`, ` Y`...; `None` if it has none.

@@ -90,7 +90,7 @@ impl SampleCounter {
         }
         match step {
             BatchStep::Next { continues: false, .. } if !rejoins => {
-                self.before_jump = self.expected
+                self.before_jump = self.expected;
             }
             BatchStep::Jump => self.before_jump = None,
             _ if rejoins => self.before_jump = None,

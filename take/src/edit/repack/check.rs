@@ -43,6 +43,11 @@ pub fn check_repacked(
     if let Some(difference) = recorded.first() {
         return Ok(Some(format!("the {} differ", difference.field)));
     }
+    // A joined take may have other runs of samples, and other segments of the clock; a repacked one has the same.
+    let pairs = source.map().recorded_groups().zip(found.map().recorded_groups());
+    if pairs.into_iter().any(|(a, b)| a.anchors() != b.anchors()) {
+        return Ok(Some("the times of sampled channels differ".to_owned()));
+    }
     // Times are compared where both takes have them.
     if source.has_time_lines != found.has_time_lines {
         return Ok(Some("the times differ".to_owned()));

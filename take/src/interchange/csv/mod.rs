@@ -144,20 +144,11 @@ fn to_commas(file: &mut TextFile<'_, '_>) -> Result<Option<Box<Conversion>>> {
 fn put(cell: &[u8], has_points: bool, out: &mut Vec<u8>) {
     if text::number(cell).is_some() {
         out.extend_from_slice(cell.trim_ascii());
-    } else if !has_points && let Some(number) = with_point(cell) {
+    } else if !has_points && let Some(number) = text::with_point(cell) {
         out.extend_from_slice(&number);
     } else {
         out.extend_from_slice(quote(&text::decode(cell.trim_ascii())).as_bytes());
     }
-}
-
-/// A number with its decimal comma replaced by a point; `None` if the cell is not such a number.
-fn with_point(cell: &[u8]) -> Option<Vec<u8>> {
-    let mut number = cell.trim_ascii().to_vec();
-    let comma = number.iter().position(|&b| b == b',')?;
-    number.get(comma + 1)?.is_ascii_digit().then_some(())?;
-    *number.get_mut(comma)? = b'.';
-    text::number(&number).map(|_| number)
 }
 
 /// Whether any number has a decimal point: then commas separate thousands.
