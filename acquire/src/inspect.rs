@@ -420,7 +420,7 @@ impl ClaimChecker {
         let is_recovered = take.header.settings.iter().any(recovered);
         let stated = take.sample_ledger.as_ref().map_or(&[][..], |ledger| &ledger.groups);
         let later = take.later_samples;
-        for group in take.recorded_groups() {
+        for group in take.sample_groups() {
             let number = group.group.number;
             let found = group.found_ledger();
             if found.stored > 0 && group.anchors().is_empty() && !later.times {
@@ -434,7 +434,8 @@ impl ClaimChecker {
                 continue;
             };
             // What the chunks do not show is taken from the ledger.
-            let shown = GroupLedger { duplicates: 0, jumps: 0, ..*stated };
+            let errors = Default::default();
+            let shown = GroupLedger { duplicates: 0, jumps: 0, errors, ..*stated };
             // A version that does not know the ledger recovered the take, and left it as it was.
             let is_older = is_recovered && stated.taken == found.taken;
             if shown != found && !is_older {
@@ -450,8 +451,7 @@ impl ClaimChecker {
         if later.groups || later.ledger {
             return;
         }
-        let is_known =
-            |of: &GroupLedger| take.recorded_groups().any(|g| g.group.number == of.group);
+        let is_known = |of: &GroupLedger| take.sample_groups().any(|g| g.group.number == of.group);
         // A recovered take may lack the description of a group, and so all its samples.
         if let Some(stated) = stated.iter().find(|stated| stated.stored > 0 && !is_known(stated)) {
             self.report(format!(

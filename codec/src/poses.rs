@@ -1,7 +1,8 @@
 //! Poses of rigid bodies in sampled channels, within a bound of the position's and of the angle's error.
 //!
 //! A body has [`POSE_CHANNELS`] channels: x y z in millimetres, the unit quaternion w x y z, and a residual in
-//! millimetres. Numbers are rounded to lattices whose steps follow from the bounds; the blocks of [`sampled`](crate::sampled)
+//! millimetres. In a row without a pose the residual is a NaN that says why, and the other numbers are those of the row
+//! before, which cost next to nothing; they mean nothing. Numbers are rounded to lattices whose steps follow from the bounds; the blocks of [`sampled`](crate::sampled)
 //! then code them without loss. `docs/poses.md` has the proof, and every pose is measured: one that a lattice does not
 //! hold within the bound keeps its numbers.
 
@@ -135,26 +136,31 @@ impl PoseErrors {
     }
 }
 
-/// The numbers of a body without a pose: NaN, whose lowest bits have a code that says why.
+/// The bits of a quiet NaN, to which the code of a row without a pose is added. By itself it is the residual of a pose for
+/// which the device reported none.
+const NO_RESIDUAL: u32 = 0x7fc0_0000;
+
+/// The residual of a pose without one.
+pub const RESIDUAL_NOT_REPORTED: f32 = f32::from_bits(NO_RESIDUAL);
+
+/// The row after `before` if it has no pose, for a reason with a code, which is not 0.
 #[must_use]
-pub fn without_pose(code: u8) -> PoseRow {
-    [f32::from_bits(NO_POSE | u32::from(code)); POSE_CHANNELS]
+pub fn without_pose(before: &PoseRow, code: u8) -> PoseRow {
+    let [x, y, z, qw, qx, qy, qz, _] = *before;
+    [x, y, z, qw, qx, qy, qz, f32::from_bits(NO_RESIDUAL | u32::from(code))]
 }
 
-/// The code of a row without a pose; `None` if it has one, or if its numbers say nothing.
+/// The code of a row without a pose; `None` if it has one.
 #[must_use]
 pub fn code_without_pose(row: &PoseRow) -> Option<u8> {
-    let code = (row[0].to_bits() & 0xff) as u8;
-    row.iter().all(|number| number.to_bits() == NO_POSE | u32::from(code)).then_some(code)
+    let bits = row[7].to_bits();
+    (bits & !0xff == NO_RESIDUAL && bits != NO_RESIDUAL).then_some((bits & 0xff) as u8)
 }
-
-/// The bits of a quiet NaN.
-const NO_POSE: u32 = 0x7fc0_0000;
 
 /// Whether a row has a pose.
 #[must_use]
 pub fn has_pose(row: &PoseRow) -> bool {
-    row[..7].iter().all(|number| number.is_finite())
+    code_without_pose(row).is_none() && row[..7].iter().all(|number| number.is_finite())
 }
 
 /// A quaternion scaled to a length of 1, as readers of poses within bounds have it.
@@ -173,6 +179,8 @@ pub struct PoseQuantiser {
     quaternion_step: f64,
     /// The last quaternion, which the next one continues; zeros before the first.
     last: [f64; 4],
+    /// The last row that was rounded.
+    before: PoseRow,
     errors: PoseErrors,
 }
 
@@ -185,6 +193,7 @@ impl PoseQuantiser {
             coordinate_step_mm: bounds.coordinate_step_mm(),
             quaternion_step: bounds.quaternion_step(),
             last: [0.0; 4],
+            before: [0.0; POSE_CHANNELS],
             errors: PoseErrors::default(),
         }
     }
@@ -194,9 +203,12 @@ impl PoseQuantiser {
         std::mem::take(&mut self.errors)
     }
 
-    /// Rounds the numbers of a row. One without a pose stays as it is.
+    /// Rounds the numbers of a row. One without a pose becomes that after the last one.
     pub fn round(&mut self, row: &mut PoseRow) {
         if !has_pose(row) {
+            if let Some(code) = code_without_pose(row) {
+                *row = without_pose(&self.before, code);
+            }
             return;
         }
         let [x, y, z, qw, qx, qy, qz, residual] = *row;
@@ -208,6 +220,7 @@ impl PoseQuantiser {
             rounded[7] = lattice;
         }
         self.errors.add(&PoseErrors { position_mm, angle_degrees: angle.to_degrees() });
+        self.before = rounded;
         *row = rounded;
     }
 
@@ -362,12 +375,13 @@ mod tests {
             let sign = if step % 3 == 0 { -1.0 } else { 1.0 };
             let [w, x, z] = [half.cos(), 0.6 * half.sin(), 0.8 * half.sin()];
             let [w, x, z] = [w, x, z].map(|number| (sign * number) as f32);
-            let mut row = [0.0, 0.0, 0.0, w, x, 0.0, z, f32::NAN];
+            let mut row = [0.0, 0.0, 0.0, w, x, 0.0, z, RESIDUAL_NOT_REPORTED];
             if step % 100 == 50 {
                 // A body that is lost does not begin anew.
-                let mut row = without_pose(1);
+                let (before, mut row) = (last.unwrap(), without_pose(&[7.0; 8], 1));
                 quantiser.round(&mut row);
                 assert_eq!(code_without_pose(&row), Some(1));
+                assert_eq!(row[3..7], before);
             }
             quantiser.round(&mut row);
             assert!(row[7].is_nan() && code_without_pose(&row).is_none());

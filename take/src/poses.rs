@@ -216,7 +216,7 @@ mod tests {
         assert!((length - 1.0).abs() < 1e-6);
         for (code, state) in (1..).zip(&PoseState::ALL[1..]) {
             let code = if *state == PoseState::Other { 77 } else { code };
-            let pose = reader.pose(&without_pose(code));
+            let pose = reader.pose(&without_pose(&row, code));
             assert_eq!(pose.state, *state);
             assert!(pose.position_mm.iter().chain(&pose.quaternion).all(|x| x.is_nan()));
         }

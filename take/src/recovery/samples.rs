@@ -159,7 +159,8 @@ fn group_ledger(
     });
     ledger.lost_other = damaged.fold(ledger.lost_other, u64::saturating_add);
     ledger.taken = ledger.stored.saturating_add(ledger.lost());
-    GroupLedger { duplicates: stated.duplicates, jumps: stated.jumps, ..ledger }
+    let GroupLedger { duplicates, jumps, errors, .. } = stated;
+    GroupLedger { duplicates, jumps, errors, ..ledger }
 }
 
 fn lost_samples(take: &TakeMap, group: &SampledGroup, first: u64, n: u64) -> OutputChunk {

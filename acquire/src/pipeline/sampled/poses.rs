@@ -2,11 +2,11 @@
 
 use mocapd_codec::{
     GROUP_CHANNELS,
-    poses::{GROUP_BODIES, POSE_CHANNELS, without_pose},
+    poses::{GROUP_BODIES, POSE_CHANNELS, PoseRow, RESIDUAL_NOT_REPORTED, without_pose},
 };
 use mocapd_drivers::{
     device::{
-        BodyInfo, PoseFrame, PoseStatus, SampleBatch, SampleForm, SampledChannelInfo,
+        BodyInfo, Pose, PoseFrame, PoseStatus, SampleBatch, SampleForm, SampledChannelInfo,
         SampledGroupInfo,
     },
     link::GROUPS_MAX,
@@ -54,8 +54,10 @@ pub(super) struct PoseRows {
     bodies: Vec<KnownBody>,
     /// The last frame's number as sent, and counted on without wrapping.
     last: Option<(u32, u64)>,
-    /// The samples of all groups, one group after another.
+    /// The samples of all groups, one group after another; those of the last frame that had poses until the next.
     row: Vec<f32>,
+    /// Whether the frame had any.
+    has_samples: bool,
 }
 
 #[derive(Debug)]
@@ -68,8 +70,8 @@ struct KnownBody {
 impl PoseRows {
     pub(super) fn new(bodies: &[BodyInfo]) -> Self {
         let known = |info: &BodyInfo| KnownBody { info: info.clone(), is_contradicted: false };
-        let row = Vec::with_capacity(bodies.len() * POSE_CHANNELS);
-        Self { bodies: bodies.iter().map(known).collect(), last: None, row }
+        let row = vec![0.0; bodies.len() * POSE_CHANNELS];
+        Self { bodies: bodies.iter().map(known).collect(), last: None, row, has_samples: false }
     }
 
     /// Whether an announcement has the known bodies and no others.
@@ -88,14 +90,13 @@ impl PoseRows {
         let (last, count) = self.last.unwrap_or((frame.seq, frame.seq.into()));
         let step = i64::from(frame.seq.wrapping_sub(last).cast_signed());
         self.last = Some((frame.seq, count.wrapping_add_signed(step)));
-        self.row.clear();
-        if frame.poses.is_empty() {
-            return PosesOutcome::Counted;
-        }
-        let unlisted = without_pose(UNLISTED);
-        self.row.extend(self.bodies.iter().flat_map(|_| unlisted));
         let mut outcome = PosesOutcome::Counted;
+        self.has_samples = !frame.poses.is_empty();
+        if !self.has_samples {
+            return outcome;
+        }
         let (rows, _) = self.row.as_chunks_mut::<POSE_CHANNELS>();
+        rows.iter_mut().for_each(|row| *row = without_pose(row, UNLISTED));
         for (place, pose) in frame.poses.iter().enumerate() {
             let is_its = |known: &KnownBody| known.info.id == pose.body;
             // Most devices send the bodies in the order of their table.
@@ -108,12 +109,7 @@ impl PoseRows {
                 outcome = PosesOutcome::Refused { body: pose.body };
                 continue;
             };
-            let pose = pose.checked();
-            let ([x, y, z], [qw, qx, qy, qz]) = (pose.position_mm, pose.quaternion);
-            *row = match pose.status {
-                PoseStatus::Tracked => [x, y, z, qw, qx, qy, qz, pose.residual_mm],
-                status => without_pose(status.code()),
-            };
+            *row = next_row(row, &pose.checked());
         }
         outcome
     }
@@ -133,7 +129,24 @@ impl PoseRows {
             device_ticks,
             form: SampleForm::Float32,
             n_channels: (bodies.len() * POSE_CHANNELS) as u8,
-            samples: self.row.chunks(GROUP_CHANNELS).nth(index).unwrap_or_default(),
+            samples: self.samples(index),
         })
     }
+
+    /// The samples of a group; none in a frame without poses.
+    fn samples(&self, group: usize) -> &[f32] {
+        let samples = self.row.chunks(GROUP_CHANNELS).nth(group).filter(|_| self.has_samples);
+        samples.unwrap_or_default()
+    }
+}
+
+/// The row of a body after `before`.
+fn next_row(before: &PoseRow, pose: &Pose) -> PoseRow {
+    if pose.status != PoseStatus::Tracked {
+        return without_pose(before, pose.status.code());
+    }
+    let ([x, y, z], [qw, qx, qy, qz]) = (pose.position_mm, pose.quaternion);
+    let is_reported = pose.residual_mm.is_finite() && pose.residual_mm >= 0.0;
+    let residual = if is_reported { pose.residual_mm } else { RESIDUAL_NOT_REPORTED };
+    [x, y, z, qw, qx, qy, qz, residual]
 }

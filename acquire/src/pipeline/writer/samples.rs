@@ -203,8 +203,9 @@ impl TakeSamples {
             take.samples(&SampleSpan { group: number, first: first - gap, n: gap, content }, &[])?;
         }
         match &part.content {
-            PartContent::Block { key, time, block, .. } => {
+            PartContent::Block { key, time, errors, block, .. } => {
                 group.ledger.stored += n;
+                group.ledger.errors.add(errors);
                 let anchor = SampleAnchor {
                     number: first,
                     run_start: time.run_start.saturating_sub(base),
