@@ -1,8 +1,9 @@
 mod commands;
 mod frames;
+mod poses;
 mod samples;
 
-use mocapd_drivers::device::{DeviceEvent, LinkBudget, Pong, Protocol, SampledGroupInfo};
+use mocapd_drivers::device::{BodyInfo, DeviceEvent, LinkBudget, Pong, Protocol, SampledGroupInfo};
 use mocapd_drivers::link::{FrameForm, HostLink};
 use mocapd_take::motion::is_gap;
 
@@ -16,6 +17,8 @@ const MS: u64 = 1_000_000;
 enum Event {
     Group(SampledGroupInfo),
     Samples(SentSamples),
+    Bodies(Vec<BodyInfo>),
+    Poses(SentPoses),
     Hello(Hello),
     Markers(usize),
     Frame { seq: u32, ticks: u64, samples: Vec<MarkerSample> },
@@ -35,6 +38,15 @@ struct SentSamples {
     first: u64,
     ticks: u64,
     samples: Vec<f32>,
+}
+
+/// Poses as received.
+#[derive(Debug, Clone, PartialEq)]
+struct SentPoses {
+    seq: u32,
+    number: u32,
+    ticks: u64,
+    poses: Vec<Pose>,
 }
 
 /// A device and a host in virtual time.
@@ -81,6 +93,13 @@ impl Bench {
                     first: batch.first,
                     ticks: batch.device_ticks,
                     samples: batch.samples.to_vec(),
+                }),
+                DeviceEvent::Bodies(bodies) => Event::Bodies(bodies.to_vec()),
+                DeviceEvent::Poses(frame) => Event::Poses(SentPoses {
+                    seq: frame.seq,
+                    number: frame.number,
+                    ticks: frame.device_ticks,
+                    poses: frame.poses.to_vec(),
                 }),
                 DeviceEvent::Status(status) => Event::Status(status),
                 DeviceEvent::Pong(pong) => Event::Pong(pong),
