@@ -6,7 +6,7 @@ use mocapd_take::{
     TakeError, TakeEvent, TakeMap, TakeTraversal, chunk,
     index::{Footer, IndexEntry},
     reader::{TakeBytes, TakeInput},
-    record::{Channel, EndingKind, GroupLedger, Header, Ledger, SummaryRecord},
+    record::{Channel, EndingKind, GroupLedger, Header, Ledger, MeasuredErrors, SummaryRecord},
     statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
     stretch::{ROWS_MAX, Stretch},
     timeline::{LossCauses, Timeline},
@@ -435,6 +435,18 @@ impl ClaimChecker {
             };
             // What the chunks do not show is taken from the ledger.
             let errors = Default::default();
+            if let Some(bounds) = group.group.pose_bounds() {
+                let most = MeasuredErrors::at_most(bounds);
+                let MeasuredErrors { position_nm, angle_nanodegrees } = stated.errors;
+                // Both were rounded up.
+                let is_within = position_nm <= most.position_nm.saturating_add(1)
+                    && angle_nanodegrees <= most.angle_nanodegrees.saturating_add(1);
+                if !is_within {
+                    self.report(format!(
+                        "the ledger states errors of the poses of group {number} beyond their bounds"
+                    ));
+                }
+            }
             let shown = GroupLedger { duplicates: 0, jumps: 0, errors, ..*stated };
             // A version that does not know the ledger recovered the take, and left it as it was.
             let is_older = is_recovered && stated.taken == found.taken;

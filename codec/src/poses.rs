@@ -198,6 +198,11 @@ impl PoseQuantiser {
         }
     }
 
+    /// Begins anew, without a pose before.
+    pub fn forget(&mut self) {
+        (self.last, self.before) = ([0.0; 4], [0.0; POSE_CHANNELS]);
+    }
+
     /// The largest errors since they were last taken.
     pub fn take_errors(&mut self) -> PoseErrors {
         std::mem::take(&mut self.errors)

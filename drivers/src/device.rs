@@ -4,7 +4,7 @@
 
 mod pose;
 
-pub use pose::{BODIES_MAX, BodyInfo, Pose, PoseFrame, PoseStatus};
+pub use pose::{BODIES_MAX, BodyInfo, EndOfPoses, Pose, PoseFrame, PoseStatus};
 
 use crate::{transport::Transport, uri::Location};
 
@@ -203,6 +203,8 @@ pub enum DeviceEvent<'a> {
     Bodies(&'a [BodyInfo]),
     /// Their poses in a frame, before or after that frame.
     Poses(PoseFrame<'a>),
+    /// No poses follow until the next Start.
+    EndOfPoses(EndOfPoses),
     /// A trigger edge.
     Trigger(Trigger),
     /// Counters and temperature.

@@ -24,8 +24,11 @@ pub const CHANNEL_NAMES: [&str; POSE_CHANNELS] =
 /// Their units.
 pub const CHANNEL_UNITS: [&str; POSE_CHANNELS] = ["mm", "mm", "mm", "", "", "", "", "mm"];
 
-/// The code of a body that a frame did not list; smaller ones are those of the device's states.
-pub const UNLISTED: u8 = 3;
+/// The code of a body that a frame did not list. Codes below 128 are those of the device's states.
+pub const UNLISTED: u8 = 255;
+
+/// The code of a pose that the recorder refused: the body has another name since the recording began.
+pub const REFUSED: u8 = 254;
 
 /// Why a row has a pose, or none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,15 +41,13 @@ pub enum PoseState {
     Rejected,
     /// The frame did not list it.
     Unlisted,
+    /// The recorder refused its pose: the device has another body by its number since the recording began.
+    Refused,
     /// For a reason that this version does not know.
     Other,
 }
 
 impl PoseState {
-    /// All, by their codes.
-    pub const ALL: [Self; 5] =
-        [Self::Tracked, Self::Lost, Self::Rejected, Self::Unlisted, Self::Other];
-
     /// The name in reports.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -55,6 +56,7 @@ impl PoseState {
             Self::Lost => "lost",
             Self::Rejected => "rejected",
             Self::Unlisted => "unlisted",
+            Self::Refused => "refused",
             Self::Other => "other",
         }
     }
@@ -67,7 +69,8 @@ pub struct Pose {
     pub state: PoseState,
     /// Position of the body's origin in millimetres.
     pub position_mm: [f32; 3],
-    /// Rotation from the body's axes to the device's: w, x, y, z, of length 1.
+    /// Rotation from the body's axes to the device's: w, x, y, z; of length 1 if the poses are within bounds, else as the
+    /// device sent it.
     pub quaternion: [f32; 4],
     /// How well the body's markers fit, in millimetres; NaN if the device did not report it.
     pub residual_mm: f32,
@@ -91,9 +94,9 @@ impl PoseReader {
     #[must_use]
     pub fn pose(&self, row: &PoseRow) -> Pose {
         let [x, y, z, qw, qx, qy, qz, residual_mm] = *row;
-        if has_pose(row) {
-            let quaternion = [qw, qx, qy, qz];
-            let quaternion = if self.is_bounded { unit(quaternion) } else { quaternion };
+        let quaternion = [qw, qx, qy, qz];
+        let quaternion = if self.is_bounded { unit(quaternion) } else { quaternion };
+        if has_pose(row) && quaternion.iter().all(|number| number.is_finite()) {
             let (state, position_mm) = (PoseState::Tracked, [x, y, z]);
             return Pose { state, position_mm, quaternion, residual_mm };
         }
@@ -101,6 +104,7 @@ impl PoseReader {
             Some(1) => PoseState::Lost,
             Some(2) => PoseState::Rejected,
             Some(UNLISTED) => PoseState::Unlisted,
+            Some(REFUSED) => PoseState::Refused,
             _ => PoseState::Other,
         };
         let (position_mm, quaternion) = ([f32::NAN; 3], [f32::NAN; 4]);
@@ -214,15 +218,22 @@ mod tests {
         let reader = PoseReader::new(&group);
         let length: f32 = reader.pose(&row).quaternion.iter().map(|x| x * x).sum();
         assert!((length - 1.0).abs() < 1e-6);
-        for (code, state) in (1..).zip(&PoseState::ALL[1..]) {
-            let code = if *state == PoseState::Other { 77 } else { code };
+        for (code, state) in [
+            (1, PoseState::Lost),
+            (2, PoseState::Rejected),
+            (UNLISTED, PoseState::Unlisted),
+            (REFUSED, PoseState::Refused),
+            (77, PoseState::Other),
+        ] {
             let pose = reader.pose(&without_pose(&row, code));
-            assert_eq!(pose.state, *state);
+            assert_eq!(pose.state, state);
             assert!(pose.position_mm.iter().chain(&pose.quaternion).all(|x| x.is_nan()));
         }
         let mut damaged = row;
         damaged[4] = f32::INFINITY;
         assert_eq!(reader.pose(&damaged).state, PoseState::Other);
+        damaged[3..7].fill(0.0);
+        assert_eq!(reader.pose(&damaged).state, PoseState::Other, "no rotation");
         group.kind = String::new();
         assert_eq!((group.bodies().count(), group.pose_bounds()), (0, None));
     }

@@ -9,12 +9,17 @@ use mocapd_acquire::{
     verdict::Verdict,
 };
 use mocapd_codec::{Settings, poses::PoseBounds};
-use mocapd_drivers::device::{BodyInfo, Pose, PoseFrame, PoseStatus};
+use mocapd_drivers::device::{
+    BodyInfo, EndOfPoses, Pose, PoseFrame, PoseStatus, SampleBatch, SampleForm, SampledChannelInfo,
+    SampledGroupInfo,
+};
 use mocapd_take::{
     TakeMap,
+    edit::{EditContext, SourceTake, concat, cut, repack},
     motion::Motion,
     poses::{Pose as StoredPose, PoseState},
-    record::GroupLedger,
+    record::{GroupLedger, MeasuredErrors},
+    recovery::RecoveryScan,
 };
 
 use super::takes::feed_all;
@@ -58,12 +63,21 @@ fn pose(info: &BodyInfo, frame: u32) -> Option<Pose> {
 }
 
 fn send(intake: &mut Intake, frame: u32, number: u32) {
-    let poses: Vec<Pose> = bodies().iter().filter_map(|body| pose(body, frame)).collect();
+    send_of(intake, &bodies(), frame, number);
+}
+
+/// Those of the first bodies.
+fn send_some(intake: &mut Intake, frame: u32, n_bodies: usize) {
+    send_of(intake, &bodies()[..n_bodies], frame, frame);
+}
+
+fn send_of(intake: &mut Intake, bodies: &[BodyInfo], frame: u32, number: u32) {
+    let poses: Vec<Pose> = bodies.iter().filter_map(|body| pose(body, frame)).collect();
     intake.poses(&PoseFrame { seq: frame, number, device_ticks: ticks(frame), poses: &poses });
 }
 
 fn ticks(frame: u32) -> u64 {
-    1_000 + u64::from(frame) * TICK_HZ / 200
+    u64::from(frame) * TICK_HZ / 200
 }
 
 fn with_bodies(motion: &Motion, codec: Settings) -> PipelineConfig {
@@ -183,6 +197,19 @@ fn every_pose_is_in_the_take_bit_for_bit_or_within_its_bounds() {
         let stated = map.pose_groups().next().unwrap().group.pose_bounds();
         let expected = config.pose_bounds.map(|b| [b.position_mm(), b.angle_degrees()]);
         assert_eq!(stated, expected);
+        let stated: Vec<MeasuredErrors> =
+            map.pose_groups().map(|g| g.pose_errors(map.sample_ledger.as_ref())).collect();
+        match config.pose_bounds {
+            None => assert_eq!(stated, [MeasuredErrors::default(); 2]),
+            Some(bounds) => {
+                for errors in stated.iter().map(MeasuredErrors::errors) {
+                    let part = errors.position_mm / bounds.position_mm();
+                    assert!(0.8 < part && part <= 1.0 + 1e-6, "{errors:?}");
+                    let part = errors.angle_degrees / bounds.angle_degrees();
+                    assert!(0.6 < part && part <= 1.0 + 1e-6, "{errors:?}");
+                }
+            }
+        }
         sizes.push(map.pose_groups().map(|group| group.stored_bytes).sum::<u64>());
     }
     let raw = 2400 * u64::from(BODIES) * 32;
@@ -211,9 +238,9 @@ fn lost_poses_are_stated_with_their_causes() {
         }
         number += 1;
     }
-    // Two more at the end are lost, as an empty frame says.
-    let (device_ticks, poses) = (ticks(1202), &[][..]);
-    intake.poses(&PoseFrame { seq: 1202, number: number + 2, device_ticks, poses });
+    // Two more at the end are lost, as their end says.
+    let device_ticks = ticks(1202);
+    intake.end_of_poses(&EndOfPoses { seq: 1202, number: number + 2, device_ticks });
     intake.finish();
     let (_, take) = pipeline.finish().unwrap();
     for ledger in assert_clean(&take) {
@@ -242,6 +269,8 @@ fn what_is_no_pose_is_rejected_and_unknown_bodies_are_counted() {
         vec![Pose { position_mm: [f32::NAN; 3], ..good }],
         vec![Pose { body: 9_999, ..good }, good],
         vec![Pose::without(info.id, PoseStatus::Lost)],
+        // A frame that lists no body came all the same.
+        Vec::new(),
     ];
     for (frame, poses) in (0..).zip(&frames) {
         feed_all(&mut intake, &motion, [frame as usize]);
@@ -253,15 +282,16 @@ fn what_is_no_pose_is_rejected_and_unknown_bodies_are_counted() {
     others.push(BodyInfo { id: 300, name: "new".to_owned() });
     intake.announce_bodies(&others);
     let again = |seq, intake: &mut Intake| {
+        feed_all(intake, &motion, [seq as usize]);
         let (device_ticks, poses) = (ticks(seq), &[good][..]);
         intake.poses(&PoseFrame { seq, number: seq, device_ticks, poses });
     };
-    again(5, &mut intake);
+    again(6, &mut intake);
     others[2].name = "other".to_owned();
     intake.announce_bodies(&others);
-    again(6, &mut intake);
-    intake.announce_bodies(&bodies());
     again(7, &mut intake);
+    intake.announce_bodies(&bodies());
+    again(8, &mut intake);
     intake.finish();
     let (_, take) = pipeline.finish().unwrap();
     let summary = Summary::read(&take[..]).unwrap();
@@ -269,10 +299,165 @@ fn what_is_no_pose_is_rejected_and_unknown_bodies_are_counted() {
     let (found, map) = read(&take);
     let states: Vec<PoseState> =
         found.iter().filter(|(_, body, _)| *body == 2).map(|(_, _, pose)| pose.state).collect();
-    let [tracked, lost, rejected, unlisted] = [0, 1, 2, 3].map(|code| PoseState::ALL[code]);
-    assert_eq!(states, [tracked, rejected, rejected, tracked, lost, tracked, unlisted, tracked]);
+    assert_eq!(
+        states,
+        [
+            PoseState::Tracked,
+            PoseState::Rejected,
+            PoseState::Rejected,
+            PoseState::Tracked,
+            PoseState::Lost,
+            PoseState::Unlisted,
+            PoseState::Tracked,
+            PoseState::Refused,
+            PoseState::Tracked,
+        ]
+    );
+    let ledger = &summary.take.sample_ledger.as_ref().unwrap().groups[0];
+    assert_eq!((ledger.taken, ledger.stored), (9, 9));
     let texts: Vec<&str> = map.events.iter().map(|event| &event.text[..]).collect();
     assert_eq!(texts.len(), 3, "{texts:?}");
     assert!(texts[0].contains("poses of body 9999"), "{texts:?}");
     assert!(texts[1..].iter().all(|text| text.contains("other rigid bodies")), "{texts:?}");
+}
+
+/// The same frames with their poses before them, behind them, and one frame late.
+#[test]
+fn every_part_of_a_recording_has_the_poses_of_its_frames() {
+    use super::splits::record_parts;
+    let motion = jump(4, 200.0, 3.0);
+    for order in [PoseOrder::Before, PoseOrder::Behind] {
+        let config = with_bodies(&motion, lossless());
+        let takes = record_parts((&motion, &config), 100, |intake| {
+            for frame in 0..600_u32 {
+                if order == PoseOrder::Before {
+                    send(intake, frame, frame);
+                }
+                // One frame is lost on the link; its poses are not.
+                if frame != 250 {
+                    feed_all(intake, &motion, [frame as usize]);
+                }
+                if order == PoseOrder::Behind {
+                    send(intake, frame, frame);
+                }
+            }
+        });
+        let mut from = 0;
+        for take in &takes {
+            let rows = Summary::read(&take[..]).unwrap().take.n_rows;
+            assert_eq!(assert_true(take, from, None) as u64, rows * u64::from(BODIES));
+            assert_clean(take);
+            from += rows;
+        }
+        assert_eq!((takes.len(), from), (6, 600));
+    }
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum PoseOrder {
+    Before,
+    Behind,
+}
+
+#[test]
+fn parts_have_the_poses_of_their_frames_and_joined_again_they_are_those_of_the_take() {
+    let motion = jump(5, 200.0, 12.0);
+    let config = with_bodies(&motion, dense(0.5));
+    let (mut intake, pipeline) = start(&config, Vec::new());
+    for frame in 0..2400 {
+        feed_all(&mut intake, &motion, [frame as usize]);
+        // The device dropped some poses.
+        if !(1000..1020).contains(&frame) {
+            send(&mut intake, frame, if frame < 1000 { frame } else { frame - 20 });
+        }
+    }
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    let whole = assert_clean(&take);
+    let new_scratch = || Err(std::io::ErrorKind::Unsupported.into());
+    let context = EditContext { software: "test", new_scratch: &new_scratch, on_rows: &|_| () };
+    let source = |take: &[u8]| SourceTake::read(&mut Cursor::new(take)).unwrap();
+    let cut_to = |rows: std::ops::Range<u64>| {
+        let mut part = Vec::new();
+        cut(&source(&take), Cursor::new(&take), rows, &mut part, &context).unwrap();
+        part
+    };
+    let parts = [cut_to(0..777), cut_to(777..778), cut_to(778..2400)];
+    let (mut from, mut n) = (0, 0);
+    for (part, n_rows) in parts.iter().zip([777, 1, 1622]) {
+        let ledger = assert_clean(part)[0];
+        assert_eq!(ledger.taken, n_rows);
+        // A part states the errors of the whole.
+        assert_eq!(ledger.errors, whole[0].errors);
+        n += assert_true(part, from, config.pose_bounds);
+        from += n_rows;
+    }
+    assert_eq!(n, 2380 * usize::from(BODIES));
+    let sources: Vec<SourceTake> = parts.iter().map(|part| source(part)).collect();
+    let (mut joined, mut repacked) = (Vec::new(), Vec::new());
+    let open = |i: usize| Ok(Cursor::new(parts[i].clone()));
+    concat(&sources, open, &mut joined, &context).unwrap();
+    repack(&source(&take), Cursor::new(&take), None, &mut repacked, &context).unwrap();
+    for other in [&joined, &repacked] {
+        assert_eq!(assert_true(other, 0, config.pose_bounds), n);
+        let ledgers = assert_clean(other);
+        assert_eq!((ledgers[0].errors, ledgers[0].dropped_by_device), (whole[0].errors, 20));
+    }
+}
+
+/// Frames, a scalar channel and poses in one take.
+#[test]
+fn a_take_of_all_kinds_that_is_cut_off_anywhere_is_true_and_can_be_recovered() {
+    let motion = jump(6, 200.0, 0.2);
+    let channel = SampledChannelInfo { scale: 1.0, ..SampledChannelInfo::default() };
+    let group = SampledGroupInfo {
+        id: 0,
+        form: SampleForm::Int16,
+        rate_millihertz: 200_000,
+        channels: vec![channel],
+    };
+    let codec = dense(0.5);
+    let bodies = bodies()[..2].to_vec();
+    let config = PipelineConfig { sampled: vec![group], bodies, ..config(&motion, codec) };
+    let (mut intake, pipeline) = start(&config, Vec::new());
+    for frame in 0..30 {
+        feed_all(&mut intake, &motion, [frame as usize]);
+        send_some(&mut intake, frame, 2);
+        intake.samples(&SampleBatch {
+            group: 0,
+            number: frame,
+            first: frame.into(),
+            device_ticks: ticks(frame),
+            form: SampleForm::Int16,
+            n_channels: 1,
+            samples: &[frame as f32],
+        });
+    }
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    assert_clean(&take);
+    let bounds = config.pose_bounds.unwrap();
+    let at_most = MeasuredErrors::at_most([bounds.position_mm(), bounds.angle_degrees()]);
+    let (mut longest, mut n_known, mut n_unmeasured) = (0, 0, 0);
+    for cut in 0..take.len() {
+        let part = &take[..cut];
+        let Ok(map) = TakeMap::scan(&mut Cursor::new(part)) else { continue };
+        if map.pose_groups().next().is_none() {
+            continue;
+        }
+        n_known += 1;
+        let n = assert_true(part, 0, config.pose_bounds);
+        assert!(n >= longest, "{cut}: what was readable stays so");
+        longest = n;
+        let mut recovered = Vec::new();
+        let scan = RecoveryScan::read(part).unwrap();
+        scan.write(Cursor::new(part), &mut recovered, "test").unwrap();
+        assert_eq!(assert_true(&recovered, 0, config.pose_bounds), n, "{cut}");
+        let ledger = assert_clean(&recovered).pop().unwrap();
+        assert_eq!(2 * ledger.stored, n as u64);
+        // Without a ledger of all its poses, the bounds are all that is known of their errors.
+        assert!(n == 0 || ledger.errors.position_nm > 0, "{cut}: {ledger:?}");
+        n_unmeasured += u32::from(n > 0 && ledger.errors == at_most);
+    }
+    assert!(n_known > take.len() / 3 && longest == 60 && n_unmeasured > 10, "{n_known} {longest}");
 }

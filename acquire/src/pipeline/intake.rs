@@ -3,12 +3,13 @@
 mod clock;
 mod frame_counter;
 mod losses;
+mod poses;
 mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
 
 use mocapd_drivers::device::{
-    BodyInfo, Frame, LinkCounters, MarkerInfo, PoseFrame, SampleBatch, SampledGroupInfo, Status,
+    Frame, LinkCounters, MarkerInfo, SampleBatch, SampledGroupInfo, Status,
 };
 use mocapd_take::{
     record::{EndingKind, Event, EventKind, TakeEnding},
@@ -19,6 +20,7 @@ use self::{
     clock::ClockTracker,
     frame_counter::FrameCounter,
     losses::{PendingLoss, SilenceMonitor},
+    poses::PoseStep,
 };
 use super::{
     Counts, PipelineConfig, PipelineProgress, SplitAt,
@@ -27,7 +29,7 @@ use super::{
     plan::Plan,
     pool::Feed,
     ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
-    sampled::{BatchOutcome, PosesOutcome, SampledIntake},
+    sampled::{BatchOutcome, SampledIntake},
     split::SplitSchedule,
 };
 use crate::{
@@ -102,6 +104,7 @@ pub struct Intake {
     commands: CommandReceiver,
     tap: PreviewSender,
     samples: SampledIntake,
+    pose_step: PoseStep,
     /// Announcements of sampled channels that were reported.
     groups_reported: u32,
 }
@@ -185,6 +188,7 @@ impl Intake {
             commands,
             tap,
             samples,
+            pose_step: PoseStep::default(),
             groups_reported: 0,
         })
     }
@@ -197,6 +201,7 @@ impl Intake {
     /// Accepts a frame; `arrival_ns` is the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.now_ns = arrival_ns;
+        self.flush_poses_before(frame.seq);
         if !self.announced.is_empty() {
             self.bind_announced();
         }
@@ -241,8 +246,10 @@ impl Intake {
         if self.open_rows >= self.open_limit {
             self.close_stretch();
         }
-        // The frame was the last one of the take: its end does not wait for the next.
-        self.end_before_frame();
+        // The frame was the last one of the take: its end does not wait for the next, but for its poses.
+        if !self.flush_poses_of(frame.seq) {
+            self.end_before_frame();
+        }
     }
 
     /// Accepts a batch of samples: all of it goes into the ring of its group, or is counted as lost.
@@ -251,15 +258,6 @@ impl Intake {
         if self.samples.batch(batch, self.feed.next_stretch(), segment) == BatchOutcome::Refused {
             let what = format_args!("samples of group {}", batch.group);
             self.count_refused(what);
-        }
-    }
-
-    /// Accepts the poses of a frame: all of them go into the rings of their groups, or are counted as lost.
-    pub fn poses(&mut self, frame: &PoseFrame<'_>) {
-        let segment = self.clocks.segment();
-        let outcome = self.samples.poses(frame, self.feed.next_stretch(), segment);
-        if let PosesOutcome::Refused { body } = outcome {
-            self.count_refused(format_args!("poses of body {body}"));
         }
     }
 
@@ -283,14 +281,6 @@ impl Intake {
         }
     }
 
-    /// Reports rigid bodies that differ from those announced before the start.
-    pub fn announce_bodies(&mut self, bodies: &[BodyInfo]) {
-        if !self.samples.announce_bodies(bodies) {
-            let n = bodies.len();
-            self.report_announcement(format_args!("other rigid bodies than before, {n} in all,"));
-        }
-    }
-
     fn report_announcement(&mut self, what: std::fmt::Arguments<'_>) {
         if self.groups_reported >= GROUPS_REPORTED_MAX {
             return;
@@ -306,7 +296,10 @@ impl Intake {
     pub fn tick(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
         self.heartbeat.beat();
-        self.execute_commands(now_ns);
+        if !self.awaits_poses(now_ns) {
+            self.end_without_poses();
+            self.execute_commands(now_ns);
+        }
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
         }
@@ -478,6 +471,7 @@ impl Intake {
     /// Reports that the device was disconnected, or is back.
     pub fn set_away(&mut self, is_away: bool) {
         self.is_away = is_away;
+        self.flush_poses();
         self.progress.is_away.store(is_away, Ordering::Relaxed);
         if !is_away {
             self.progress.outages.fetch_add(1, Ordering::Relaxed);
@@ -511,6 +505,7 @@ impl Intake {
         if std::mem::replace(&mut self.finished, true) {
             return;
         }
+        self.flush_poses();
         self.clocks.close();
         self.count_absence(self.now_ns);
         if let Some(status) = self.counts.status {

@@ -41,8 +41,7 @@ pub struct PipelineConfig {
     pub channels: Vec<Channel>,
     /// The groups of sampled channels. Others that appear later are not recorded.
     pub sampled: Vec<SampledGroupInfo>,
-    /// The rigid bodies, at most [`BODIES_MAX`](mocapd_drivers::device::BODIES_MAX). Others that appear later are not
-    /// recorded.
+    /// The rigid bodies: the first [`BODIES_MAX`] are recorded, and none that appear later.
     pub bodies: Vec<BodyInfo>,
     /// The largest errors of their poses; `None` to record every bit.
     pub pose_bounds: Option<PoseBounds>,
@@ -97,11 +96,15 @@ impl PipelineConfig {
         }
     }
 
+    /// The bodies that are recorded. Poses of others are refused, which is counted and reported.
+    pub(super) fn recorded_bodies(&self) -> &[BodyInfo] {
+        self.bodies.get(..BODIES_MAX).unwrap_or(&self.bodies)
+    }
+
     /// The groups of sampled channels, and those of the poses.
     pub(super) fn sample_groups(&self) -> Vec<SampledGroupInfo> {
         let rate_millihertz = (self.rate_hz * 1000.0).round() as u32;
-        let bodies = self.bodies.get(..BODIES_MAX).unwrap_or(&self.bodies);
-        let poses = sampled::pose_groups(bodies, rate_millihertz);
+        let poses = sampled::pose_groups(self.recorded_bodies(), rate_millihertz);
         self.sampled.iter().cloned().chain(poses).collect()
     }
 

@@ -9,8 +9,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
     device::{
-        BODIES_MAX, BodyInfo, Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol,
-        SampledGroupInfo,
+        BodyInfo, Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol, SampledGroupInfo,
     },
     registry::{self, Candidate, OpenedDevice},
     transport::{Transport, TransportError},
@@ -361,7 +360,6 @@ impl Rig {
                 self.hello = hello;
                 // Takes and their ledgers have the groups in order of numbers, whatever the order of the answers.
                 channels.sampled.sort_by_key(|group| group.id);
-                channels.bodies.truncate(BODIES_MAX);
                 self.channels = channels;
                 return Ok(());
             }

@@ -456,6 +456,7 @@ impl Reader<'_> {
                 self.last_samples_ns = arrival_ns;
                 self.intake.poses(&frame);
             }
+            DeviceEvent::EndOfPoses(end) => self.intake.end_of_poses(&end),
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
             DeviceEvent::SampledGroup(group) => self.intake.announce_group(group),
             DeviceEvent::Bodies(bodies) => self.intake.announce_bodies(bodies),

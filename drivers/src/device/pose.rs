@@ -29,7 +29,7 @@ impl PoseStatus {
     /// All, by their codes.
     pub const ALL: [Self; 3] = [Self::Tracked, Self::Lost, Self::Rejected];
 
-    /// Its number on the wire and in takes.
+    /// Its number on the wire and in takes, which have numbers of their own from 128 on.
     #[must_use]
     pub const fn code(self) -> u8 {
         self as u8
@@ -97,10 +97,20 @@ pub struct PoseFrame<'a> {
     pub number: u32,
     /// Device clock at exposure, in ticks.
     pub device_ticks: u64,
-    /// The poses; of bodies that are not listed, nothing is known. Empty in the last one before
-    /// [`EndOfStream`](super::DeviceEvent::EndOfStream), whose `seq` is that of the frame that would come next: so a loss
-    /// at the end is known.
+    /// The poses; of bodies that are not listed, nothing is known.
     pub poses: &'a [Pose],
+}
+
+/// The end of the poses of a run, sent before [`EndOfStream`](super::DeviceEvent::EndOfStream), so that a loss at the end
+/// is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EndOfPoses {
+    /// Number of the frame that would come next.
+    pub seq: u32,
+    /// Number of the next message, as [`PoseFrame::number`].
+    pub number: u32,
+    /// Device clock, in ticks.
+    pub device_ticks: u64,
 }
 
 #[cfg(test)]

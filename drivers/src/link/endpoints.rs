@@ -11,9 +11,9 @@ use super::{
 use crate::{
     bytes::WireValue,
     device::{
-        BODIES_MAX, BodyInfo, Command, DeviceEvent, Frame, Hello, LinkBudget, LinkCounters,
-        MarkerInfo, MarkerSample, Pong, Pose, PoseFrame, Protocol, SampleBatch, SampledGroupInfo,
-        Status, Trigger,
+        BODIES_MAX, BodyInfo, Command, DeviceEvent, EndOfPoses, Frame, Hello, LinkBudget,
+        LinkCounters, MarkerInfo, MarkerSample, Pong, Pose, PoseFrame, Protocol, SampleBatch,
+        SampledGroupInfo, Status, Trigger,
     },
 };
 
@@ -152,6 +152,11 @@ impl DeviceLink {
     /// `Poses` for poses that the message cannot hold; nothing is appended then.
     pub fn poses(&mut self, frame: &PoseFrame<'_>, out: &mut Vec<u8>) -> Result<(), EncodeError> {
         poses::put_poses(&mut self.framer, frame, out)
+    }
+
+    /// Encodes the end of the poses of a run.
+    pub fn end_of_poses(&mut self, end: EndOfPoses, out: &mut Vec<u8>) {
+        poses::put_end(&mut self.framer, end, out);
     }
 
     /// Encodes a trigger edge.
@@ -296,7 +301,7 @@ impl Scratch {
             kind::BODIES => {
                 poses::get_bodies(payload, bodies).map(|()| DeviceEvent::Bodies(bodies))
             }
-            kind::POSES => poses::get_poses(payload, poses).map(DeviceEvent::Poses),
+            kind::POSES => poses::get_poses(payload, poses),
             kind::TRIGGER => WireValue::decode(payload).map(DeviceEvent::Trigger),
             kind::STATUS => WireValue::decode(payload).map(DeviceEvent::Status),
             kind::END_OF_STREAM => WireValue::decode(payload).map(DeviceEvent::EndOfStream),

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     bytes::{Cursor, WireValue},
-    device::{BODIES_MAX, BodyInfo, Pose, PoseFrame, PoseStatus},
+    device::{BODIES_MAX, BodyInfo, DeviceEvent, EndOfPoses, Pose, PoseFrame, PoseStatus},
 };
 
 /// Bytes on the wire of the poses of a frame, at most.
@@ -81,12 +81,27 @@ pub(super) fn put_poses(
     Ok(())
 }
 
-/// Decodes the poses of a frame, which are in `poses`.
-pub(super) fn get_poses<'a>(payload: &[u8], poses: &'a mut Vec<Pose>) -> Option<PoseFrame<'a>> {
+/// In place of the number of poses: there are no more.
+const END: u16 = u16::MAX;
+
+pub(super) fn put_end(framer: &mut Framer, end: EndOfPoses, out: &mut Vec<u8>) {
+    let message = framer.open(kind::POSES);
+    end.seq.put(message);
+    end.number.put(message);
+    end.device_ticks.put(message);
+    END.put(message);
+    framer.close(out);
+}
+
+/// Decodes the poses of a frame, which are in `poses`, or their end.
+pub(super) fn get_poses<'a>(payload: &[u8], poses: &'a mut Vec<Pose>) -> Option<DeviceEvent<'a>> {
     let mut cursor = Cursor::new(payload);
     let (seq, number, device_ticks) = (cursor.get()?, cursor.get()?, cursor.get()?);
-    let n = usize::from(cursor.get::<u16>()?);
-    if n > BODIES_MAX {
+    let n = cursor.get::<u16>()?;
+    if n == END {
+        return cursor.end(DeviceEvent::EndOfPoses(EndOfPoses { seq, number, device_ticks }));
+    }
+    if usize::from(n) > BODIES_MAX {
         return None;
     }
     poses.clear();
@@ -105,5 +120,5 @@ pub(super) fn get_poses<'a>(payload: &[u8], poses: &'a mut Vec<Pose>) -> Option<
     }
     cursor.end(())?;
     let is_valid = ids_error(poses.iter().map(|pose| pose.body)).is_none();
-    is_valid.then_some(PoseFrame { seq, number, device_ticks, poses })
+    is_valid.then_some(DeviceEvent::Poses(PoseFrame { seq, number, device_ticks, poses }))
 }

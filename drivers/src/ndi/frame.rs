@@ -84,7 +84,9 @@ impl FrameData {
             MarkerSample { id, occluded: true, ..MarkerSample::default() }
         });
         if self.poses.len() < BODIES_MAX {
-            let is_missing = pose.status == PoseStatus::Tracked && !is_seen;
+            // The vendor's code for a missing number. Others that are none are rejected.
+            let is_finite = pose.position_mm.iter().all(|value| value.is_finite());
+            let is_missing = pose.status == PoseStatus::Tracked && !is_seen && is_finite;
             let pose = if is_missing { Pose::without(id, PoseStatus::Lost) } else { pose };
             self.poses.push(pose.checked());
         }

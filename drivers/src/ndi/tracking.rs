@@ -129,7 +129,8 @@ impl NdiHost {
             timecode: None,
             markers: &self.samples,
         }));
-        if !self.bodies.is_empty() {
+        // A late frame's time is not known any more; its poses, like its markers, are not recorded.
+        if !self.bodies.is_empty() && step.advance > 0 {
             on_event(DeviceEvent::Poses(PoseFrame {
                 seq: number,
                 number: self.run.pose_number(),

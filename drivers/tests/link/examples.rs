@@ -2,8 +2,8 @@
 
 use mocapd_drivers::{
     device::{
-        BodyInfo, Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Pose,
-        PoseFrame, PoseStatus, Protocol, SampleBatch, SampleForm, SampledChannelInfo,
+        BodyInfo, Command, DeviceEvent, EndOfPoses, Frame, Hello, MarkerInfo, MarkerSample, Pong,
+        Pose, PoseFrame, PoseStatus, Protocol, SampleBatch, SampleForm, SampledChannelInfo,
         SampledGroupInfo, Status, Trigger,
     },
     link::{DeviceLink, FrameForm, HostLink, frame_bytes_in_volume, link_budget},
@@ -115,6 +115,7 @@ pub(crate) fn all() -> Vec<Example> {
         Pose::without(5, PoseStatus::Rejected),
     ];
     let poses = PoseFrame { seq: 7, number: 6, device_ticks: 70_000, poses: &of_bodies };
+    let poses_end = EndOfPoses { seq: 1200, number: 1190, device_ticks: 171_000 };
     let near =
         [seen(0, 12, [812.5, -40.25, 1604.0]), occluded(1), seen(2, 0, [800.0, -40.0, 1600.0])];
     let far = [
@@ -142,6 +143,9 @@ pub(crate) fn all() -> Vec<Example> {
         }),
         from_device("bodies", DeviceEvent::Bodies(&bodies), |l, o| l.bodies(&bodies, o).unwrap()),
         from_device("poses", DeviceEvent::Poses(poses), |l, o| l.poses(&poses, o).unwrap()),
+        from_device("poses-end", DeviceEvent::EndOfPoses(poses_end), |l, o| {
+            l.end_of_poses(poses_end, o);
+        }),
         frame("frame-float", FrameForm::Float, None, &near),
         frame("frame-micrometres", FrameForm::Micrometres, Some([10, 59, 30, 11]), &near),
         frame("frame-compact", FrameForm::Compact, None, &near),

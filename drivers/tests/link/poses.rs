@@ -63,6 +63,7 @@ proptest! {
         host.push(&with_envelope(1, kind, &payload), &mut |event| match event {
             DeviceEvent::Bodies(bodies) => assert!(bodies.is_sorted_by_key(|body| body.id)),
             DeviceEvent::Poses(frame) => assert!(frame.poses.is_sorted_by_key(|pose| pose.body)),
+            DeviceEvent::EndOfPoses(_) => assert_eq!(payload.len(), 18),
             _ => panic!("{event:?}"),
         });
         let counters = host.counters();

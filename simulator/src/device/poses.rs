@@ -1,6 +1,6 @@
 //! The poses of rigid bodies that the device sends behind each frame.
 
-use mocapd_drivers::device::{BodyInfo, PoseFrame};
+use mocapd_drivers::device::{BodyInfo, EndOfPoses, PoseFrame};
 use mocapd_drivers::link::pose_frame_bytes_max;
 
 use super::{Device, Queued, SentBatch};
@@ -52,7 +52,11 @@ impl Device {
         if !dropped {
             let link = &mut self.link;
             // They fit by construction. If the link refused them, they would count as dropped.
-            self.outbox.put(Queued::Batch, |out| dropped = link.poses(&frame, out).is_err());
+            let end = EndOfPoses { seq, number, device_ticks };
+            self.outbox.put(Queued::Batch, |out| match n {
+                0 => link.end_of_poses(end, out),
+                _ => dropped = link.poses(&frame, out).is_err(),
+            });
         }
         self.poses = poses;
         if dropped {

@@ -184,7 +184,9 @@ impl WireFaults {
         self.reader.push(bytes, &mut |event| {
             message = match event {
                 DeviceEvent::Frame(_) => MessageKind::Frame,
-                DeviceEvent::Samples(_) | DeviceEvent::Poses(_) => MessageKind::Batch,
+                DeviceEvent::Samples(_) | DeviceEvent::Poses(_) | DeviceEvent::EndOfPoses(_) => {
+                    MessageKind::Batch
+                }
                 DeviceEvent::Hello(_) => MessageKind::Hello,
                 DeviceEvent::EndOfStream(_) => MessageKind::End,
                 _ => MessageKind::Other,

@@ -177,7 +177,8 @@ pub(super) fn cut<W: Write>(
         let is_of_group = |of: &&GroupLedger| of.group == group.group.number;
         let whole = stated.groups.iter().find(is_of_group).copied().unwrap_or_default();
         // A part has no larger errors than the whole.
-        let of_part = GroupLedger { errors: whole.errors, ..part.write(input, take)? };
+        let errors = group.pose_errors(map.sample_ledger.as_ref());
+        let of_part = GroupLedger { errors, ..part.write(input, take)? };
         ledger.groups.push(match part.numbers == (0..n) {
             true => GroupLedger { duplicates: whole.duplicates, jumps: whole.jumps, ..of_part },
             false => of_part,
@@ -246,6 +247,8 @@ fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
             None => run = run.or(Some(found.start..found.start)),
         }
     }
+    // Poses have the times of their frames, which the lines between anchors miss by less than half a period.
+    let late_s = if group.group.has_poses() { -0.5 / group.group.rate_hz } else { 0.0 };
     let Some(run) = run else { return 0 };
     // A row in an outage lies in no run.
     if last_s(&run).is_none_or(|s| s < -APART_S_MAX) {
@@ -254,7 +257,7 @@ fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
     let (mut low, mut high) = (run.start, run.end);
     while low < high {
         let middle = low + (high - low) / 2;
-        if after_s(middle).is_some_and(|s| s < 0.0) { low = middle + 1 } else { high = middle }
+        if after_s(middle).is_some_and(|s| s < late_s) { low = middle + 1 } else { high = middle }
     }
     low
 }

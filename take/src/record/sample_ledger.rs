@@ -43,6 +43,14 @@ impl MeasuredErrors {
         self.angle_nanodegrees = self.angle_nanodegrees.max(other.angle_nanodegrees);
     }
 
+    /// Those that poses within these bounds may have.
+    #[must_use]
+    pub fn at_most([position_mm, angle_degrees]: [f64; 2]) -> Self {
+        let mut errors = Self::default();
+        errors.add(&PoseErrors { position_mm, angle_degrees });
+        errors
+    }
+
     /// In millimetres and degrees.
     #[must_use]
     pub fn errors(&self) -> PoseErrors {

@@ -104,6 +104,9 @@ impl Record for SampledGroup {
 /// The version of a group with bounds.
 const BOUNDED: u16 = 2;
 
+/// The version of a group of poses, with bounds or without: readers of versions 1 and 2 skip it.
+const POSES: u16 = 3;
+
 /// Most samples of a channel, so that no sum overflows: 36 years at 1 MHz.
 pub(crate) const SAMPLES_MAX: u64 = 1 << 50;
 
@@ -118,12 +121,13 @@ impl SampledGroup {
         })?;
         let payload = self.to_payload()?;
         let (version, body) = payload.split_at(2);
-        if self.bounds.0.is_empty() {
+        if self.bounds.0.is_empty() && !self.has_poses() {
             return Ok(deflate(version.to_vec(), body)?);
         }
+        let version = if self.has_poses() { POSES } else { BOUNDED };
         let bounds = self.bounds.0.iter().flat_map(|bound| bound.to_le_bytes());
         let body: Vec<u8> = body.iter().copied().chain(bounds).collect();
-        Ok(deflate(BOUNDED.to_le_bytes().to_vec(), &body)?)
+        Ok(deflate(version.to_le_bytes().to_vec(), &body)?)
     }
 
     /// Decodes the payload of the chunk at file offset `offset`, whose CRC matched.
@@ -136,16 +140,20 @@ impl SampledGroup {
             return Err(corrupt("shorter than its version"));
         };
         let (found, supported) = (u16::from_le_bytes(*version), Self::VERSION);
-        if found != supported && found != BOUNDED {
-            let supported = BOUNDED;
+        if ![supported, BOUNDED, POSES].contains(&found) {
+            let supported = POSES;
             return Err(TakeError::Unsupported { what: Self::NAME, found, supported });
         }
         let body = inflate(deflated).ok_or_else(|| corrupt("invalid DEFLATE data"))?;
-        let group = if found == BOUNDED {
-            Self::with_bounds(&body).map_err(corrupt)?
-        } else {
+        let group = if found == supported {
             Self::from_payload(&[&version[..], &body].concat(), offset)?
+        } else {
+            Self::with_bounds(&body).map_err(corrupt)?
         };
+        if (found == POSES) != group.has_poses() || (found == BOUNDED && group.bounds.0.is_empty())
+        {
+            return Err(corrupt("its version is not that of its content"));
+        }
         group.check().map_err(corrupt)?;
         Ok(group)
     }
@@ -155,8 +163,8 @@ impl SampledGroup {
         let (mut group, used): (Self, usize) =
             bincode::decode_from_slice(body, CONFIG).map_err(|_| "cannot be decoded")?;
         let (bounds, rest) = body.get(used..).unwrap_or_default().as_chunks::<8>();
-        if bounds.is_empty() || !rest.is_empty() {
-            return Err("its bounds are missing or incomplete");
+        if !rest.is_empty() {
+            return Err("its bounds are incomplete");
         }
         group.bounds.0 = bounds.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect();
         Ok(group)

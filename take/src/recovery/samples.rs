@@ -159,7 +159,8 @@ fn group_ledger(
     });
     ledger.lost_other = damaged.fold(ledger.lost_other, u64::saturating_add);
     ledger.taken = ledger.stored.saturating_add(ledger.lost());
-    let GroupLedger { duplicates, jumps, errors, .. } = stated;
+    let GroupLedger { duplicates, jumps, .. } = stated;
+    let errors = group.pose_errors(take.sample_ledger.as_ref());
     GroupLedger { duplicates, jumps, errors, ..ledger }
 }
 

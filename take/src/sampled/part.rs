@@ -18,7 +18,7 @@ use crate::{
     interchange::c3d::columns::{
         ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered, word,
     },
-    record::{GroupLedger, SAMPLES_MAX, SampleForm, SampleLedger, SampledGroup},
+    record::{GroupLedger, MeasuredErrors, SAMPLES_MAX, SampleForm, SampleLedger, SampledGroup},
     timeline::LossCauses,
 };
 
@@ -160,6 +160,19 @@ impl GroupSamples {
     #[must_use]
     pub fn found_ledger(&self) -> GroupLedger {
         self.ledger(|_| true)
+    }
+
+    /// The largest errors of its poses: those that a ledger states, if it covers all samples, else the bounds.
+    #[must_use]
+    pub fn pose_errors(&self, stated: Option<&SampleLedger>) -> MeasuredErrors {
+        let number = self.group.number;
+        let stated = stated.and_then(|of| of.groups.iter().find(|group| group.group == number));
+        let covers = |stated: &&GroupLedger| stated.stored >= self.found_ledger().stored;
+        match (stated.filter(covers), self.group.pose_bounds()) {
+            (_, None) => MeasuredErrors::default(),
+            (Some(stated), Some(_)) => stated.errors,
+            (None, Some(bounds)) => MeasuredErrors::at_most(bounds),
+        }
     }
 
     /// Its chunks of samples: what each holds, and the file offset and size of its block.

@@ -39,6 +39,7 @@ impl Intake {
     /// here, and frames missing until that frame were lost to the outage.
     pub fn rejoin(&mut self) {
         self.rejoining = true;
+        self.reset_poses();
         self.samples.rejoin();
         self.clocks.rejoin();
         self.counts.rejoin();

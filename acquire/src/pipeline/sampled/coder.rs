@@ -70,7 +70,11 @@ impl SampledGroupCoder {
                 return !self.rings.1.is_over();
             };
             let content = match item.content {
-                ItemContent::Boundary => PartContent::Boundary,
+                ItemContent::Boundary => {
+                    // A take that begins here has nothing of the poses before.
+                    self.quantisers.iter_mut().for_each(PoseQuantiser::forget);
+                    PartContent::Boundary
+                }
                 ItemContent::Block { .. } | ItemContent::Lost { .. } => {
                     let Ok(buffer) = self.buffers.try_recv() else {
                         self.waiting = Some(item);

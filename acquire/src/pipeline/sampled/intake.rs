@@ -1,7 +1,7 @@
 //! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
 
 use mocapd_drivers::{
-    device::{BodyInfo, PoseFrame, SampleBatch, SampledGroupInfo},
+    device::{BodyInfo, EndOfPoses, PoseFrame, SampleBatch, SampledGroupInfo},
     link::SAMPLE_VALUES_MAX,
 };
 use mocapd_take::timeline::LossCauses;
@@ -128,7 +128,7 @@ impl SampledIntake {
             }
         });
         let groups = groups.collect();
-        Self { groups, by_id, wakes, poses: PoseRows::new(&config.bodies) }
+        Self { groups, by_id, wakes, poses: PoseRows::new(config.recorded_bodies()) }
     }
 
     fn group_mut(&mut self, id: u8) -> Option<&mut GroupIntake> {
@@ -190,11 +190,28 @@ impl SampledIntake {
         stretch: u64,
         segment: u32,
     ) -> PosesOutcome {
+        let outcome = self.poses.fill(frame);
+        self.put_poses((frame.number, frame.device_ticks), stretch, segment);
+        outcome
+    }
+
+    /// Counts the poses that are missing up to the end of a run.
+    pub(in crate::pipeline) fn end_of_poses(
+        &mut self,
+        end: &EndOfPoses,
+        stretch: u64,
+        segment: u32,
+    ) {
+        self.poses.end(end);
+        self.put_poses((end.number, end.device_ticks), stretch, segment);
+    }
+
+    fn put_poses(&mut self, (number, device_ticks): (u32, u64), stretch: u64, segment: u32) {
         let Self { groups, by_id, wakes, poses } = self;
-        let outcome = poses.fill(frame);
         let index_of = |batch: &SampleBatch<'_>| by_id[usize::from(batch.group)].map(usize::from);
-        let batches =
-            poses.batches(frame).filter_map(|batch| index_of(&batch).map(|index| (index, batch)));
+        let batches = poses
+            .batches(number, device_ticks)
+            .filter_map(|batch| index_of(&batch).map(|index| (index, batch)));
         let has_room = |(index, batch): (usize, SampleBatch<'_>)| {
             groups.get(index).is_some_and(|group| group.has_room(&batch))
         };
@@ -207,7 +224,6 @@ impl SampledIntake {
                 wakes.wake(index);
             }
         }
-        outcome
     }
 
     /// Ends the open blocks with a stretch, so that they are in the same takes, and begin where it can be decoded from
@@ -233,6 +249,9 @@ impl SampledIntake {
                 group.push(stretch, ItemContent::Boundary);
             }
             self.wakes.wake(index);
+        }
+        if is_boundary {
+            self.poses.forget();
         }
     }
 

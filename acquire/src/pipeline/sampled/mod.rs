@@ -290,7 +290,7 @@ pub(super) fn records(config: &PipelineConfig) -> Vec<SampledGroup> {
     let are_poses = |group: &&mut SampledGroup| group.number >= poses::FIRST_GROUP.into();
     for group in records.iter_mut().filter(are_poses) {
         group.kind = POSES.to_owned();
-        let bodies = config.bodies.chunks(GROUP_BODIES);
+        let bodies = config.recorded_bodies().chunks(GROUP_BODIES);
         let bodies = bodies.skip((group.number - u32::from(poses::FIRST_GROUP)) as usize);
         let ids = bodies.flatten().flat_map(|body| [u32::from(body.id); POSE_CHANNELS]);
         group.channels.iter_mut().zip(ids).for_each(|(channel, id)| channel.index = id);

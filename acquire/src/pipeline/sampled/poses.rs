@@ -6,12 +6,12 @@ use mocapd_codec::{
 };
 use mocapd_drivers::{
     device::{
-        BodyInfo, Pose, PoseFrame, PoseStatus, SampleBatch, SampleForm, SampledChannelInfo,
-        SampledGroupInfo,
+        BodyInfo, EndOfPoses, Pose, PoseFrame, PoseStatus, SampleBatch, SampleForm,
+        SampledChannelInfo, SampledGroupInfo,
     },
     link::GROUPS_MAX,
 };
-use mocapd_take::poses::{CHANNEL_NAMES, CHANNEL_UNITS, UNLISTED};
+use mocapd_take::poses::{CHANNEL_NAMES, CHANNEL_UNITS, REFUSED, UNLISTED};
 
 /// Numbers of the groups of poses: those behind the numbers of the device's own groups.
 pub(super) const FIRST_GROUP: u8 = GROUPS_MAX as u8;
@@ -87,14 +87,9 @@ impl PoseRows {
 
     /// Takes the poses of a frame. The samples are those of [`batches`](Self::batches) until the next call.
     pub(super) fn fill(&mut self, frame: &PoseFrame<'_>) -> PosesOutcome {
-        let (last, count) = self.last.unwrap_or((frame.seq, frame.seq.into()));
-        let step = i64::from(frame.seq.wrapping_sub(last).cast_signed());
-        self.last = Some((frame.seq, count.wrapping_add_signed(step)));
+        self.count(frame.seq);
+        self.has_samples = true;
         let mut outcome = PosesOutcome::Counted;
-        self.has_samples = !frame.poses.is_empty();
-        if !self.has_samples {
-            return outcome;
-        }
         let (rows, _) = self.row.as_chunks_mut::<POSE_CHANNELS>();
         rows.iter_mut().for_each(|row| *row = without_pose(row, UNLISTED));
         for (place, pose) in frame.poses.iter().enumerate() {
@@ -105,22 +100,43 @@ impl PoseRows {
                 false => self.bodies.iter().position(is_its),
             };
             let known = place.and_then(|place| self.bodies.get(place).zip(rows.get_mut(place)));
-            let Some((_, row)) = known.filter(|(known, _)| !known.is_contradicted) else {
-                outcome = PosesOutcome::Refused { body: pose.body };
-                continue;
-            };
-            *row = next_row(row, &pose.checked());
+            match known {
+                Some((known, row)) if !known.is_contradicted => {
+                    *row = next_row(row, &pose.checked());
+                    continue;
+                }
+                Some((_, row)) => *row = without_pose(row, REFUSED),
+                None => {}
+            }
+            outcome = PosesOutcome::Refused { body: pose.body };
         }
         outcome
     }
 
+    /// Takes the number of samples at the end.
+    pub(super) fn end(&mut self, end: &EndOfPoses) {
+        self.count(end.seq);
+        self.has_samples = false;
+    }
+
+    /// A take may begin here: it has nothing of the rows before.
+    pub(super) fn forget(&mut self) {
+        self.row.fill(0.0);
+    }
+
+    fn count(&mut self, seq: u32) {
+        let (last, count) = self.last.unwrap_or((seq, seq.into()));
+        let step = i64::from(seq.wrapping_sub(last).cast_signed());
+        self.last = Some((seq, count.wrapping_add_signed(step)));
+    }
+
     /// The batch of each group: one sample, or none to say how many there were.
-    pub(super) fn batches<'a>(
-        &'a self,
-        frame: &PoseFrame<'_>,
-    ) -> impl Iterator<Item = SampleBatch<'a>> + Clone {
+    pub(super) fn batches(
+        &self,
+        number: u32,
+        device_ticks: u64,
+    ) -> impl Iterator<Item = SampleBatch<'_>> + Clone {
         let first = self.last.map_or(0, |(_, count)| count);
-        let (number, device_ticks) = (frame.number, frame.device_ticks);
         let groups = self.bodies.chunks(GROUP_BODIES).enumerate();
         groups.map(move |(index, bodies)| SampleBatch {
             group: FIRST_GROUP + index as u8,
