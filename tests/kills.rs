@@ -22,9 +22,10 @@ use std::{
 };
 
 use mocapd_acquire::{host_clock::monotonic_ns, inspect::Summary};
+use mocapd_drivers::device::PoseStatus;
 use mocapd_simulator::{
     device::{Device, DeviceSettings, TICK_HZ},
-    generator::{JumpSpec, Occlusion, Rng},
+    generator::{JumpSpec, Occlusion, RigidBodies, Rng},
     pty::{ServeOptions, serve_pty},
     sampled::SampledSource,
 };
@@ -32,6 +33,7 @@ use mocapd_take::{
     TakeEvent, TakeFrames, TakeMap,
     damage::Problem,
     motion::{FrameSource, GAP, Motion, is_gap},
+    poses::{Pose as StoredPose, PoseState},
     reader::read_events,
     recovery::RecoveryScan,
 };
@@ -67,6 +69,12 @@ fn motion() -> Motion {
 /// Sampled channels sent beside the frames.
 fn electrodes() -> SampledSource {
     SampledSource::electrodes(1, "4@1kHz".parse().unwrap(), 7).unwrap()
+}
+
+/// Rigid bodies, whose poses are sent behind each frame.
+fn bodies() -> RigidBodies {
+    let occlusion = Some(Occlusion { fraction: 0.05, mean_gap_s: 0.1 });
+    RigidBodies::new(&JumpSpec { occlusion, ..JumpSpec::new(1, RATE_HZ) }, 3).unwrap()
 }
 
 /// A log that is read while it is written.
@@ -135,6 +143,7 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
         let settings = DeviceSettings {
             looping: true,
             sampled: vec![electrodes()],
+            bodies: Some(Arc::new(bodies())),
             queue_bytes: Some(64 << 20),
             ..DeviceSettings::default()
         };
@@ -269,6 +278,7 @@ fn check(
     cost.lost_ms = next.map_or(0.0, |next| killed_ns.saturating_sub(next.host_ns) as f64 / 1e6);
 
     (cost.sampled, cost.lost_sampled_ms) = check_sampled(take, sent, killed_ns, seed);
+    cost.sampled += check_poses(take, seed);
 
     let scan = RecoveryScan::read(take).unwrap();
     let mut new = Vec::new();
@@ -321,6 +331,41 @@ fn check_sampled(take: &[u8], sent: &HashMap<u64, Sent>, killed_ns: u64, seed: u
     let after = sent.iter().filter(|(ticks, _)| **ticks > end).map(|(_, frame)| frame.host_ns);
     let lost_ns = after.min().map_or(0, |oldest| killed_ns.saturating_sub(oldest));
     (recorded.len() as u64, lost_ns as f64 / 1e6)
+}
+
+/// Every pose is the one that was sent, bit for bit or within its bounds, and none lies between two that is missing. Returns
+/// how many frames have them.
+fn check_poses(take: &[u8], seed: u64) -> u64 {
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let Some(group) = map.pose_groups().next() else { return 0 };
+    let [bound_mm, _] = group.group.pose_bounds().unwrap_or_default();
+    let mut recorded: Vec<Vec<StoredPose>> = Vec::new();
+    let undecodable = group
+        .read_poses(&mut Cursor::new(take), |first, _, poses| {
+            assert_eq!(first, recorded.len() as u64, "seed {seed}: lost poses");
+            recorded.extend(poses.unwrap().chunks_exact(3).map(<[StoredPose]>::to_vec));
+            Ok(())
+        })
+        .unwrap();
+    assert_eq!(undecodable, [], "seed {seed}");
+    let (bodies, mut sent) = (bodies(), Vec::new());
+    let mut equal = |number: u64, stored: &[StoredPose]| {
+        bodies.poses(number, RATE_HZ, &mut sent);
+        (1..).zip(stored).all(|(id, stored)| {
+            let pose = sent.iter().find(|pose| pose.body == id);
+            let pose = pose.filter(|pose| pose.status == PoseStatus::Tracked);
+            match (pose, stored.state == PoseState::Tracked) {
+                (Some(pose), true) => distance_mm(pose.position_mm, stored.position_mm) <= bound_mm,
+                (pose, is_tracked) => pose.is_some() == is_tracked,
+            }
+        })
+    };
+    // The take counts from its first frame, the device from its start.
+    let all = |from: u64, equal: &mut dyn FnMut(u64, &[StoredPose]) -> bool| {
+        (from..).zip(&recorded).all(|(number, stored)| equal(number, stored))
+    };
+    assert!((0..1_000).any(|from| all(from, &mut equal)), "seed {seed}: poses that were not sent");
+    recorded.len() as u64
 }
 
 /// A running `mocapd record`, killed on drop.

@@ -6,7 +6,7 @@ use mocapd_take::{
     TakeError, TakeEvent, TakeMap, TakeTraversal, chunk,
     index::{Footer, IndexEntry},
     reader::{TakeBytes, TakeInput},
-    record::{Channel, EndingKind, GroupLedger, Header, Ledger, SummaryRecord},
+    record::{Channel, EndingKind, GroupLedger, Header, Ledger, MeasuredErrors, SummaryRecord},
     statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
     stretch::{ROWS_MAX, Stretch},
     timeline::{LossCauses, Timeline},
@@ -420,7 +420,7 @@ impl ClaimChecker {
         let is_recovered = take.header.settings.iter().any(recovered);
         let stated = take.sample_ledger.as_ref().map_or(&[][..], |ledger| &ledger.groups);
         let later = take.later_samples;
-        for group in take.recorded_groups() {
+        for group in take.sample_groups() {
             let number = group.group.number;
             let found = group.found_ledger();
             if found.stored > 0 && group.anchors().is_empty() && !later.times {
@@ -434,7 +434,20 @@ impl ClaimChecker {
                 continue;
             };
             // What the chunks do not show is taken from the ledger.
-            let shown = GroupLedger { duplicates: 0, jumps: 0, ..*stated };
+            let errors = Default::default();
+            if let Some(bounds) = group.group.pose_bounds() {
+                let most = MeasuredErrors::at_most(bounds);
+                let MeasuredErrors { position_nm, angle_nanodegrees } = stated.errors;
+                // Both were rounded up.
+                let is_within = position_nm <= most.position_nm.saturating_add(1)
+                    && angle_nanodegrees <= most.angle_nanodegrees.saturating_add(1);
+                if !is_within {
+                    self.report(format!(
+                        "the ledger states errors of the poses of group {number} beyond their bounds"
+                    ));
+                }
+            }
+            let shown = GroupLedger { duplicates: 0, jumps: 0, errors, ..*stated };
             // A version that does not know the ledger recovered the take, and left it as it was.
             let is_older = is_recovered && stated.taken == found.taken;
             if shown != found && !is_older {
@@ -450,8 +463,7 @@ impl ClaimChecker {
         if later.groups || later.ledger {
             return;
         }
-        let is_known =
-            |of: &GroupLedger| take.recorded_groups().any(|g| g.group.number == of.group);
+        let is_known = |of: &GroupLedger| take.sample_groups().any(|g| g.group.number == of.group);
         // A recovered take may lack the description of a group, and so all its samples.
         if let Some(stated) = stated.iter().find(|stated| stated.stored > 0 && !is_known(stated)) {
             self.report(format!(

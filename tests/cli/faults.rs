@@ -2,6 +2,7 @@
 
 pub(super) mod expected;
 pub(super) mod played;
+mod poses;
 mod sampled;
 
 use std::fs;
@@ -86,6 +87,7 @@ fn agrees(name: &str) {
     texts_agree(&played.report["ledger"], &played.info, &expect);
     take_holds_what_was_sent(&folder, &script, &played);
     sampled::take_holds_what_was_sent(&folder, &played);
+    poses::take_holds_what_was_sent(&folder, &script, &played);
     contradictions_are_reported(&folder, &played, &expect);
 }
 

@@ -131,6 +131,18 @@ impl Divided {
     }
 }
 
+/// The takes of a recording that is divided every `rows` rows.
+pub(super) fn record_parts(
+    (motion, config): (&Motion, &PipelineConfig),
+    rows: u64,
+    feed: impl FnOnce(&mut Intake),
+) -> Vec<Vec<u8>> {
+    let (mut intake, divided) = divide(motion, config, rows_at(rows), in_memory);
+    feed(&mut intake);
+    intake.finish();
+    divided.finish().into_iter().map(|(_, _, bytes)| bytes).collect()
+}
+
 fn rows_at(rows: u64) -> SplitAt {
     SplitAt::Rows { rows, end_row: None }
 }

@@ -3,6 +3,7 @@
 mod clock;
 mod frame_counter;
 mod losses;
+mod poses;
 mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
@@ -19,6 +20,7 @@ use self::{
     clock::ClockTracker,
     frame_counter::FrameCounter,
     losses::{PendingLoss, SilenceMonitor},
+    poses::PoseStep,
 };
 use super::{
     Counts, PipelineConfig, PipelineProgress, SplitAt,
@@ -102,6 +104,7 @@ pub struct Intake {
     commands: CommandReceiver,
     tap: PreviewSender,
     samples: SampledIntake,
+    pose_step: PoseStep,
     /// Announcements of sampled channels that were reported.
     groups_reported: u32,
 }
@@ -185,6 +188,7 @@ impl Intake {
             commands,
             tap,
             samples,
+            pose_step: PoseStep::default(),
             groups_reported: 0,
         })
     }
@@ -197,6 +201,7 @@ impl Intake {
     /// Accepts a frame; `arrival_ns` is the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.now_ns = arrival_ns;
+        self.flush_poses_before(frame.seq);
         if !self.announced.is_empty() {
             self.bind_announced();
         }
@@ -241,37 +246,48 @@ impl Intake {
         if self.open_rows >= self.open_limit {
             self.close_stretch();
         }
-        // The frame was the last one of the take: its end does not wait for the next.
-        self.end_before_frame();
+        // The frame was the last one of the take: its end does not wait for the next, but for its poses.
+        if !self.flush_poses_of(frame.seq) {
+            self.end_before_frame();
+        }
     }
 
     /// Accepts a batch of samples: all of it goes into the ring of its group, or is counted as lost.
     pub fn samples(&mut self, batch: &SampleBatch<'_>) {
         let segment = self.clocks.segment();
         if self.samples.batch(batch, self.feed.next_stretch(), segment) == BatchOutcome::Refused {
-            self.counts.batches_refused += 1;
-            if self.counts.batches_refused == 1 {
-                let text = format!(
-                    "samples of group {} were not announced before the start, or do not fit: they are not recorded",
-                    batch.group
-                );
-                self.event(Event::new(EventKind::Host, self.now_ns, text));
-            }
+            let what = format_args!("samples of group {}", batch.group);
+            self.count_refused(what);
+        }
+    }
+
+    /// Counts a batch that is not recorded; the first one is reported.
+    fn count_refused(&mut self, what: std::fmt::Arguments<'_>) {
+        self.counts.batches_refused += 1;
+        if self.counts.batches_refused == 1 {
+            let text = format!(
+                "{what} were not announced before the start, or do not fit: they are not recorded"
+            );
+            self.event(Event::new(EventKind::Host, self.now_ns, text));
         }
     }
 
     /// Reports a group of sampled channels that was not announced before the start, or was announced otherwise. Repeated
     /// announcements of known groups are ignored.
     pub fn announce_group(&mut self, group: &SampledGroupInfo) {
-        if self.samples.announce(group) || self.groups_reported >= GROUPS_REPORTED_MAX {
+        if !self.samples.announce(group) {
+            let (n, id) = (group.channels.len(), group.id);
+            self.report_announcement(format_args!("{n} sampled channels as group {id}"));
+        }
+    }
+
+    fn report_announcement(&mut self, what: std::fmt::Arguments<'_>) {
+        if self.groups_reported >= GROUPS_REPORTED_MAX {
             return;
         }
         self.groups_reported += 1;
-        let text = format!(
-            "the device announced {} sampled channels as group {} during the recording: start again to record them",
-            group.channels.len(),
-            group.id
-        );
+        let text =
+            format!("the device announced {what} during the recording: start again to record them");
         self.event(Event::new(EventKind::Host, self.now_ns, text));
     }
 
@@ -280,7 +296,10 @@ impl Intake {
     pub fn tick(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
         self.heartbeat.beat();
-        self.execute_commands(now_ns);
+        if !self.awaits_poses(now_ns) {
+            self.end_without_poses();
+            self.execute_commands(now_ns);
+        }
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
         }
@@ -452,6 +471,7 @@ impl Intake {
     /// Reports that the device was disconnected, or is back.
     pub fn set_away(&mut self, is_away: bool) {
         self.is_away = is_away;
+        self.flush_poses();
         self.progress.is_away.store(is_away, Ordering::Relaxed);
         if !is_away {
             self.progress.outages.fetch_add(1, Ordering::Relaxed);
@@ -485,6 +505,7 @@ impl Intake {
         if std::mem::replace(&mut self.finished, true) {
             return;
         }
+        self.flush_poses();
         self.clocks.close();
         self.count_absence(self.now_ns);
         if let Some(status) = self.counts.status {

@@ -7,7 +7,7 @@ use super::{
     run::FrameStep,
 };
 use crate::{
-    device::{DeviceEvent, Frame, Hello, LinkBudget},
+    device::{DeviceEvent, Frame, Hello, LinkBudget, PoseFrame},
     link::link_budget,
 };
 
@@ -129,6 +129,15 @@ impl NdiHost {
             timecode: None,
             markers: &self.samples,
         }));
+        // A late frame's time is not known any more; its poses, like its markers, are not recorded.
+        if !self.bodies.is_empty() && step.advance > 0 {
+            on_event(DeviceEvent::Poses(PoseFrame {
+                seq: number,
+                number: self.run.pose_number(),
+                device_ticks: self.run.ticks,
+                poses: &self.frame.poses,
+            }));
+        }
         if step.dropped > 0 {
             // Report losses immediately, so that a recording that is killed still has them in its ledger.
             on_event(DeviceEvent::Status(self.run.status()));

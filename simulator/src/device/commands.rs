@@ -63,11 +63,16 @@ impl Device {
         let hello = self.hello.clone();
         let table = std::mem::take(&mut self.table);
         let groups = std::mem::take(&mut self.settings.sampled);
+        let bodies = self.body_infos();
         self.answer(|link, out| {
             // All were encoded once when the device was made.
             let outcome = link.hello(&hello, out).and_then(|()| link.markers(&table, out));
             let mut groups = groups.iter().map(|source| link.sampled_group(source.info(), out));
             let outcome = outcome.and(groups.try_for_each(|announced| announced));
+            let outcome = match bodies.is_empty() {
+                true => outcome,
+                false => outcome.and_then(|()| link.bodies(&bodies, out)),
+            };
             debug_assert!(outcome.is_ok());
         });
         self.table = table;
@@ -85,6 +90,7 @@ impl Device {
         let lines = [self.settings.line_bytes_per_s, host_line_bytes_per_s];
         let line = lines.into_iter().filter(|line| *line > 0).min().unwrap_or(0);
         let frame_bytes = frame_bytes_in_volume(self.settings.form, self.table.len());
+        let frame_bytes = frame_bytes + self.pose_bytes();
         let rate_max_millihertz = self.hello.rate_max_millihertz;
         let samples = self.samples_bytes_per_s();
         link_budget(frame_bytes, rate_millihertz, rate_max_millihertz, samples, line)
@@ -135,7 +141,7 @@ impl Device {
         self.replay = self.rates.replay(motion, rate_millihertz);
         self.hello.rate_millihertz = rate_millihertz;
         self.hello.n_frames = if self.settings.looping { 0 } else { self.replay.n_frames() };
-        let frame_bytes = frame_bytes_max(usize::from(self.hello.markers_max));
+        let frame_bytes = frame_bytes_max(usize::from(self.hello.markers_max)) + self.pose_bytes();
         let samples = self.samples_bytes_per_s();
         self.outbox.resize(frame_bytes, rate_millihertz, samples, self.settings.queue_bytes);
     }

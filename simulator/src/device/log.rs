@@ -95,12 +95,12 @@ impl SentFrame {
     }
 }
 
-/// One batch of samples that the device produced. Without samples, it states how many there were.
+/// One batch of samples that the device produced, or the poses of a frame. Without samples, it states how many there were.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SentBatch {
     /// Number of the run (of the Start before it), from 1.
     pub run: u64,
-    /// Number of the group.
+    /// Number of the group; [`POSES_GROUP`](super::POSES_GROUP) for poses, each of which is one sample.
     pub group: u8,
     /// Number of the batch, on the wire; a dropped one has the number of the next.
     pub number: u32,
@@ -143,6 +143,10 @@ pub trait Sent: Copy {
     fn is_dropped(&self) -> bool;
     /// The caller's clock when it was due, nanoseconds.
     fn host_ns(&self) -> u64;
+    /// The series in which it has its place: one that comes after a later one of its series is late.
+    fn series(&self) -> u8 {
+        0
+    }
 }
 
 impl Sent for SentFrame {
@@ -170,6 +174,10 @@ impl Sent for SentBatch {
 
     fn host_ns(&self) -> u64 {
         self.host_ns
+    }
+
+    fn series(&self) -> u8 {
+        self.group
     }
 }
 

@@ -7,6 +7,7 @@ mod clock;
 mod commands;
 mod log;
 mod outbox;
+mod poses;
 mod samples;
 mod settings;
 
@@ -15,7 +16,7 @@ mod tests;
 
 use std::sync::Arc;
 
-use mocapd_drivers::device::{Command, Frame, Hello, MarkerInfo, MarkerSample, Status};
+use mocapd_drivers::device::{Command, Frame, Hello, MarkerInfo, MarkerSample, Pose, Status};
 use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max};
 use mocapd_take::motion::{Marker, Motion, Position, is_gap};
 
@@ -25,6 +26,7 @@ pub use log::{
     SentFrame, SentLog,
 };
 pub(crate) use outbox::{Outbox, Queued};
+pub use poses::POSES_GROUP;
 use samples::GroupState;
 pub use settings::{DeviceError, DeviceSettings, RATE_MILLIHERTZ, TICK_HZ};
 pub(crate) use settings::{Rates, frame_after_ns};
@@ -69,6 +71,9 @@ pub struct Device {
     groups: Vec<GroupState>,
     /// The samples of a batch.
     batch: Vec<f32>,
+    /// Messages with poses that left the device since power-up.
+    poses_sent: u32,
+    poses: Vec<Pose>,
 }
 
 /// A run, from Start to its end: when it started and when the next Status is due.
@@ -139,6 +144,8 @@ impl Device {
             samples: Vec::new(),
             groups: settings.sampled.iter().map(|_| GroupState::default()).collect(),
             batch: Vec::new(),
+            poses_sent: 0,
+            poses: Vec::new(),
             settings,
         };
         device.adopt_rate(rates.rate_millihertz);
@@ -148,6 +155,7 @@ impl Device {
         for source in &device.settings.sampled {
             device.link.sampled_group(source.info(), &mut trial)?;
         }
+        device.link.bodies(&device.body_infos(), &mut trial)?;
         Ok(device)
     }
 
@@ -222,6 +230,7 @@ impl Device {
         self.clock.reset();
         self.counter = 0;
         self.groups.fill(GroupState::default());
+        self.poses_sent = 0;
         if let Some(faults) = &mut self.faults {
             faults.reset();
         }
@@ -259,7 +268,8 @@ impl Device {
         let n_frames = self.replay.n_frames().max(1);
         self.replay.frame(number % n_frames, &mut self.row);
         let since_ns = self.since_ns(at_ns).unwrap_or(0);
-        let mut seq = self.counter;
+        let counter = self.counter;
+        let mut seq = counter;
         self.counter = self.counter.wrapping_add(1);
         if let Some(faults) = &mut self.faults {
             seq = faults.counter(seq, since_ns);
@@ -297,6 +307,7 @@ impl Device {
                 host_ns: at_ns,
             });
         }
+        self.produce_poses(counter, number, at_ns);
     }
 }
 

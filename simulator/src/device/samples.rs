@@ -71,6 +71,7 @@ impl Device {
             }
             self.put_batch(group, 0, &run);
         }
+        self.end_poses(at_ns);
     }
 
     fn put_batch(&mut self, index: usize, n: u64, run: &Run) {

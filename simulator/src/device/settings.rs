@@ -7,6 +7,7 @@ use mocapd_take::motion::Motion;
 
 use super::SECOND_NS;
 use crate::faults::Script;
+use crate::generator::RigidBodies;
 use crate::replay::Replay;
 use crate::sampled::SampledSource;
 
@@ -38,6 +39,8 @@ pub struct DeviceSettings {
     pub queue_bytes: Option<usize>,
     /// Groups of sampled channels.
     pub sampled: Vec<SampledSource>,
+    /// Rigid bodies, whose poses follow each frame.
+    pub bodies: Option<Arc<RigidBodies>>,
     /// Faults inside the device. [`FaultyDevice`](crate::faults::FaultyDevice) applies those of wire and connection.
     pub faults: Option<Arc<Script>>,
     /// Keep a [`SentFrame`](super::SentFrame) for every frame; the caller must take them regularly.
@@ -56,6 +59,7 @@ impl Default for DeviceSettings {
             drift_ppm: 0.0,
             queue_bytes: None,
             sampled: Vec::new(),
+            bodies: None,
             faults: None,
             log_frames: false,
         }

@@ -3,7 +3,7 @@
 //! A frame is whole when the bytes between two 0x00 on the line are exactly its own, regardless of damage before and
 //! after it.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use mocapd_drivers::link::WIRE_BYTES_MAX;
@@ -42,8 +42,8 @@ pub(super) struct FateTracker<T> {
     n_produced: u64,
     /// The number of the next frame that the device hands over.
     next: u64,
-    /// The highest number of a frame that went over the line whole.
-    last_whole: Option<u64>,
+    /// By series, the highest number of a frame that went over the line whole.
+    last_whole: BTreeMap<u8, u64>,
     /// Bytes that the line took since the last 0x00.
     segment: Vec<u8>,
     queued_bytes: u64,
@@ -62,7 +62,7 @@ impl<T> Default for FateTracker<T> {
             entries: VecDeque::default(),
             n_produced: 0,
             next: 0,
-            last_whole: None,
+            last_whole: BTreeMap::new(),
             segment: Vec::new(),
             queued_bytes: 0,
             taken_bytes: 0,
@@ -191,13 +191,14 @@ impl<T: Sent> FateTracker<T> {
             return;
         }
         let number = entry.number;
-        let late = self.last_whole.is_some_and(|last| last > number);
+        let last = self.last_whole.entry(entry.frame.series()).or_insert(number);
+        let late = *last > number;
+        *last = number.max(*last);
         entry.fate = Some(match (self.unasked, late) {
             (true, _) => Fate::Unasked,
             (_, true) => Fate::Late,
             _ => Fate::Whole,
         });
-        self.last_whole = self.last_whole.max(Some(number));
     }
 
     /// Records that everything queued for the line is lost: the cable is pulled, or the device has lost its power.

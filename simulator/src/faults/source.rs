@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use mocapd_drivers::device::{MarkerInfo, MarkerSample};
+use mocapd_drivers::device::{MarkerInfo, MarkerSample, Pose, PoseStatus};
 use mocapd_take::motion::{GAP, Position, is_gap};
 
 use super::kinds::{Fault, Kind};
@@ -15,6 +15,9 @@ use crate::generator::Rng;
 
 /// Ghosts appear within this distance of the origin on each axis: the size of a capture volume.
 const GHOST_RANGE_MM: f64 = 3000.0;
+
+/// First random stream of bodies: above those of markers.
+const BODIES: u64 = 1 << 40;
 
 /// How long a ghost stays at one place.
 const GHOST_STAY_NS: u64 = 250_000_000;
@@ -130,6 +133,18 @@ impl SourceFaults {
                     self.counts.add(Kind::OcclusionStorm, hides.into());
                 }
                 _ => {}
+            }
+        }
+    }
+
+    /// Applies occlusions to the poses of a frame: bodies are lost as markers are.
+    pub(crate) fn poses(&mut self, since_ns: u64, poses: &mut [Pose]) {
+        for (index, scheduled) in self.script.active(since_ns) {
+            let Fault::OcclusionStorm { part, gap_s } = scheduled.fault else { continue };
+            let slot = (since_ns - scheduled.from_ns) / nanoseconds(gap_s).max(1);
+            let mut rng = stream(&self.script, index, BODIES + slot);
+            for pose in poses.iter_mut().filter(|_| rng.unit() < part) {
+                *pose = Pose::without(pose.body, PoseStatus::Lost);
             }
         }
     }

@@ -31,7 +31,8 @@ const BATCHES: u64 = 1 << 41;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Numbered {
     Frame(u64),
-    Batch(u64),
+    /// With its series.
+    Batch(u64, u8),
 }
 
 impl Numbered {
@@ -39,19 +40,23 @@ impl Numbered {
     fn index(self) -> u64 {
         match self {
             Self::Frame(number) => number,
-            Self::Batch(number) => BATCHES + number,
+            Self::Batch(number, _) => BATCHES + number,
         }
     }
 
     fn is_like(self, other: Self) -> bool {
-        matches!(self, Self::Frame(_)) == matches!(other, Self::Frame(_))
+        match (self, other) {
+            (Self::Frame(_), Self::Frame(_)) => true,
+            (Self::Batch(_, series), Self::Batch(_, of_other)) => series == of_other,
+            _ => false,
+        }
     }
 
     /// The number of a message before it, of the same kind.
     fn back(self, by: u64) -> u64 {
         match self {
             Self::Frame(number) => number.saturating_sub(by),
-            Self::Batch(number) => BATCHES + number.saturating_sub(by),
+            Self::Batch(number, _) => BATCHES + number.saturating_sub(by),
         }
     }
 }
@@ -62,7 +67,7 @@ type Damage = fn(u8, usize, &mut Vec<u8>);
 /// A frame or batch that is held back.
 #[derive(Debug)]
 struct LateFrame {
-    /// How many of its kind go before it.
+    /// How many of its kind, or of its series, go before it.
     frames_left: u32,
     number: Numbered,
     bytes: Vec<u8>,
@@ -160,14 +165,14 @@ impl WireFaults {
     fn touch(&mut self, number: Numbered, faults: Kinds) {
         match number {
             Numbered::Frame(number) => self.fates.touch(number, faults),
-            Numbered::Batch(number) => self.batches.touch(number, faults),
+            Numbered::Batch(number, _) => self.batches.touch(number, faults),
         }
     }
 
     /// Queues bytes for the line in both trackers.
     fn queued(&mut self, bytes: usize, number: Option<Numbered>) {
         let frame = if let Some(Numbered::Frame(number)) = number { Some(number) } else { None };
-        let batch = if let Some(Numbered::Batch(number)) = number { Some(number) } else { None };
+        let batch = if let Some(Numbered::Batch(number, _)) = number { Some(number) } else { None };
         self.fates.queued(bytes, frame);
         self.batches.queued(bytes, batch);
     }
@@ -179,7 +184,9 @@ impl WireFaults {
         self.reader.push(bytes, &mut |event| {
             message = match event {
                 DeviceEvent::Frame(_) => MessageKind::Frame,
-                DeviceEvent::Samples(_) => MessageKind::Batch,
+                DeviceEvent::Samples(_) | DeviceEvent::Poses(_) | DeviceEvent::EndOfPoses(_) => {
+                    MessageKind::Batch
+                }
                 DeviceEvent::Hello(_) => MessageKind::Hello,
                 DeviceEvent::EndOfStream(_) => MessageKind::End,
                 _ => MessageKind::Other,
@@ -196,7 +203,7 @@ impl WireFaults {
             MessageKind::Batch => {
                 if let Some((number, batch)) = self.batches.handed_over(bytes) {
                     self.since_ns = Some(since(batch.host_ns()));
-                    self.numbered(Numbered::Batch(number), bytes);
+                    self.numbered(Numbered::Batch(number, batch.series()), bytes);
                     return;
                 }
             }
@@ -222,7 +229,7 @@ impl WireFaults {
                 {
                     match number {
                         Numbered::Frame(number) => self.fates.lost(number, Kind::LostFrames),
-                        Numbered::Batch(number) => self.batches.lost(number, Kind::LostFrames),
+                        Numbered::Batch(number, _) => self.batches.lost(number, Kind::LostFrames),
                     }
                     copies = 0;
                 }

@@ -186,10 +186,10 @@ impl Body {
 
 /// A body segment that carries markers: its name; its ends, as indices into the sites; whether its rotation about its
 /// axis follows the shoulder line rather than the hip line; the distance of the markers from the axis, metres.
-type Segment = (&'static str, (usize, usize), bool, f64);
+pub(super) type Segment = (&'static str, (usize, usize), bool, f64);
 
 /// Radii of an adult's limbs to the nearest half centimetre; they only place markers.
-const SEGMENTS: [Segment; 10] = [
+pub(super) const SEGMENTS: [Segment; 10] = [
     ("trunk", (2, 1), true, 0.130),
     ("l_thigh", (9, 10), false, 0.075),
     ("r_thigh", (12, 13), false, 0.075),

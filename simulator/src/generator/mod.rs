@@ -4,6 +4,7 @@
 //! inverse kinematics place the legs on planted feet (`body`), and flight is a parabola. The subject walks back after
 //! each jump, so a take of any length stays in a volume of about 6 m. A seed gives the same bits on every machine.
 
+mod bodies;
 mod body;
 mod forces;
 mod geometry;
@@ -23,6 +24,7 @@ use plan::{JointCurves, PhaseTimes, Style};
 
 pub use mocapd_take::phase::Phase;
 
+pub use bodies::RigidBodies;
 pub use body::{BONES, SITES};
 pub use forces::{ForcePlates, PLATE_COMPONENTS};
 pub use rng::Rng;

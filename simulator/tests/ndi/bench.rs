@@ -1,7 +1,8 @@
 //! A host, a line and a device in virtual time.
 
 use mocapd_drivers::device::{
-    Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, MarkerSample, Protocol, Status,
+    BodyInfo, Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, MarkerSample, Pose, Protocol,
+    Status,
 };
 use mocapd_drivers::ndi::NdiHost;
 use mocapd_drivers::transport::polled::{
@@ -58,6 +59,9 @@ pub(super) struct Bench {
     pub(super) status: Option<Status>,
     pub(super) end: Option<Status>,
     pub(super) pongs: Vec<u64>,
+    pub(super) bodies: Vec<BodyInfo>,
+    /// Number, ticks and poses of each frame.
+    pub(super) poses: Vec<(u32, u64, Vec<Pose>)>,
 }
 
 impl Bench {
@@ -90,6 +94,8 @@ impl Bench {
             status: None,
             end: None,
             pongs: Vec::new(),
+            bodies: Vec::new(),
+            poses: Vec::new(),
         }
     }
 
@@ -133,7 +139,19 @@ impl Bench {
         let bytes = if may_read { self.receive() } else { Vec::new() };
         self.commands.set_now_ns(self.now_ns);
         let Self {
-            host, hellos, markers, frames, started, refused, notes, status, end, pongs, ..
+            host,
+            hellos,
+            markers,
+            frames,
+            started,
+            refused,
+            notes,
+            status,
+            end,
+            pongs,
+            bodies,
+            poses,
+            ..
         } = self;
         host.push(&bytes, &mut |event| match event {
             DeviceEvent::Hello(hello) => hellos.push(hello.clone()),
@@ -149,9 +167,14 @@ impl Bench {
             DeviceEvent::Pong(pong) => pongs.push(pong.host_ns),
             DeviceEvent::Note(message) => notes.push(message.to_owned()),
             DeviceEvent::Status(now) => *status = Some(now),
-            // An NDI system has no sampled channels.
+            DeviceEvent::Bodies(table) => *bodies = table.to_vec(),
+            DeviceEvent::Poses(frame) => {
+                poses.push((frame.seq, frame.device_ticks, frame.poses.to_vec()));
+            }
+            // An NDI system has no sampled channels, and does not say how many poses there were.
             DeviceEvent::SampledGroup(_)
             | DeviceEvent::Samples(_)
+            | DeviceEvent::EndOfPoses(_)
             | DeviceEvent::Trigger(_)
             | DeviceEvent::RateSet(_) => {}
         });

@@ -1,6 +1,6 @@
 //! Every frame arrives once and unchanged.
 
-use mocapd_drivers::device::{Command, Protocol};
+use mocapd_drivers::device::{Command, PoseStatus, Protocol};
 use mocapd_drivers::ndi::crc16;
 use mocapd_drivers::transport::polled::Request;
 use mocapd_simulator::device::LineDevice;
@@ -34,7 +34,18 @@ fn every_frame_arrives_once_and_unchanged() {
             assert_eq!(present, sent.present as usize);
             let ticks = if bx2 { sent.device_ticks } else { index as u64 * 1000 };
             assert_eq!(received.ticks, ticks);
+            // The tools are bodies, too; the simulated system does not turn them.
+            let (seq, ticks, poses) = &bench.poses[index];
+            assert_eq!((*seq, *ticks), (received.seq, received.ticks));
+            for (pose, marker) in poses.iter().zip(&received.markers) {
+                let is_tracked = pose.status == PoseStatus::Tracked;
+                assert_eq!((pose.body, is_tracked), (marker.id, !marker.occluded));
+                let found = (pose.position_mm, pose.quaternion);
+                assert!(!is_tracked || found == (marker.position_mm, [1.0, 0.0, 0.0, 0.0]));
+            }
         }
+        assert!(bench.bodies.iter().map(|body| &body.name).eq(&labels));
+        assert_eq!(bench.poses.len(), n_frames);
         assert_eq!(bench.end.unwrap().frames_produced, n_frames as u64);
         let counters = bench.host.counters();
         assert_eq!((counters.messages_damaged, counters.bytes_skipped), (0, 0));

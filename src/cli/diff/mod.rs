@@ -148,7 +148,7 @@ fn of_takes(args: &Args) -> anyhow::Result<DiffReport> {
 
 /// Compares the sampled channels of two recordings.
 fn recorded(args: &Args, a: &Frames, b: &Frames) -> anyhow::Result<Vec<FieldDifference>> {
-    if [a, b].iter().all(|frames| frames.map().recorded_groups().next().is_none()) {
+    if [a, b].iter().all(|frames| frames.map().sample_groups().next().is_none()) {
         return Ok(Vec::new());
     }
     let open = |path: &Path| remote::open(path).map(BufReader::new);

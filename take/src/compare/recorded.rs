@@ -17,13 +17,13 @@ pub fn compare_recorded(
     (one, a): (&TakeMap, &mut (impl Read + Seek)),
     (other, b): (&TakeMap, &mut (impl Read + Seek)),
 ) -> Result<Vec<FieldDifference>, TakeError> {
-    let numbers = |map: &TakeMap| map.recorded_groups().map(|g| g.group.number).collect::<Vec<_>>();
+    let numbers = |map: &TakeMap| map.sample_groups().map(|g| g.group.number).collect::<Vec<_>>();
     let mut all = [numbers(one), numbers(other)].concat();
     all.sort_unstable();
     all.dedup();
     let mut differences = Vec::new();
     for number in all {
-        let of = |map: &TakeMap| map.recorded_groups().find(|g| g.group.number == number).cloned();
+        let of = |map: &TakeMap| map.sample_groups().find(|g| g.group.number == number).cloned();
         let (left, right) = (of(one), of(other));
         let text = |group: &Option<GroupSamples>| group.as_ref().map(describe);
         let mut found = (text(&left), text(&right));

@@ -301,7 +301,7 @@ fn clocks(sources: &[SourceTake]) -> (Vec<Clock>, Vec<u32>) {
         }
         first = next;
         // Samples may be of a segment for which there was no time to observe its clock.
-        let of_samples = source.map().recorded_groups().flat_map(GroupSamples::anchors);
+        let of_samples = source.map().sample_groups().flat_map(GroupSamples::anchors);
         let segments = source.clocks.iter().map(|clock| clock.segment);
         let last = segments.chain(of_samples.map(|anchor| anchor.segment)).max();
         next = last.map_or(first, |last| first.saturating_add(last).saturating_add(1));

@@ -13,7 +13,7 @@ use crate::{
     TakeError, TakeMap, TakeTraversal, TakeWriter,
     damage::Problem,
     record::{ClockLine, GroupLedger, SampleLedger, SampledGroup},
-    sampled::{GroupSamples, RECORDED, SampleAnchor, SampleContent, SampleSpan},
+    sampled::{GroupSamples, SampleAnchor, SampleContent, SampleSpan},
     timeline::{LossCauses, RowTime, Timeline},
     traversal::Decode,
 };
@@ -34,7 +34,7 @@ pub(super) fn write_groups<W: Write>(
     map: &TakeMap,
     take: &mut TakeWriter<W>,
 ) -> Result<(), TakeError> {
-    map.recorded_groups().try_for_each(|group| take.sampled_group(&group.group))
+    map.sample_groups().try_for_each(|group| take.sampled_group(&group.group))
 }
 
 /// Copies all samples and times of a take, and its ledger.
@@ -43,7 +43,7 @@ pub(super) fn copy<W: Write>(
     input: &mut (impl Read + Seek),
     take: &mut TakeWriter<W>,
 ) -> Result<(), TakeError> {
-    for group in map.recorded_groups() {
+    for group in map.sample_groups() {
         copy_group(group, input, take, (0, 0))?;
     }
     map.sample_ledger.iter().try_for_each(|ledger| take.sample_ledger(ledger))
@@ -81,9 +81,8 @@ fn copy_group<W: Write>(
 
 /// Whether the groups of two takes can follow each other.
 fn are_alike(one: &TakeMap, other: &TakeMap) -> bool {
-    let of = |map: &TakeMap| {
-        map.recorded_groups().map(|g| g.group.clone()).collect::<Vec<SampledGroup>>()
-    };
+    let of =
+        |map: &TakeMap| map.sample_groups().map(|g| g.group.clone()).collect::<Vec<SampledGroup>>();
     of(one) == of(other)
 }
 
@@ -109,7 +108,7 @@ impl JoinedSamples {
             return Ok((Self::default(), Some(what)));
         }
         write_groups(first.map(), take)?;
-        let next = first.map().recorded_groups().map(|_| 0).collect();
+        let next = first.map().sample_groups().map(|_| 0).collect();
         Ok((Self { are_joined: true, next, ledger: None }, None))
     }
 
@@ -124,7 +123,7 @@ impl JoinedSamples {
         if !self.are_joined {
             return Ok(());
         }
-        for (group, next) in map.recorded_groups().zip(&mut self.next) {
+        for (group, next) in map.sample_groups().zip(&mut self.next) {
             copy_group(group, input, take, (*next, segment))?;
             *next = next.saturating_add(group.n_samples());
         }
@@ -153,7 +152,7 @@ pub(super) fn cut<W: Write>(
     take: &mut TakeWriter<W>,
 ) -> Result<(), TakeError> {
     let map = source.map();
-    if map.recorded_groups().next().is_none() {
+    if map.sample_groups().next().is_none() {
         return Ok(());
     }
     let ends = [rows.start, rows.end].map(|row| {
@@ -170,7 +169,7 @@ pub(super) fn cut<W: Write>(
         let is_known = |of: u32| map.recorded_groups().any(|group| group.group.number == of);
         ledger.groups.extend(stated.groups.iter().filter(|group| !is_known(group.group)).copied());
     }
-    for group in map.recorded_groups() {
+    for group in map.sample_groups() {
         let n = group.n_samples();
         let first = if rows.start == 0 { 0 } else { start.map_or(n, |t| number_at(map, group, t)) };
         let last = match end {
@@ -180,7 +179,9 @@ pub(super) fn cut<W: Write>(
         let part = Part { group, numbers: first..last.max(first), tick_hz: tick_hz(map) };
         let is_of_group = |of: &&GroupLedger| of.group == group.group.number;
         let whole = stated.groups.iter().find(is_of_group).copied().unwrap_or_default();
-        let of_part = part.write(input, take)?;
+        // A part has no larger errors than the whole.
+        let errors = group.pose_errors(map.sample_ledger.as_ref());
+        let of_part = GroupLedger { errors, ..part.write(input, take)? };
         ledger.groups.push(match part.numbers == (0..n) {
             true => GroupLedger { duplicates: whole.duplicates, jumps: whole.jumps, ..of_part },
             false => of_part,
@@ -250,6 +251,8 @@ fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
             None => run = run.or(Some(found.start..found.start)),
         }
     }
+    // Poses have the times of their frames, which the lines between anchors miss by less than half a period.
+    let late_s = if group.group.has_poses() { -0.5 / group.group.rate_hz } else { 0.0 };
     let Some(run) = run else { return 0 };
     // A row in an outage lies in no run.
     if last_s(&run).is_none_or(|s| s < -APART_S_MAX) {
@@ -258,7 +261,7 @@ fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
     let (mut low, mut high) = (run.start, run.end);
     while low < high {
         let middle = low + (high - low) / 2;
-        if after_s(middle).is_some_and(|s| s < 0.0) { low = middle + 1 } else { high = middle }
+        if after_s(middle).is_some_and(|s| s < late_s) { low = middle + 1 } else { high = middle }
     }
     low
 }
@@ -336,7 +339,7 @@ impl Part<'_> {
             Ok(())
         })?;
         if let Some(found) = undecodable.first() {
-            return Err(damaged(&Problem::of_samples(RECORDED, found)));
+            return Err(damaged(&Problem::of_samples(&self.group.group.kind, found)));
         }
         outcome.map(|()| ledger)
     }
@@ -411,7 +414,7 @@ mod tests {
     fn a_run_without_a_line_has_a_row_only_where_its_ticks_are() {
         // 35 s; power lost, half a second; and once more, ten seconds.
         let map = take_of(&[(3500, 5000, Some(100)), (50, 0, None), (1000, 0, Some(150))]);
-        let group = map.recorded_groups().next().unwrap();
+        let group = map.sample_groups().next().unwrap();
         let at = |device_ticks, host_s: u64| {
             let arrival_10us = host_s * 100_000;
             number_at(&map, group, RowTime { device_ticks, arrival_10us, timecode: None })

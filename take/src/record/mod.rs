@@ -33,7 +33,7 @@ pub use header::{
     CODEC_VERSION, Channel, Device, Header, ImportSource, KEYS_APART_S_MAX, KeyDistance,
     LONG_KEYS_VERSION, RATES_HZ,
 };
-pub use sample_ledger::{GroupLedger, SampleLedger};
+pub use sample_ledger::{GroupLedger, MeasuredErrors, SampleLedger};
 pub(crate) use sampled_group::SAMPLES_MAX;
 pub use sampled_group::{SampleBounds, SampleForm, SampledChannel, SampledGroup};
 pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};

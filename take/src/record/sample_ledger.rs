@@ -1,9 +1,65 @@
 //! `SAMPLE_LEDGER`: what became of the samples of each group of sampled channels.
 
-use bincode::{Decode, Encode};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
+use mocapd_codec::poses::PoseErrors;
 
 use super::Record;
-use crate::{chunk::types, sampled::SampleContent, timeline::LossCauses};
+use crate::{TakeError, chunk::types, sampled::SampleContent, timeline::LossCauses};
+
+/// The largest errors of the poses of a group, rounded up; 0 for a group without poses, and for poses as the device sent
+/// them. They are not part of version 1 of the record; version 2 has them after all else.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct MeasuredErrors {
+    /// Of positions, in nanometres.
+    pub position_nm: u64,
+    /// Of angles, in billionths of a degree.
+    pub angle_nanodegrees: u64,
+}
+
+bincode::impl_borrow_decode!(MeasuredErrors);
+
+impl Encode for MeasuredErrors {
+    fn encode<E: Encoder>(&self, _: &mut E) -> Result<(), EncodeError> {
+        Ok(())
+    }
+}
+
+impl<C> Decode<C> for MeasuredErrors {
+    fn decode<D: Decoder<Context = C>>(_: &mut D) -> Result<Self, DecodeError> {
+        Ok(Self::default())
+    }
+}
+
+impl MeasuredErrors {
+    /// Takes the larger of each.
+    pub fn add(&mut self, errors: &PoseErrors) {
+        let position_nm = (errors.position_mm * 1e6).ceil() as u64;
+        let angle_nanodegrees = (errors.angle_degrees * 1e9).ceil() as u64;
+        self.take_larger(&Self { position_nm, angle_nanodegrees });
+    }
+
+    fn take_larger(&mut self, other: &Self) {
+        self.position_nm = self.position_nm.max(other.position_nm);
+        self.angle_nanodegrees = self.angle_nanodegrees.max(other.angle_nanodegrees);
+    }
+
+    /// Those that poses within these bounds may have.
+    #[must_use]
+    pub fn at_most([position_mm, angle_degrees]: [f64; 2]) -> Self {
+        let mut errors = Self::default();
+        errors.add(&PoseErrors { position_mm, angle_degrees });
+        errors
+    }
+
+    /// In millimetres and degrees.
+    #[must_use]
+    pub fn errors(&self) -> PoseErrors {
+        PoseErrors {
+            position_mm: self.position_nm as f64 / 1e6,
+            angle_degrees: self.angle_nanodegrees as f64 / 1e9,
+        }
+    }
+}
 
 /// The account of a group. All counts are samples of each channel, except [`jumps`](Self::jumps).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Encode, Decode)]
@@ -29,6 +85,8 @@ pub struct GroupLedger {
     /// Times that the numbers of samples began again or jumped as no loss explains. How many samples the device took
     /// meanwhile is unknown.
     pub jumps: u64,
+    /// The largest errors of its poses.
+    pub errors: MeasuredErrors,
 }
 
 impl GroupLedger {
@@ -92,6 +150,7 @@ impl GroupLedger {
         ] {
             *sum = sum.saturating_add(n);
         }
+        self.errors.take_larger(&other.errors);
     }
 }
 
@@ -130,4 +189,93 @@ impl Record for SampleLedger {
     const NAME: &'static str = "ledger of samples";
     const KIND: u8 = types::SAMPLE_LEDGER;
     const VERSION: u16 = 1;
+
+    fn to_payload(&self) -> Result<Vec<u8>, TakeError> {
+        let errors: Vec<MeasuredErrors> = self.groups.iter().map(|group| group.errors).collect();
+        if errors.iter().all(|errors| *errors == MeasuredErrors::default()) {
+            return Counts(self.clone()).to_payload();
+        }
+        let errors = errors.iter().map(|e| (e.position_nm, e.angle_nanodegrees)).collect();
+        WithErrors { counts: self.clone(), errors }.to_payload()
+    }
+
+    fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
+        let (what, supported) = (Self::NAME, WithErrors::VERSION);
+        match Counts::from_payload(payload, offset) {
+            Err(TakeError::Unsupported { found, .. }) if found == supported => {}
+            Err(TakeError::Unsupported { found, .. }) => {
+                return Err(TakeError::Unsupported { what, found, supported });
+            }
+            read => return read.map(|counts| counts.0),
+        }
+        let WithErrors { mut counts, errors } = WithErrors::from_payload(payload, offset)?;
+        if errors.len() != counts.groups.len() {
+            return Err(TakeError::corrupt(what, offset, "it has no errors of some group"));
+        }
+        for (group, (position_nm, angle_nanodegrees)) in counts.groups.iter_mut().zip(errors) {
+            group.errors = MeasuredErrors { position_nm, angle_nanodegrees };
+        }
+        Ok(counts)
+    }
+}
+
+/// Version 1.
+#[derive(Debug, Encode, Decode)]
+struct Counts(SampleLedger);
+
+impl Record for Counts {
+    const NAME: &'static str = SampleLedger::NAME;
+    const KIND: u8 = types::SAMPLE_LEDGER;
+    const VERSION: u16 = 1;
+}
+
+/// Version 2: the largest errors of the poses of each group, in nanometres and in billionths of a degree.
+#[derive(Debug, Encode, Decode)]
+struct WithErrors {
+    counts: SampleLedger,
+    errors: Vec<(u64, u64)>,
+}
+
+impl Record for WithErrors {
+    const NAME: &'static str = SampleLedger::NAME;
+    const KIND: u8 = types::SAMPLE_LEDGER;
+    const VERSION: u16 = 2;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ledger_without_errors_is_of_version_1_and_one_with_errors_of_version_2() {
+        let group = |group| GroupLedger { group, taken: 300, stored: 300, ..Default::default() };
+        let mut ledger =
+            SampleLedger { finished: true, groups: vec![group(0), group(16)], batches_refused: 0 };
+        let first = ledger.to_payload().unwrap();
+        assert_eq!(first[..2], [1, 0]);
+        assert_eq!(SampleLedger::from_payload(&first, 8).unwrap(), ledger);
+        let errors = PoseErrors { position_mm: 0.099_999_999_5, angle_degrees: 0.028 };
+        ledger.groups[1].errors.add(&errors);
+        ledger.groups[1].errors.add(&PoseErrors::default());
+        let found = ledger.groups[1].errors;
+        assert_eq!((found.position_nm, found.angle_nanodegrees), (100_000, 28_000_000));
+        let second = ledger.to_payload().unwrap();
+        // 2 groups: nothing, and two numbers.
+        let numbers = [2, 0, 0, 0xFC, 0xA0, 0x86, 1, 0, 0xFC, 0, 0x3F, 0xAB, 1];
+        assert_eq!(second, [&[2, 0], &first[2..], &numbers].concat());
+        assert_eq!(SampleLedger::from_payload(&second, 8).unwrap(), ledger);
+        let mut sum = ledger.clone();
+        sum.add_counters(&SampleLedger { groups: vec![group(16)], ..Default::default() });
+        assert_eq!((sum.groups[1].errors, sum.groups[1].taken), (found, 600));
+        // Of a later version, cut off, and without the errors of a group.
+        let later = [&[3, 0], &second[2..]].concat();
+        let read = SampleLedger::from_payload(&later, 8);
+        assert!(matches!(read, Err(TakeError::Unsupported { found: 3, supported: 2, .. })));
+        for n in 2..second.len() {
+            assert!(SampleLedger::from_payload(&second[..n], 8).is_err(), "{n}");
+        }
+        let mut short = second[..second.len() - numbers.len()].to_vec();
+        short.extend([1, 5, 5]);
+        assert!(SampleLedger::from_payload(&short, 8).is_err());
+    }
 }

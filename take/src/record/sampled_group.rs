@@ -1,7 +1,7 @@
 //! `SAMPLED_GROUP`: a group of scalar channels that have a rate of their own, such as those of force plates and electrodes.
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
-use mocapd_codec::GROUP_CHANNELS;
+use mocapd_codec::{GROUP_CHANNELS, poses::POSE_CHANNELS};
 
 use super::{CONFIG, Record, deflate, inflate};
 use crate::{TakeError, chunk::types};
@@ -72,7 +72,8 @@ pub struct SampledGroup {
     pub source: u16,
     /// Its number, by which SAMPLES refer to it. No two groups of a take have the same.
     pub number: u32,
-    /// The kind of the foreign part that the group belongs to, such as `c3d/analog`; empty for channels of a recording.
+    /// The kind of the foreign part that the group belongs to, such as `c3d/analog`; empty for channels of a
+    /// recording, and [`POSES`](crate::poses::POSES) for those of rigid bodies.
     pub kind: String,
     /// The form of the samples in the source.
     pub form: SampleForm,
@@ -103,6 +104,9 @@ impl Record for SampledGroup {
 /// The version of a group with bounds.
 const BOUNDED: u16 = 2;
 
+/// The version of a group of poses, with bounds or without: readers of versions 1 and 2 skip it.
+const POSES: u16 = 3;
+
 /// Most samples of a channel, so that no sum overflows: 36 years at 1 MHz.
 pub(crate) const SAMPLES_MAX: u64 = 1 << 50;
 
@@ -117,12 +121,13 @@ impl SampledGroup {
         })?;
         let payload = self.to_payload()?;
         let (version, body) = payload.split_at(2);
-        if self.bounds.0.is_empty() {
+        if self.bounds.0.is_empty() && !self.has_poses() {
             return Ok(deflate(version.to_vec(), body)?);
         }
+        let version = if self.has_poses() { POSES } else { BOUNDED };
         let bounds = self.bounds.0.iter().flat_map(|bound| bound.to_le_bytes());
         let body: Vec<u8> = body.iter().copied().chain(bounds).collect();
-        Ok(deflate(BOUNDED.to_le_bytes().to_vec(), &body)?)
+        Ok(deflate(version.to_le_bytes().to_vec(), &body)?)
     }
 
     /// Decodes the payload of the chunk at file offset `offset`, whose CRC matched.
@@ -135,16 +140,20 @@ impl SampledGroup {
             return Err(corrupt("shorter than its version"));
         };
         let (found, supported) = (u16::from_le_bytes(*version), Self::VERSION);
-        if found != supported && found != BOUNDED {
-            let supported = BOUNDED;
+        if ![supported, BOUNDED, POSES].contains(&found) {
+            let supported = POSES;
             return Err(TakeError::Unsupported { what: Self::NAME, found, supported });
         }
         let body = inflate(deflated).ok_or_else(|| corrupt("invalid DEFLATE data"))?;
-        let group = if found == BOUNDED {
-            Self::with_bounds(&body).map_err(corrupt)?
-        } else {
+        let group = if found == supported {
             Self::from_payload(&[&version[..], &body].concat(), offset)?
+        } else {
+            Self::with_bounds(&body).map_err(corrupt)?
         };
+        if (found == POSES) != group.has_poses() || (found == BOUNDED && group.bounds.0.is_empty())
+        {
+            return Err(corrupt("its version is not that of its content"));
+        }
         group.check().map_err(corrupt)?;
         Ok(group)
     }
@@ -154,8 +163,8 @@ impl SampledGroup {
         let (mut group, used): (Self, usize) =
             bincode::decode_from_slice(body, CONFIG).map_err(|_| "cannot be decoded")?;
         let (bounds, rest) = body.get(used..).unwrap_or_default().as_chunks::<8>();
-        if bounds.is_empty() || !rest.is_empty() {
-            return Err("its bounds are missing or incomplete");
+        if !rest.is_empty() {
+            return Err("its bounds are incomplete");
         }
         group.bounds.0 = bounds.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect();
         Ok(group)
@@ -180,6 +189,8 @@ impl SampledGroup {
             Err("it has more samples than a take can hold")
         } else if !matches!(self.bounds.0.len() as u64, n if n == 0 || n == n_channels) {
             Err("it does not have one bound for each channel")
+        } else if self.has_poses() && n_channels % POSE_CHANNELS as u64 != 0 {
+            Err("its channels are not those of bodies")
         } else if !self.bounds.0.iter().all(|bound| bound.is_finite() && *bound >= 0.0) {
             Err("a bound is negative or not finite")
         } else if self.form != SampleForm::Float32

@@ -11,7 +11,9 @@ use crate::{
     damage::{Problem, push_problem},
     foreign::ForeignPart,
     record::{Event, EventKind, GroupLedger, SampleLedger, SampledGroup},
-    sampled::{GroupSamples, RECORDED, RecoveredSamples, SampleContent, SampleSpan, part_name},
+    sampled::{
+        GroupSamples, RECORDED, RecoveredSamples, SampleContent, SampleSpan, is_recorded, part_name,
+    },
     timeline::LossCauses,
 };
 
@@ -55,7 +57,7 @@ impl KeptSamples {
                     push_problem(&mut kept.undecodable, problem);
                 }
                 let recovered = group.recovered(&undecodable);
-                if group.group.kind == RECORDED {
+                if is_recorded(&group.group.kind) {
                     let ledger = kept.ledger.get_or_insert_default();
                     ledger.groups.push(group_ledger(take, group, &recovered));
                 }
@@ -157,7 +159,9 @@ fn group_ledger(
     });
     ledger.lost_other = damaged.fold(ledger.lost_other, u64::saturating_add);
     ledger.taken = ledger.stored.saturating_add(ledger.lost());
-    GroupLedger { duplicates: stated.duplicates, jumps: stated.jumps, ..ledger }
+    let GroupLedger { duplicates, jumps, .. } = stated;
+    let errors = group.pose_errors(take.sample_ledger.as_ref());
+    GroupLedger { duplicates, jumps, errors, ..ledger }
 }
 
 fn lost_samples(take: &TakeMap, group: &SampledGroup, first: u64, n: u64) -> OutputChunk {

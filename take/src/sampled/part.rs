@@ -9,7 +9,8 @@ use std::{
 use mocapd_codec::sampled::SampledDecoder;
 
 use super::{
-    RECORDED, SampleAnchor, SampleClock, SampleContent, SampleSpan, SampleTimes, SamplesChunk, fits,
+    SampleAnchor, SampleClock, SampleContent, SampleSpan, SampleTimes, SamplesChunk, fits,
+    is_recorded,
 };
 use crate::{
     TakeError,
@@ -17,7 +18,7 @@ use crate::{
     interchange::c3d::columns::{
         ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered, word,
     },
-    record::{GroupLedger, SAMPLES_MAX, SampleForm, SampleLedger, SampledGroup},
+    record::{GroupLedger, MeasuredErrors, SAMPLES_MAX, SampleForm, SampleLedger, SampledGroup},
     timeline::LossCauses,
 };
 
@@ -94,7 +95,7 @@ impl GroupSamples {
 
     /// A ledger states that the take had this many samples by then.
     fn state(&mut self, ledger: &GroupLedger) {
-        if self.group.kind == RECORDED && ledger.taken <= SAMPLES_MAX {
+        if is_recorded(&self.group.kind) && ledger.taken <= SAMPLES_MAX {
             self.n_stated = self.n_stated.max(ledger.taken);
         }
     }
@@ -116,7 +117,7 @@ impl GroupSamples {
         let (Some(first), Some(last)) = (times.anchors.first(), times.anchors.last()) else {
             return false;
         };
-        let belongs = self.group.kind == RECORDED
+        let belongs = is_recorded(&self.group.kind)
             && last.run_start <= first.number
             && self.anchors.last().is_none_or(|known| {
                 known.run_start <= first.run_start
@@ -159,6 +160,19 @@ impl GroupSamples {
     #[must_use]
     pub fn found_ledger(&self) -> GroupLedger {
         self.ledger(|_| true)
+    }
+
+    /// The largest errors of its poses: those that a ledger states, if it covers all samples, else the bounds.
+    #[must_use]
+    pub fn pose_errors(&self, stated: Option<&SampleLedger>) -> MeasuredErrors {
+        let number = self.group.number;
+        let stated = stated.and_then(|of| of.groups.iter().find(|group| group.group == number));
+        let covers = |stated: &&GroupLedger| stated.stored >= self.found_ledger().stored;
+        match (stated.filter(covers), self.group.pose_bounds()) {
+            (_, None) => MeasuredErrors::default(),
+            (Some(stated), Some(_)) => stated.errors,
+            (None, Some(bounds)) => MeasuredErrors::at_most(bounds),
+        }
     }
 
     /// Its chunks of samples: what each holds, and the file offset and size of its block.
@@ -417,8 +431,7 @@ impl SampledPart {
     #[expect(clippy::result_large_err, reason = "it is no error: the group begins another part")]
     pub(crate) fn push_group(&mut self, group: GroupSamples) -> Result<(), GroupSamples> {
         let end = self.groups.last().map_or(0, |last| last.channels()[1]);
-        let is_recorded = self.kind() == RECORDED;
-        if is_recorded
+        if is_recorded(self.kind())
             || group.group.kind != self.kind()
             || u64::from(group.group.first_channel) < end
         {

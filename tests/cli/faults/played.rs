@@ -10,13 +10,13 @@ use std::{
 };
 
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, MarkerSample, Protocol},
+    device::{Command, DeviceEvent, MarkerSample, Pose, Protocol},
     link::HostLink,
 };
 use mocapd_simulator::{
     device::{Device, DeviceSettings, LineDevice, SentBatch, SentFrame, SentLog},
     faults::{BatchFate, Fate, FaultyDevice, FrameFate, KINDS, Kind, Kinds, Script},
-    generator::{ForcePlates, JumpSpec},
+    generator::{ForcePlates, JumpSpec, Occlusion, RigidBodies},
     pty::{PtyLine, ServeOptions, serve},
     sampled::SampledSource,
 };
@@ -78,11 +78,18 @@ pub(super) fn sources() -> Vec<SampledSource> {
     ]
 }
 
+/// Rigid bodies in two groups of a take, a tenth of whose poses are missing.
+pub(super) fn bodies() -> RigidBodies {
+    let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.2 });
+    RigidBodies::new(&JumpSpec { occlusion, ..JumpSpec::new(1, RATE_HZ) }, 10).unwrap()
+}
+
 fn settings(script: &Arc<Script>) -> DeviceSettings {
     // A busy machine must not make the device drop frames; a stall must.
     let queue_bytes = if script.has(Kind::Stall) { None } else { Some(64 << 20) };
     let (sampled, faults) = (sources(), Some(Arc::clone(script)));
-    DeviceSettings { queue_bytes, faults, sampled, ..DeviceSettings::default() }
+    let bodies = Some(Arc::new(bodies()));
+    DeviceSettings { queue_bytes, faults, sampled, bodies, ..DeviceSettings::default() }
 }
 
 /// A log file that the test reads when the device is done.
@@ -159,7 +166,7 @@ pub(super) fn sent_frames(script: &Script, played: &Played) -> Vec<Vec<MarkerSam
     if changes_motion.iter().any(|kind| script.has(*kind)) {
         let all = played.fates.iter().all(|f| f.frame.run == 1 && f.fate != Fate::Dropped);
         assert!(all, "one run, as below");
-        return commands_in_virtual_time(script);
+        return in_virtual_time(script).0;
     }
     let motion = motion();
     let mut run = (0, 0);
@@ -170,26 +177,39 @@ pub(super) fn sent_frames(script: &Script, played: &Played) -> Vec<Vec<MarkerSam
     played.fates.iter().map(frame).collect()
 }
 
-/// The output of the same device without a line, in virtual time.
-fn commands_in_virtual_time(script: &Script) -> Vec<Vec<MarkerSample>> {
+/// The poses of each frame of a run, by its number; those of all runs are the same, except where bodies are hidden.
+pub(super) fn sent_poses(script: &Script) -> Vec<Vec<Pose>> {
+    if script.has(Kind::OcclusionStorm) {
+        return in_virtual_time(script).1;
+    }
+    let (bodies, mut poses) = (bodies(), Vec::new());
+    let frame = |number| {
+        bodies.poses(number, RATE_HZ, &mut poses);
+        poses.clone()
+    };
+    (0..motion().n_frames() as u64).map(frame).collect()
+}
+
+/// The markers and poses of the same device without a line, in virtual time.
+fn in_virtual_time(script: &Script) -> (Vec<Vec<MarkerSample>>, Vec<Vec<Pose>>) {
     let mut device = Device::new(motion(), settings(&Arc::new(script.clone()))).unwrap();
     let mut host = HostLink::new();
     let mut command = Vec::new();
     host.command(Command::Start { line_bytes_per_s: 0 }, &mut command);
     let mut now_ns = 77;
     device.on_bytes(&command, now_ns);
-    let mut frames = Vec::new();
+    let (mut frames, mut poses) = (Vec::new(), Vec::new());
     while now_ns != u64::MAX {
         now_ns = device.poll(now_ns);
         let pending = device.pending().to_vec();
         device.sent(pending.len());
-        host.push(&pending, &mut |event| {
-            if let DeviceEvent::Frame(frame) = event {
-                frames.push(frame.markers.to_vec());
-            }
+        host.push(&pending, &mut |event| match event {
+            DeviceEvent::Frame(frame) => frames.push(frame.markers.to_vec()),
+            DeviceEvent::Poses(frame) => poses.push(frame.poses.to_vec()),
+            _ => {}
         });
     }
-    frames
+    (frames, poses)
 }
 
 /// Parses a frame from a line of the log file; `None` for other lines.

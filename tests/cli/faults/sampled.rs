@@ -7,6 +7,7 @@ use mocapd_simulator::{
     faults::{BatchFate, Fate},
 };
 use mocapd_take::TakeMap;
+use serde_json::Value;
 
 use super::{
     super::Folder,
@@ -15,7 +16,7 @@ use super::{
 
 /// What the fates of a group's batches say of its ledger.
 #[derive(Debug, Default, PartialEq, Eq)]
-struct Expected {
+pub(super) struct Expected {
     stored: u64,
     duplicates: u64,
     dropped: u64,
@@ -24,8 +25,24 @@ struct Expected {
     jumps: u64,
 }
 
+impl Expected {
+    /// What the ledger of a group says.
+    pub(super) fn stated(ledger: &Value) -> Self {
+        let count = |key: &str| ledger[key].as_u64().unwrap();
+        assert_eq!((count("lost_ring_full"), count("lost_other")), (0, 0));
+        Self {
+            stored: count("stored"),
+            duplicates: count("duplicates"),
+            dropped: count("dropped_by_device"),
+            lost_on_link: count("lost_on_link"),
+            unknown: count("unknown_after_disconnect"),
+            jumps: count("jumps"),
+        }
+    }
+}
+
 /// The ledger up to the last batch that arrived, also one without samples.
-fn expected(batches: &[&BatchFate]) -> Expected {
+pub(super) fn expected(batches: &[&BatchFate]) -> Expected {
     let mut expected = Expected::default();
     let mut last: Option<&BatchFate> = None;
     for fate in batches {
@@ -96,16 +113,7 @@ pub(super) fn take_holds_what_was_sent(folder: &Folder, played: &Played) {
             at += fate.frame.n as usize;
         }
         let ledger = &document["groups"][index];
-        let count = |key: &str| ledger[key].as_u64().unwrap();
-        let found = Expected {
-            stored: count("stored"),
-            duplicates: count("duplicates"),
-            dropped: count("dropped_by_device"),
-            lost_on_link: count("lost_on_link"),
-            unknown: count("unknown_after_disconnect"),
-            jumps: count("jumps"),
-        };
+        let found = Expected::stated(ledger);
         assert_eq!(found, expected(&batches), "group {index}: {ledger:#}");
-        assert_eq!((count("lost_ring_full"), count("lost_other")), (0, 0));
     }
 }

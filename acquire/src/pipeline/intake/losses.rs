@@ -39,6 +39,7 @@ impl Intake {
     /// here, and frames missing until that frame were lost to the outage.
     pub fn rejoin(&mut self) {
         self.rejoining = true;
+        self.reset_poses();
         // Samples before it lie in the segment of the clock that ends here.
         self.samples.end_blocks(self.feed.next_stretch(), self.clocks.segment());
         self.samples.rejoin();

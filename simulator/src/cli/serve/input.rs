@@ -10,7 +10,7 @@ use mocapd_drivers::link::GROUPS_MAX;
 use mocapd_drivers::raw_log::MAGIC;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
-use mocapd_simulator::generator::{ForcePlates, JumpSpec, Occlusion};
+use mocapd_simulator::generator::{ForcePlates, JumpSpec, Occlusion, RigidBodies};
 use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
 use mocapd_simulator::sampled::SampledSource;
 use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
@@ -78,6 +78,17 @@ pub(super) fn sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
         sources.push(source.map_err(Failure::usage)?);
     }
     Ok(sources)
+}
+
+/// The rigid bodies of the device.
+pub(super) fn bodies(args: &ServeArgs) -> Result<Option<Arc<RigidBodies>>, Failure> {
+    let (Some(n_bodies), Some(spec)) = (args.bodies, generated(args)) else { return Ok(None) };
+    if args.speed != 1.0 || args.looping {
+        return Err(Failure::usage_message(
+            "--bodies needs a motion that is played once, at its own speed: remove --speed and --loop",
+        ));
+    }
+    Ok(Some(Arc::new(RigidBodies::new(&spec, n_bodies).map_err(Failure::usage)?)))
 }
 
 /// Reads the fault script, if there is one.

@@ -113,7 +113,10 @@ pub(super) struct ServeArgs {
     /// Send a stream like that of electrodes, such as 16@2kHz: the number of channels and their rate (repeatable)
     #[arg(long, value_name = "N@HZ")]
     emg: Vec<Electrodes>,
-    /// Log what became of every batch of samples to this CSV file; it must not exist (docs/faults.md)
+    /// With --generate: send the poses of this many rigid bodies, which move with the segments of the body, up to 128
+    #[arg(long, value_name = "N")]
+    bodies: Option<usize>,
+    /// Log what became of every batch of samples, and of the poses of every frame, to this CSV file; it must not exist (docs/faults.md)
     #[arg(long, value_name = "FILE")]
     batch_log: Option<PathBuf>,
     /// Exit once the motion has ended or the host has stopped it, and the host has read everything
@@ -153,6 +156,7 @@ impl ServeArgs {
             ("--noise", self.noise.is_some()),
             ("--occlusion", self.occlusion.is_some()),
             ("--plates", self.plates.is_some()),
+            ("--bodies", self.bodies.is_some()),
         ];
         match options.iter().find(|(_, is_set)| *is_set && self.generate.is_none()) {
             Some((option, _)) => Err(Failure::usage_message(format!(
@@ -279,9 +283,11 @@ fn device(
         DeviceProtocol::Ndi if args.wire.is_some() => {
             return usage("--wire applies to the link protocol only: an NDI system sends f32");
         }
-        DeviceProtocol::Ndi if args.plates.is_some() || !args.emg.is_empty() => {
+        DeviceProtocol::Ndi
+            if args.plates.is_some() || !args.emg.is_empty() || args.bodies.is_some() =>
+        {
             return usage(
-                "--plates and --emg apply to the link protocol only: remove --protocol ndi",
+                "--plates, --emg and --bodies apply to the link protocol only: remove --protocol ndi",
             );
         }
         DeviceProtocol::Ndi if script.is_some() => {
@@ -289,7 +295,9 @@ fn device(
         }
         DeviceProtocol::Dvmc => {
             let sampled = input::sampled(args)?;
-            let settings = DeviceSettings { faults: script.clone(), sampled, ..settings(args) };
+            let bodies = input::bodies(args)?;
+            let faults = script.clone();
+            let settings = DeviceSettings { faults, sampled, bodies, ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));
             let rate_millihertz = device.hello().rate_millihertz;

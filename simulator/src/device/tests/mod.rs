@@ -1,8 +1,9 @@
 mod commands;
 mod frames;
+mod poses;
 mod samples;
 
-use mocapd_drivers::device::{DeviceEvent, LinkBudget, Pong, Protocol, SampledGroupInfo};
+use mocapd_drivers::device::{BodyInfo, DeviceEvent, LinkBudget, Pong, Protocol, SampledGroupInfo};
 use mocapd_drivers::link::{FrameForm, HostLink};
 use mocapd_take::motion::is_gap;
 
@@ -16,6 +17,9 @@ const MS: u64 = 1_000_000;
 enum Event {
     Group(SampledGroupInfo),
     Samples(SentSamples),
+    Bodies(Vec<BodyInfo>),
+    Poses(SentPoses),
+    EndOfPoses(u32, u32),
     Hello(Hello),
     Markers(usize),
     Frame { seq: u32, ticks: u64, samples: Vec<MarkerSample> },
@@ -35,6 +39,15 @@ struct SentSamples {
     first: u64,
     ticks: u64,
     samples: Vec<f32>,
+}
+
+/// Poses as received.
+#[derive(Debug, Clone, PartialEq)]
+struct SentPoses {
+    seq: u32,
+    number: u32,
+    ticks: u64,
+    poses: Vec<Pose>,
 }
 
 /// A device and a host in virtual time.
@@ -82,6 +95,14 @@ impl Bench {
                     ticks: batch.device_ticks,
                     samples: batch.samples.to_vec(),
                 }),
+                DeviceEvent::Bodies(bodies) => Event::Bodies(bodies.to_vec()),
+                DeviceEvent::Poses(frame) => Event::Poses(SentPoses {
+                    seq: frame.seq,
+                    number: frame.number,
+                    ticks: frame.device_ticks,
+                    poses: frame.poses.to_vec(),
+                }),
+                DeviceEvent::EndOfPoses(end) => Event::EndOfPoses(end.seq, end.number),
                 DeviceEvent::Status(status) => Event::Status(status),
                 DeviceEvent::Pong(pong) => Event::Pong(pong),
                 DeviceEvent::Started(budget) => Event::Started(budget),
