@@ -7,10 +7,10 @@ use serialport::SerialPortType;
 pub use crate::device::{Candidate, Claim, Family};
 use crate::{
     device::Protocol,
-    link, ndi, qtm,
+    link, natnet, ndi, qtm,
     transport::{
         Access, Transport, TransportError, access,
-        network::NetworkTransport,
+        network,
         serial::SerialTransport,
         usb::{self, UsbDevice, UsbTransport},
     },
@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// All device families. Register a new one here.
-pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY, qtm::FAMILY];
+pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY, qtm::FAMILY, natnet::FAMILY];
 
 /// Returns the family with the highest claim on a device; of two equal claims, the first in [`FAMILIES`].
 #[must_use]
@@ -259,7 +259,7 @@ fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportEr
         Location::Usb { vid, pid, serial } => {
             Ok(Box::new(UsbTransport::open(*vid, *pid, serial.as_deref())?))
         }
-        Location::Network(address) => Ok(Box::new(NetworkTransport::open(address)?)),
+        Location::Network(address) => network::open(address),
     }
 }
 

@@ -16,7 +16,7 @@ use mocapd_drivers::{
 fn connected(datagrams: bool) -> (NetworkTransport, TcpStream) {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = listener.local_addr().unwrap().port();
-    let address = NetworkAddress { family: "qtm", host: "localhost".to_owned(), port, datagrams };
+    let address = NetworkAddress { datagrams, ..NetworkAddress::new("qtm", "localhost", port) };
     let transport = NetworkTransport::open(&address).unwrap();
     (transport, listener.accept().unwrap().0)
 }

@@ -19,7 +19,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{READ_TIMEOUT, Transport, TransportError};
+use super::{DatagramSource, READ_TIMEOUT, Transport, TransportError};
 
 /// Capacity of the channel: a protocol sends at most a few commands between two reads, such as a break, a
 /// baud rate and a request.
@@ -72,6 +72,10 @@ pub enum LineCommand {
     },
     /// Send a break, if the line has one.
     Break,
+    /// Receive datagrams of frames from this source.
+    Listen(DatagramSource),
+    /// Receive no more from that source.
+    StopListening,
     /// Change the baud rate. A rate that the port does not support is ignored.
     Baud(u32),
     /// Requests to write when the line is closed, so that the next host finds the device as this one did.
@@ -192,6 +196,8 @@ impl PolledTransport {
                     self.line.write_all(request.as_bytes())?;
                 }
                 LineCommand::Break => drop(self.line.send_break()?),
+                LineCommand::Listen(source) => self.line.listen(source)?,
+                LineCommand::StopListening => self.line.stop_listening(),
                 LineCommand::Baud(baud) => match self.line.set_baud(baud) {
                     // The device does not reply at the old rate, and the search continues.
                     Ok(()) | Err(TransportError::Refused(_)) => {}

@@ -2,7 +2,7 @@
 
 use std::{
     io::{self, IoSliceMut},
-    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4, UdpSocket},
     os::fd::{AsFd, AsRawFd, BorrowedFd},
 };
 
@@ -10,7 +10,7 @@ use nix::{
     cmsg_space,
     sys::{
         socket::{
-            ControlMessageOwned, MsgFlags, SockaddrStorage, recvmsg, setsockopt,
+            ControlMessageOwned, MsgFlags, SockaddrStorage, getsockopt, recvmsg, setsockopt,
             sockopt::{RcvBuf, ReceiveTimestampns},
         },
         time::TimeSpec,
@@ -20,7 +20,7 @@ use rustix::time::{ClockId, clock_gettime};
 
 /// Bytes that the kernel may hold for the reader, if the system allows so many: a second of 200 markers at 1000 Hz. Linux
 /// grants `net.core.rmem_max` at most, 208 KiB by default.
-const RECEIVE_BUFFER_BYTES: usize = 4 << 20;
+pub(super) const RECEIVE_BUFFER_BYTES: usize = 4 << 20;
 
 /// A stamp further from now than this is of a clock that was set in between: a reader that does not read for so long is
 /// ended by its watchdog.
@@ -31,6 +31,8 @@ const STAMP_AGE_MAX_NS: i64 = 60_000_000_000;
 pub(super) struct DatagramSocket {
     socket: UdpSocket,
     port: u16,
+    /// Bytes that the kernel holds for the reader.
+    buffer_bytes: usize,
     /// Datagrams of other machines are not the device's.
     peer: IpAddr,
     control: Vec<u8>,
@@ -50,16 +52,26 @@ impl DatagramSocket {
     pub(super) fn open(mut local: SocketAddr, peer: IpAddr) -> io::Result<Self> {
         // The rest of the address stays: an IPv6 address may have a scope.
         local.set_port(0);
-        let socket = UdpSocket::bind(local)?;
+        Self::new(UdpSocket::bind(local)?, peer)
+    }
+
+    /// Receives a device's datagrams at a socket.
+    ///
+    /// # Errors
+    /// The system's.
+    pub(super) fn new(socket: UdpSocket, peer: IpAddr) -> io::Result<Self> {
         socket.set_nonblocking(true)?;
         // What the system refuses here costs room or precision: arrival is then the time of the read.
         setsockopt(socket.as_raw_fd(), RcvBuf, &RECEIVE_BUFFER_BYTES).ok();
         setsockopt(socket.as_raw_fd(), ReceiveTimestampns, &true).ok();
         let port = socket.local_addr()?.port();
+        // Linux states twice the room, one half of it for its own accounts.
+        let buffer_bytes = getsockopt(socket.as_raw_fd(), RcvBuf).map_or(0, |bytes| bytes / 2);
         let control = cmsg_space!(TimeSpec);
         Ok(Self {
             socket,
             port,
+            buffer_bytes,
             peer: peer.to_canonical(),
             control,
             last_ns: 0,
@@ -71,6 +83,19 @@ impl DatagramSocket {
     /// The port to which the device sends.
     pub(super) fn port(&self) -> u16 {
         self.port
+    }
+
+    /// Bytes that the kernel holds for the reader, at most [`RECEIVE_BUFFER_BYTES`].
+    pub(super) fn buffer_bytes(&self) -> usize {
+        self.buffer_bytes
+    }
+
+    /// Sends one datagram.
+    ///
+    /// # Errors
+    /// The system's.
+    pub(super) fn send_to(&self, bytes: &[u8], target: SocketAddrV4) -> io::Result<()> {
+        self.socket.send_to(bytes, target).map(|_| ())
     }
 
     /// Receives one datagram of the device. Returns its size, and when it arrived on the host's monotonic clock.
