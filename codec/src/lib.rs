@@ -49,6 +49,7 @@ mod dense;
 mod fast;
 mod frame;
 mod lossless;
+pub mod poses;
 pub mod sampled;
 mod settings;
 mod spline;

@@ -2,6 +2,10 @@
 //!
 //! Every device family translates its own wire format into these types.
 
+mod pose;
+
+pub use pose::{BODIES_MAX, BodyInfo, Pose, PoseFrame, PoseStatus};
+
 use crate::{transport::Transport, uri::Location};
 
 /// Identity and capabilities of a device. Sent first, and again on [`Command::Identify`].
@@ -195,6 +199,10 @@ pub enum DeviceEvent<'a> {
     SampledGroup(&'a SampledGroupInfo),
     /// Samples of such a group.
     Samples(SampleBatch<'a>),
+    /// The rigid bodies: the whole table, after the markers that follow Hello, and again when it changes.
+    Bodies(&'a [BodyInfo]),
+    /// Their poses in a frame, before or after that frame.
+    Poses(PoseFrame<'a>),
     /// A trigger edge.
     Trigger(Trigger),
     /// Counters and temperature.

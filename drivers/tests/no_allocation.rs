@@ -13,8 +13,9 @@ mod no_allocation {
 
     use mocapd_drivers::{
         device::{
-            Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol,
-            SampleBatch, SampleForm, SampledChannelInfo, SampledGroupInfo, Status,
+            BodyInfo, Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Pose,
+            PoseFrame, PoseStatus, Protocol, SampleBatch, SampleForm, SampledChannelInfo,
+            SampledGroupInfo, Status,
         },
         link::{DeviceLink, FrameForm, HostLink},
         ndi::{NdiHost, crc16},
@@ -62,6 +63,8 @@ mod no_allocation {
         markers: Vec<MarkerSample>,
         group: SampledGroupInfo,
         samples: Vec<f32>,
+        bodies: Vec<BodyInfo>,
+        poses: Vec<Pose>,
     }
 
     impl LinkPair {
@@ -87,6 +90,9 @@ mod no_allocation {
                 };
                 self.device.samples(&batch, &mut self.wire).unwrap();
             }
+            self.device.bodies(&self.bodies, &mut self.wire).unwrap();
+            let poses = PoseFrame { seq, number: seq, device_ticks: 1, poses: &self.poses };
+            self.device.poses(&poses, &mut self.wire).unwrap();
             self.device.status(Status::default(), &mut self.wire);
             self.device.pong(Pong { host_ns: 1, device_ticks: 2 }, &mut self.wire);
             let mut n_events = 0;
@@ -96,7 +102,7 @@ mod no_allocation {
                     n_events += 1;
                 });
             }
-            assert!(n_events >= 11);
+            assert!(n_events >= 13);
             self.wire.clear();
             self.host.command(Command::Ping { host_ns: 1 }, &mut self.wire);
             let mut n_commands = 0;
@@ -134,6 +140,8 @@ mod no_allocation {
                 ..SampledGroupInfo::default()
             },
             samples: (0..80_u8).map(f32::from).collect(),
+            bodies: (0..128).map(|id| BodyInfo { id, name: format!("body {id}") }).collect(),
+            poses: (0..128).map(|body| Pose::without(body, PoseStatus::Tracked)).collect(),
         };
         pair.round(0);
         let before = ALLOCATIONS.get();

@@ -4,7 +4,7 @@ use crate::{
     index::IndexEntry,
     interchange::c3d::columns::RESIDUALS,
     record::Ledger,
-    sampled::{LostSamples, RECORDED, part_name},
+    sampled::{LostSamples, is_recorded, part_name},
     stretch::Stretch,
     timeline::LossCauses,
 };
@@ -170,7 +170,7 @@ pub enum Problem {
 fn in_place_of_lost(kind: &str) -> &'static str {
     match kind {
         RESIDUALS => "an export has 0 there",
-        RECORDED => "readers have NaN there",
+        kind if is_recorded(kind) => "readers have NaN there",
         _ => "an export has NaN there",
     }
 }

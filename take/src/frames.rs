@@ -14,7 +14,7 @@ use crate::{
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source},
     record::{Event, Header},
-    sampled::SampledPart,
+    sampled::{SampledPart, is_recorded},
     stretch::Span,
     traversal::{Decode, TakeTraversal},
 };
@@ -67,7 +67,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut spool = Spool::new(new_scratch);
         for part @ ForeignPart { kind, .. } in &map.foreign {
             // Channels of a recording are not part of a file.
-            if kind.is_empty() {
+            if is_recorded(kind) {
                 continue;
             }
             if part.sampled().is_some_and(|part| !part.is_block()) {

@@ -19,6 +19,7 @@ pub mod motion;
 pub mod motion_encoder;
 mod order;
 pub mod phase;
+pub mod poses;
 pub mod quantity;
 pub mod reader;
 pub mod record;

@@ -17,7 +17,7 @@ use crate::{
     foreign::ForeignPart,
     index::IndexEntry,
     record::{Channel, ClockLine, Event, Header, Ledger, SampleLedger, Subject, TakeEnding},
-    sampled::{GroupSamples, RECORDED, SampledPart},
+    sampled::{GroupSamples, SampledPart, is_recorded},
     statistics::TakeStatistics,
 };
 
@@ -101,10 +101,15 @@ pub struct TakeMap {
 }
 
 impl TakeMap {
-    /// The groups of sampled channels of a recording.
+    /// The groups of sampled channels of a recording, those of poses included.
     pub fn recorded_groups(&self) -> impl Iterator<Item = &GroupSamples> {
-        let parts = self.foreign.iter().filter(|part| part.kind == RECORDED);
+        let parts = self.foreign.iter().filter(|part| is_recorded(&part.kind));
         parts.filter_map(ForeignPart::sampled).flat_map(SampledPart::groups)
+    }
+
+    /// The groups of sampled channels that are the poses of rigid bodies.
+    pub fn pose_groups(&self) -> impl Iterator<Item = &GroupSamples> {
+        self.recorded_groups().filter(|group| group.group.has_poses())
     }
 
     /// Decodes the samples of all sampled channels, and adds those that cannot be decoded to the problems. `input` is the

@@ -16,7 +16,7 @@ pub use self::{
     times::{SampleAnchor, SampleClock, SampleTime, SampleTimes},
 };
 
-use crate::{TakeError, record::SampledGroup, timeline::LossCauses, varint};
+use crate::{TakeError, poses::POSES, record::SampledGroup, timeline::LossCauses, varint};
 
 /// Maximum number of samples of a channel in a block: those of ten seconds at 13 kHz.
 pub const BLOCK_ROWS_MAX: u64 = 1 << 17;
@@ -25,12 +25,22 @@ pub const BLOCK_ROWS_MAX: u64 = 1 << 17;
 /// before its CRC is known to match, and a few bytes that claim this many samples cost a reader about a second.
 pub const BLOCK_SAMPLES_MAX: u64 = 1 << 20;
 
-/// The kind of the parts that are channels of a recording, which belong to no file. Each group is a part of its own.
+/// The kind of the parts that are scalar channels of a recording, which belong to no file. Each group is a part of its own.
 pub const RECORDED: &str = "";
+
+/// Whether the parts of this kind are channels of a recording: scalar ones, or the poses of rigid bodies.
+#[must_use]
+pub fn is_recorded(kind: &str) -> bool {
+    kind == RECORDED || kind == POSES
+}
 
 /// The name of a part in messages.
 pub(crate) fn part_name(kind: &str) -> &str {
-    if kind == RECORDED { "the sampled channels" } else { kind }
+    match kind {
+        RECORDED => "the sampled channels",
+        POSES => "the poses",
+        _ => kind,
+    }
 }
 
 const KEY: u8 = 1;

@@ -8,7 +8,7 @@ mod rows;
 use std::sync::{Arc, atomic::Ordering};
 
 use mocapd_drivers::device::{
-    Frame, LinkCounters, MarkerInfo, SampleBatch, SampledGroupInfo, Status,
+    BodyInfo, Frame, LinkCounters, MarkerInfo, PoseFrame, SampleBatch, SampledGroupInfo, Status,
 };
 use mocapd_take::{
     record::{EndingKind, Event, EventKind, TakeEnding},
@@ -27,7 +27,7 @@ use super::{
     plan::Plan,
     pool::Feed,
     ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
-    sampled::{BatchOutcome, SampledIntake},
+    sampled::{BatchOutcome, PosesOutcome, SampledIntake},
     split::SplitSchedule,
 };
 use crate::{
@@ -249,29 +249,55 @@ impl Intake {
     pub fn samples(&mut self, batch: &SampleBatch<'_>) {
         let segment = self.clocks.segment();
         if self.samples.batch(batch, self.feed.next_stretch(), segment) == BatchOutcome::Refused {
-            self.counts.batches_refused += 1;
-            if self.counts.batches_refused == 1 {
-                let text = format!(
-                    "samples of group {} were not announced before the start, or do not fit: they are not recorded",
-                    batch.group
-                );
-                self.event(Event::new(EventKind::Host, self.now_ns, text));
-            }
+            let what = format_args!("samples of group {}", batch.group);
+            self.count_refused(what);
+        }
+    }
+
+    /// Accepts the poses of a frame: all of them go into the rings of their groups, or are counted as lost.
+    pub fn poses(&mut self, frame: &PoseFrame<'_>) {
+        let segment = self.clocks.segment();
+        let outcome = self.samples.poses(frame, self.feed.next_stretch(), segment);
+        if let PosesOutcome::Refused { body } = outcome {
+            self.count_refused(format_args!("poses of body {body}"));
+        }
+    }
+
+    /// Counts a batch that is not recorded; the first one is reported.
+    fn count_refused(&mut self, what: std::fmt::Arguments<'_>) {
+        self.counts.batches_refused += 1;
+        if self.counts.batches_refused == 1 {
+            let text = format!(
+                "{what} were not announced before the start, or do not fit: they are not recorded"
+            );
+            self.event(Event::new(EventKind::Host, self.now_ns, text));
         }
     }
 
     /// Reports a group of sampled channels that was not announced before the start, or was announced otherwise. Repeated
     /// announcements of known groups are ignored.
     pub fn announce_group(&mut self, group: &SampledGroupInfo) {
-        if self.samples.announce(group) || self.groups_reported >= GROUPS_REPORTED_MAX {
+        if !self.samples.announce(group) {
+            let (n, id) = (group.channels.len(), group.id);
+            self.report_announcement(format_args!("{n} sampled channels as group {id}"));
+        }
+    }
+
+    /// Reports rigid bodies that differ from those announced before the start.
+    pub fn announce_bodies(&mut self, bodies: &[BodyInfo]) {
+        if !self.samples.announce_bodies(bodies) {
+            let n = bodies.len();
+            self.report_announcement(format_args!("other rigid bodies than before, {n} in all,"));
+        }
+    }
+
+    fn report_announcement(&mut self, what: std::fmt::Arguments<'_>) {
+        if self.groups_reported >= GROUPS_REPORTED_MAX {
             return;
         }
         self.groups_reported += 1;
-        let text = format!(
-            "the device announced {} sampled channels as group {} during the recording: start again to record them",
-            group.channels.len(),
-            group.id
-        );
+        let text =
+            format!("the device announced {what} during the recording: start again to record them");
         self.event(Event::new(EventKind::Host, self.now_ns, text));
     }
 

@@ -1,7 +1,7 @@
 //! Messages between the threads of the pipeline.
 
 use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_codec::BlockReport;
+use mocapd_codec::{BlockReport, poses::PoseErrors};
 use mocapd_take::{
     record::{Channel, Event},
     statistics::{BlockTally, StretchTally},
@@ -86,7 +86,7 @@ pub(super) struct SamplePart {
 /// What the part has. Buffers return to the group.
 #[derive(Debug)]
 pub(super) enum PartContent {
-    Block { n: u32, key: bool, time: BlockTime, block: Vec<u8> },
+    Block { n: u32, key: bool, time: BlockTime, errors: PoseErrors, block: Vec<u8> },
     Lost { n: u64, causes: LossCauses, buffer: Vec<u8> },
     Boundary,
 }

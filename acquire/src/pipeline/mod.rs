@@ -86,7 +86,7 @@ impl Pipeline {
         let (reply, handle) = commands::reply_channel();
         let header = take.header.clone();
         let place = TakePlace { base: Counts::default(), rows_before: 0 };
-        let groups = sampled::records(&config.sampled);
+        let groups = sampled::records(config);
         let take = LiveTake::begin(take, &reply, place, &groups, config.sync_every)?;
         let (intake, mut pipeline, _) = Self::run(config, &header, Some((take, None)), None)?;
         pipeline.take = Some(handle);
@@ -106,7 +106,7 @@ impl Pipeline {
         let NextTake { take, ended, .. } = split.takes.next_take(0)?;
         let (header, reply) = (take.header.clone(), commands::Reply::of_series(ended));
         let place = TakePlace { base: Counts::default(), rows_before: 0 };
-        let groups = sampled::records(&config.sampled);
+        let groups = sampled::records(config);
         let begun = LiveTake::begin(take, &reply, place, &groups, config.sync_every);
         let take = begun.map_err(|error| {
             reply.ended.try_send(Err(TakeFailed::without_output(error))).ok();
@@ -142,7 +142,8 @@ impl Pipeline {
         let progress = Arc::new(PipelineProgress::new(&config.channels));
         let writer_heartbeat = config.heartbeat.register(ThreadRole::Writer)?;
 
-        let n_parts = plan.parts_max() + sampled::parts_max(&config.sampled);
+        let sampled_groups = config.sample_groups();
+        let n_parts = plan.parts_max() + sampled::parts_max(&sampled_groups);
         let (parts_in, parts) = bounded(n_parts);
         let (to_writer, from_reader) = messages::reader_to_writer();
         let mut groups = Vec::new();
@@ -156,12 +157,8 @@ impl Pipeline {
         groups.push(timeline_group);
 
         let buffers_back = groups.iter().map(|group| group.buffers_back.clone()).collect();
-        let (samples, sample_returns, sampling) = sampled::start(
-            &config.sampled,
-            config.stretch,
-            (config.tick_hz, config.workers),
-            &parts_in,
-        )?;
+        let (samples, sample_returns, sampling) =
+            sampled::start(&sampled_groups, config, &parts_in)?;
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
         let (takes, commands) = commands::command_channel();
         let (tap_in, tap) = ring::tap(plan.n_slots);
@@ -176,7 +173,7 @@ impl Pipeline {
             progress: Arc::clone(&progress),
         };
         let intake = Intake::new(config, &plan, ends)?;
-        let samples = SampleQueue::new(sampled::records(&config.sampled), sample_returns);
+        let samples = SampleQueue::new(sampled::records(config), sample_returns);
         let wakes = pool.wakes();
         let ends = WriterEndpoints { parts, from_reader, samples, buffers_back, wakes };
         let mut writer = Writer::new(&plan, ends, &progress);

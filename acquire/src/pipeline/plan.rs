@@ -6,14 +6,14 @@ use std::{
 };
 
 use anyhow::ensure;
-use mocapd_codec::{GROUP_CHANNELS, Settings};
-use mocapd_drivers::device::SampledGroupInfo;
+use mocapd_codec::{GROUP_CHANNELS, Settings, poses::PoseBounds};
+use mocapd_drivers::device::{BODIES_MAX, BodyInfo, SampledGroupInfo};
 use mocapd_take::{
     record::{Channel, RATES_HZ},
     stretch::SAMPLES_MAX,
 };
 
-use super::ring::Sample;
+use super::{ring::Sample, sampled};
 use crate::heartbeat::Heartbeat;
 
 /// Default length of a stretch and default time between syncs: their sum is what a power cut may cost.
@@ -41,6 +41,11 @@ pub struct PipelineConfig {
     pub channels: Vec<Channel>,
     /// The groups of sampled channels. Others that appear later are not recorded.
     pub sampled: Vec<SampledGroupInfo>,
+    /// The rigid bodies, at most [`BODIES_MAX`](mocapd_drivers::device::BODIES_MAX). Others that appear later are not
+    /// recorded.
+    pub bodies: Vec<BodyInfo>,
+    /// The largest errors of their poses; `None` to record every bit.
+    pub pose_bounds: Option<PoseBounds>,
     /// Number of channels that may be added later.
     pub reserve: usize,
     /// Resampler threads.
@@ -78,6 +83,9 @@ impl PipelineConfig {
             tick_hz,
             channels,
             sampled: Vec::new(),
+            bodies: Vec::new(),
+            pose_bounds: (!codec.kind.is_lossless())
+                .then(|| PoseBounds::of_tolerance(codec.tolerance)),
             reserve: 64,
             workers: crate::threads::default_workers(),
             stretch: STRETCH,
@@ -87,6 +95,14 @@ impl PipelineConfig {
             pre_roll: None,
             heartbeat: Heartbeat::default(),
         }
+    }
+
+    /// The groups of sampled channels, and those of the poses.
+    pub(super) fn sample_groups(&self) -> Vec<SampledGroupInfo> {
+        let rate_millihertz = (self.rate_hz * 1000.0).round() as u32;
+        let bodies = self.bodies.get(..BODIES_MAX).unwrap_or(&self.bodies);
+        let poses = sampled::pose_groups(bodies, rate_millihertz);
+        self.sampled.iter().cloned().chain(poses).collect()
     }
 
     /// Rows of a full stretch.

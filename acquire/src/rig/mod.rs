@@ -8,7 +8,10 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail, ensure};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol, SampledGroupInfo},
+    device::{
+        BODIES_MAX, BodyInfo, Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol,
+        SampledGroupInfo,
+    },
     registry::{self, Candidate, OpenedDevice},
     transport::{Transport, TransportError},
     uri::{DeviceUri, Location},
@@ -36,6 +39,14 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 /// Attempts at a command before the device counts as not answering.
 const ATTEMPTS_MAX: usize = 5;
 
+/// What a device announces.
+#[derive(Debug, Clone, Default)]
+struct DeviceChannels {
+    markers: Vec<MarkerInfo>,
+    sampled: Vec<SampledGroupInfo>,
+    bodies: Vec<BodyInfo>,
+}
+
 /// A device that has been opened and identified.
 #[derive(Debug)]
 pub struct Rig {
@@ -46,8 +57,7 @@ pub struct Rig {
     buffer: Vec<u8>,
     outbox: Vec<u8>,
     hello: Hello,
-    markers: Vec<MarkerInfo>,
-    sampled: Vec<SampledGroupInfo>,
+    channels: DeviceChannels,
     not_finite_before: u64,
     /// Identifies the device after it was plugged in again.
     identity: Candidate,
@@ -126,13 +136,19 @@ impl Rig {
     /// The device's marker table.
     #[must_use]
     pub fn markers(&self) -> &[MarkerInfo] {
-        &self.markers
+        &self.channels.markers
     }
 
     /// The device's groups of sampled channels.
     #[must_use]
     pub fn sampled(&self) -> &[SampledGroupInfo] {
-        &self.sampled
+        &self.channels.sampled
+    }
+
+    /// The device's rigid bodies.
+    #[must_use]
+    pub fn bodies(&self) -> &[BodyInfo] {
+        &self.channels.bodies
     }
 
     /// The frame rate in Hz.
@@ -144,7 +160,7 @@ impl Rig {
     /// The pipeline configuration for this device.
     #[must_use]
     pub fn pipeline_config(&self, codec: Settings) -> PipelineConfig {
-        let channels = self.markers.iter().enumerate().map(|(slot, marker)| Channel {
+        let channels = self.channels.markers.iter().enumerate().map(|(slot, marker)| Channel {
             marker_id: marker.id,
             label: if marker.label.is_empty() {
                 Channel::unlabelled_name(slot)
@@ -155,7 +171,8 @@ impl Rig {
         });
         let new = PipelineConfig::new;
         let config = PipelineConfig {
-            sampled: self.sampled.clone(),
+            sampled: self.channels.sampled.clone(),
+            bodies: self.channels.bodies.clone(),
             ..new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect())
         };
         match self.loss_limits {
@@ -301,8 +318,7 @@ impl Rig {
             buffer: vec![0; READ_BYTES],
             outbox: Vec::with_capacity(256),
             hello: Hello::default(),
-            markers: Vec::new(),
-            sampled: Vec::new(),
+            channels: DeviceChannels::default(),
             not_finite_before: 0,
             identity,
             replug_timeout: Duration::ZERO,
@@ -321,18 +337,18 @@ impl Rig {
             self.send(Command::Stop)?;
             let damaged = self.protocol.counters().messages_damaged;
             let mut hello = None;
-            let (mut markers, mut sampled) = (Vec::new(), Vec::new());
+            let mut channels = DeviceChannels::default();
             self.send(Command::Identify)?;
             let host_ns = monotonic_ns();
             self.request(Command::Ping { host_ns }, cancel, |event| {
                 match event {
                     DeviceEvent::Hello(new) => {
                         hello = Some(new.clone());
-                        markers.clear();
-                        sampled.clear();
+                        channels = DeviceChannels::default();
                     }
-                    DeviceEvent::Markers(more) => merge_markers(&mut markers, more),
-                    DeviceEvent::SampledGroup(group) => merge_group(&mut sampled, group),
+                    DeviceEvent::Markers(more) => merge_markers(&mut channels.markers, more),
+                    DeviceEvent::SampledGroup(group) => merge_group(&mut channels.sampled, group),
+                    DeviceEvent::Bodies(bodies) => channels.bodies = bodies.to_vec(),
                     // The device answers in order: the pong comes after the answers to earlier commands.
                     DeviceEvent::Pong(pong) if pong.host_ns == host_ns => return Some(()),
                     _ => {}
@@ -344,8 +360,9 @@ impl Rig {
             {
                 self.hello = hello;
                 // Takes and their ledgers have the groups in order of numbers, whatever the order of the answers.
-                sampled.sort_by_key(|group| group.id);
-                (self.markers, self.sampled) = (markers, sampled);
+                channels.sampled.sort_by_key(|group| group.id);
+                channels.bodies.truncate(BODIES_MAX);
+                self.channels = channels;
                 return Ok(());
             }
         }

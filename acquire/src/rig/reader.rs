@@ -8,15 +8,12 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{
-        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, SampledGroupInfo,
-        Status, Trigger,
-    },
+    device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, Pong, Status, Trigger},
     transport::TransportError,
 };
 use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};
 
-use super::{ANSWER_TIMEOUT, ATTEMPTS_MAX, Rig, too_slow};
+use super::{ANSWER_TIMEOUT, ATTEMPTS_MAX, DeviceChannels, Rig, too_slow};
 use crate::{
     clock::Prober,
     files::FileState,
@@ -423,13 +420,14 @@ pub(super) struct Reader<'a> {
 
 impl Reader<'_> {
     /// The device is back and will be started again.
-    pub(super) fn restart(&mut self, markers: &[MarkerInfo], sampled: &[SampledGroupInfo]) {
+    pub(super) fn restart(&mut self, channels: &DeviceChannels) {
         self.started = None;
         self.end = None;
         self.new_hello = None;
         self.reset_counters();
-        self.intake.announce(markers);
-        sampled.iter().for_each(|group| self.intake.announce_group(group));
+        self.intake.announce(&channels.markers);
+        channels.sampled.iter().for_each(|group| self.intake.announce_group(group));
+        self.intake.announce_bodies(&channels.bodies);
     }
 
     /// The device's counter, clock and status reports may start again from zero.
@@ -454,8 +452,13 @@ impl Reader<'_> {
                 self.last_samples_ns = arrival_ns;
                 self.intake.samples(&batch);
             }
+            DeviceEvent::Poses(frame) => {
+                self.last_samples_ns = arrival_ns;
+                self.intake.poses(&frame);
+            }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
             DeviceEvent::SampledGroup(group) => self.intake.announce_group(group),
+            DeviceEvent::Bodies(bodies) => self.intake.announce_bodies(bodies),
             DeviceEvent::Status(status) => {
                 self.last_status = Some(status);
                 self.intake.status(status, false);

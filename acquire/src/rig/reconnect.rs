@@ -159,7 +159,7 @@ impl Rig {
         if now.rate_millihertz != was.rate_millihertz {
             self.try_set_rate(self.rate_hz(), &|| cancel(reader))?;
         }
-        reader.restart(&self.markers, &self.sampled);
+        reader.restart(&self.channels);
         self.start(reader, options).map(drop)
     }
 }

@@ -6,13 +6,14 @@ use super::{
     envelope::{DecodeOutcome, Deframer, Framer},
     frame::{get_frame, put_frame},
     messages::{self, get_hello, get_markers, kind},
-    samples,
+    poses, samples,
 };
 use crate::{
     bytes::WireValue,
     device::{
-        Command, DeviceEvent, Frame, Hello, LinkBudget, LinkCounters, MarkerInfo, MarkerSample,
-        Pong, Protocol, SampleBatch, SampledGroupInfo, Status, Trigger,
+        BODIES_MAX, BodyInfo, Command, DeviceEvent, Frame, Hello, LinkBudget, LinkCounters,
+        MarkerInfo, MarkerSample, Pong, Pose, PoseFrame, Protocol, SampleBatch, SampledGroupInfo,
+        Status, Trigger,
     },
 };
 
@@ -135,6 +136,24 @@ impl DeviceLink {
         samples::put_batch(&mut self.framer, batch, out)
     }
 
+    /// Encodes the table of rigid bodies, which must be sorted by ascending id.
+    ///
+    /// # Errors
+    /// `Bodies`, and `Text` for a name that the message cannot hold; nothing is appended then.
+    pub fn bodies(&mut self, bodies: &[BodyInfo], out: &mut Vec<u8>) -> Result<(), EncodeError> {
+        poses::put_bodies(bodies, self.framer.open(kind::BODIES))?;
+        self.framer.close(out);
+        Ok(())
+    }
+
+    /// Encodes the poses of a frame, which must be sorted by ascending body.
+    ///
+    /// # Errors
+    /// `Poses` for poses that the message cannot hold; nothing is appended then.
+    pub fn poses(&mut self, frame: &PoseFrame<'_>, out: &mut Vec<u8>) -> Result<(), EncodeError> {
+        poses::put_poses(&mut self.framer, frame, out)
+    }
+
     /// Encodes a trigger edge.
     pub fn trigger(&mut self, trigger: Trigger, out: &mut Vec<u8>) {
         self.framer.write(kind::TRIGGER, trigger, out);
@@ -200,6 +219,8 @@ struct Scratch {
     hello: Hello,
     group: SampledGroupInfo,
     samples: Vec<f32>,
+    bodies: Vec<BodyInfo>,
+    poses: Vec<Pose>,
     samples_not_finite: u64,
 }
 
@@ -213,6 +234,7 @@ impl HostLink {
             scratch: Scratch {
                 positions: Vec::with_capacity(MARKERS_MAX),
                 samples: Vec::with_capacity(SAMPLE_VALUES_MAX),
+                poses: Vec::with_capacity(BODIES_MAX),
                 ..Scratch::default()
             },
         }
@@ -259,7 +281,8 @@ impl Scratch {
         payload: &[u8],
         on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) -> DecodeOutcome {
-        let Self { positions, markers, hello, group, samples, samples_not_finite } = self;
+        let Self { positions, markers, hello, group, samples, bodies, poses, samples_not_finite } =
+            self;
         let event = match kind {
             kind::FRAME_FLOAT | kind::FRAME_MICROMETRES | kind::FRAME_COMPACT => {
                 get_frame(kind, payload, positions, samples_not_finite).map(DeviceEvent::Frame)
@@ -270,6 +293,10 @@ impl Scratch {
                 samples::get_group(payload, group).map(|()| DeviceEvent::SampledGroup(group))
             }
             kind::SAMPLES => samples::get_batch(payload, samples).map(DeviceEvent::Samples),
+            kind::BODIES => {
+                poses::get_bodies(payload, bodies).map(|()| DeviceEvent::Bodies(bodies))
+            }
+            kind::POSES => poses::get_poses(payload, poses).map(DeviceEvent::Poses),
             kind::TRIGGER => WireValue::decode(payload).map(DeviceEvent::Trigger),
             kind::STATUS => WireValue::decode(payload).map(DeviceEvent::Status),
             kind::END_OF_STREAM => WireValue::decode(payload).map(DeviceEvent::EndOfStream),

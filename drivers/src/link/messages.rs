@@ -11,10 +11,12 @@ pub(super) mod kind {
     pub(in crate::link) const HELLO: u8 = 0x01;
     pub(in crate::link) const MARKERS: u8 = 0x02;
     pub(in crate::link) const SAMPLED_GROUP: u8 = 0x03;
+    pub(in crate::link) const BODIES: u8 = 0x04;
     pub(in crate::link) const FRAME_FLOAT: u8 = 0x10;
     pub(in crate::link) const FRAME_MICROMETRES: u8 = 0x11;
     pub(in crate::link) const FRAME_COMPACT: u8 = 0x12;
     pub(in crate::link) const SAMPLES: u8 = 0x13;
+    pub(in crate::link) const POSES: u8 = 0x14;
     pub(in crate::link) const TRIGGER: u8 = 0x20;
     pub(in crate::link) const STATUS: u8 = 0x21;
     pub(in crate::link) const END_OF_STREAM: u8 = 0x22;

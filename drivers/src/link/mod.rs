@@ -7,11 +7,13 @@ mod endpoints;
 mod envelope;
 mod frame;
 mod messages;
+mod poses;
 mod samples;
 
 use crate::device::{Claim, Family, LinkBudget};
 pub use endpoints::{DeviceLink, HostLink};
 pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
+pub use poses::pose_frame_bytes_max;
 pub use samples::batch_bytes_max;
 
 pub(crate) const FAMILY: Family = Family {
@@ -88,6 +90,12 @@ pub const UNIT_BYTES_MAX: usize = 32;
 /// What precedes the samples of a batch: group, form, channels, samples, number, first sample, ticks.
 pub const SAMPLES_HEADER_BYTES: usize = 1 + 1 + 1 + 2 + 4 + 8 + 8;
 
+/// What precedes the poses of a frame: its number, that of the message, ticks, number of poses.
+pub const POSES_HEADER_BYTES: usize = 4 + 4 + 8 + 2;
+
+/// Maximum number of bytes of a pose: body, status, position, quaternion, residual.
+pub const POSE_BYTES_MAX: usize = 2 + 1 + 3 * 4 + 4 * 4 + 4;
+
 const _: () = assert!(SAMPLES_HEADER_BYTES + 4 * SAMPLE_VALUES_MAX < MESSAGE_BYTES_MAX);
 
 /// The longest run of consecutive ids in a compact frame: its length is one byte.
@@ -148,6 +156,12 @@ pub enum EncodeError {
     /// The batch cannot be sent.
     #[error("invalid batch of samples: {0}")]
     Samples(&'static str),
+    /// The table of bodies cannot be sent.
+    #[error("invalid table of bodies: {0}")]
+    Bodies(&'static str),
+    /// The poses cannot be sent.
+    #[error("invalid poses: {0}")]
+    Poses(&'static str),
     /// The values of the Hello are invalid.
     #[error("invalid hello: {0}")]
     Hello(&'static str),

@@ -7,7 +7,7 @@ use super::{
     strays,
 };
 use crate::{
-    device::{Hello, MarkerInfo},
+    device::{BODIES_MAX, BodyInfo, Hello, MarkerInfo},
     transport::polled::LineCommand,
 };
 
@@ -240,6 +240,9 @@ impl NdiHost {
             self.fail("no tool is plugged into the NDI system, and its firmware numbers frames only with a tool: plug one in".to_owned());
             return;
         }
+        let tools = self.table.iter().take(BODIES_MAX);
+        let body = |tool: &MarkerInfo| BodyInfo { id: tool.id, name: tool.label.clone() };
+        self.bodies = tools.map(body).collect();
         let hello = &mut self.hello;
         let frame_rate_millihertz = hello.rate_millihertz;
         hello.rate_millihertz = frame_rate_millihertz / self.divisor;

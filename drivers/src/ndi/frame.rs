@@ -1,6 +1,9 @@
 //! Parsing of the two kinds of poll replies, `BX` and `BX2`.
 
-use crate::{bytes::Cursor, device::MarkerSample};
+use crate::{
+    bytes::Cursor,
+    device::{BODIES_MAX, MarkerSample, Pose, PoseStatus},
+};
 
 /// Coordinates below this are the vendor's code for a missing number (-3.697314e28).
 const BAD_FLOAT: f32 = -3.0e28;
@@ -20,6 +23,8 @@ pub(super) struct FrameData {
     pub(super) time_ns: Option<u64>,
     /// One sample per tool, with its port handle as id.
     pub(super) tools: Vec<MarkerSample>,
+    /// Their poses, of the first [`BODIES_MAX`] of the reply.
+    pub(super) poses: Vec<Pose>,
     /// Positions of markers that belong to no tool, in millimetres and in the device's order.
     pub(super) strays: Vec<[f32; 3]>,
     /// Number of strays beyond [`STRAYS_MAX`].
@@ -34,6 +39,7 @@ impl FrameData {
             number: None,
             time_ns: None,
             tools: Vec::with_capacity(TOOLS_MAX),
+            poses: Vec::with_capacity(BODIES_MAX),
             strays: Vec::with_capacity(STRAYS_MAX),
             strays_excess: 0,
             not_finite: 0,
@@ -44,6 +50,7 @@ impl FrameData {
         self.number = None;
         self.time_ns = None;
         self.tools.clear();
+        self.poses.clear();
         self.strays.clear();
         self.strays_excess = 0;
         self.not_finite = 0;
@@ -58,23 +65,29 @@ impl FrameData {
         }
     }
 
-    /// Adds a tool: position of its origin and fit error, both in millimetres, or `None` when it is not seen.
-    pub(super) fn push_tool(&mut self, handle: u8, found: Option<([f32; 3], f32)>) {
+    /// Adds a tool: its pose, and a marker at its origin.
+    pub(super) fn push_tool(&mut self, pose: Pose) {
         if self.tools.len() >= TOOLS_MAX {
             return;
         }
-        let id = u16::from(handle);
-        let found = found.filter(|(position_mm, _)| self.is_position(*position_mm));
-        self.tools.push(match found {
-            None => MarkerSample { id, occluded: true, ..MarkerSample::default() },
-            Some((position_mm, error_mm)) => MarkerSample {
+        let id = pose.body;
+        let is_seen = pose.status == PoseStatus::Tracked && self.is_position(pose.position_mm);
+        self.tools.push(if is_seen {
+            MarkerSample {
                 id,
                 occluded: false,
                 // 0 means that no residual is reported; NaN becomes 0.
-                residual_10um: (error_mm * 100.0).round().clamp(1.0, 255.0) as u8,
-                position_mm,
-            },
+                residual_10um: (pose.residual_mm * 100.0).round().clamp(1.0, 255.0) as u8,
+                position_mm: pose.position_mm,
+            }
+        } else {
+            MarkerSample { id, occluded: true, ..MarkerSample::default() }
         });
+        if self.poses.len() < BODIES_MAX {
+            let is_missing = pose.status == PoseStatus::Tracked && !is_seen;
+            let pose = if is_missing { Pose::without(id, PoseStatus::Lost) } else { pose };
+            self.poses.push(pose.checked());
+        }
     }
 
     pub(super) fn push_stray(&mut self, position_mm: [f32; 3]) {
@@ -117,21 +130,16 @@ pub(super) fn read_bx(block: &[u8], frame: &mut FrameData) -> Option<()> {
     for _ in 0..block.get::<u8>()? {
         let handle = block.get::<u8>()?;
         let status = block.get::<u8>()?;
-        let found = match status {
-            VALID => {
-                // Skip the quaternion, which takes do not store: see docs/ndi.md.
-                block.bytes(4 * 4)?;
-                let position_mm = block.get()?;
-                Some((position_mm, block.get()?))
-            }
-            MISSING => None,
+        let pose = match status {
+            VALID => tracked(handle.into(), &mut block)?,
+            MISSING => Pose::without(handle.into(), PoseStatus::Lost),
             // No data follow.
             DISABLED => continue,
             _ => return None,
         };
         let _port_status = block.get::<u32>()?;
         frame.set_number(block.get::<u32>()?, None);
-        frame.push_tool(handle, found);
+        frame.push_tool(pose);
     }
     let n_strays = usize::from(block.get::<u8>()?);
     let _out_of_volume = block.bytes(n_strays.div_ceil(8))?;
@@ -140,6 +148,13 @@ pub(super) fn read_bx(block: &[u8], frame: &mut FrameData) -> Option<()> {
     }
     let _system_status = block.get::<u16>()?;
     block.end(())
+}
+
+/// Parses the pose of a tool: a quaternion w, x, y, z, the position, and the fit error, both in millimetres.
+fn tracked(body: u16, from: &mut Cursor<'_>) -> Option<Pose> {
+    let quaternion = [from.get()?, from.get()?, from.get()?, from.get()?];
+    let (position_mm, residual_mm) = (from.get()?, from.get()?);
+    Some(Pose { body, status: PoseStatus::Tracked, position_mm, quaternion, residual_mm })
 }
 
 // `BX2`: the General Binary Format, containers of components of items.
@@ -232,15 +247,15 @@ fn frame_item(from: &mut Cursor<'_>, frame: &mut FrameData) -> Option<()> {
 fn data_6d(items: u32, body: &mut Cursor<'_>, frame: &mut FrameData) -> Option<()> {
     for _ in 0..items {
         let (handle, status) = (body.get::<u16>()?, body.get::<u16>()?);
-        let mut found = None;
+        u8::try_from(handle).ok()?;
+        let mut pose = Pose::without(handle, PoseStatus::Lost);
         if status & MISSING_6D == 0 {
-            body.bytes(4 * 4)?;
-            let position_mm = body.get()?;
-            let error_mm = body.get::<f32>()?;
-            // Any other code states why the position is doubtful.
-            found = (status & CODE_6D == 0).then_some((position_mm, error_mm));
+            let stated = tracked(handle, body)?;
+            // Any other code states why the pose is doubtful.
+            let is_certain = status & CODE_6D == 0;
+            pose = if is_certain { stated } else { Pose::without(handle, PoseStatus::Rejected) };
         }
-        frame.push_tool(u8::try_from(handle).ok()?, found);
+        frame.push_tool(pose);
     }
     Some(())
 }

@@ -8,8 +8,8 @@ use super::{
 };
 use crate::{
     device::{
-        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, MarkerSample, Pong,
-        Protocol,
+        BodyInfo, Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, MarkerSample,
+        Pong, Protocol,
     },
     transport::{
         Transport,
@@ -138,6 +138,8 @@ pub struct NdiHost {
     pub(super) counters: LinkCounters,
     pub(super) hello: Hello,
     pub(super) table: Vec<MarkerInfo>,
+    /// The tools as bodies.
+    pub(super) bodies: Vec<BodyInfo>,
     /// Current baud rate, and the index in `BAUDS` of the highest to try.
     pub(super) baud: u32,
     pub(super) speed_max: usize,
@@ -173,6 +175,7 @@ impl NdiHost {
             counters: LinkCounters::default(),
             hello: Hello::default(),
             table: Vec::new(),
+            bodies: Vec::new(),
             baud: BAUD_AT_RESET,
             speed_max: speed_at_most(baud_max),
             speed_requested: speed_at_most(baud_max),
@@ -195,6 +198,7 @@ impl NdiHost {
         if self.state == HostState::Ready && std::mem::take(&mut self.todo.hello) {
             on_event(DeviceEvent::Hello(&self.hello));
             on_event(DeviceEvent::Markers(&self.table));
+            on_event(DeviceEvent::Bodies(&self.bodies));
         }
         if self.state == HostState::Ready && self.pending.is_none() {
             if std::mem::take(&mut self.todo.stop) {

@@ -72,6 +72,8 @@ pub(super) struct TrackingRun {
     dropped: u64,
     /// Polls since the last frame without a readable reply.
     n_unread: u32,
+    /// Frames that left the system: received, or lost on the link.
+    left_device: u32,
     /// Device clock at the last frame; 0 before the first.
     pub(super) ticks: u64,
     started: bool,
@@ -125,8 +127,14 @@ impl TrackingRun {
         let dropped = skipped - skipped.min(std::mem::take(&mut self.n_unread));
         self.produced += u64::from(advance);
         self.dropped += u64::from(dropped);
+        self.left_device = self.left_device.wrapping_add(advance - dropped);
         (self.last, self.ticks) = (Some(number), ticks);
         FrameStep { advance, dropped }
+    }
+
+    /// The number of the last frame's poses.
+    pub(super) fn pose_number(&self) -> u32 {
+        self.left_device
     }
 
     pub(super) fn status(&self) -> Status {
@@ -199,6 +207,7 @@ mod tests {
         assert_eq!(run.frame(1014, 150), step(2, 1), "unreadable replies are used up");
         let Status { frames_produced, frames_dropped, .. } = run.status();
         assert_eq!((frames_produced, frames_dropped), (15, 6));
+        assert_eq!(run.pose_number(), 9, "those that left the system");
         // A late frame, and a counter that restarted.
         assert_eq!(run.frame(1013, 140), step(0, 0));
         assert_eq!(run.frame(1015, 160), step(1, 0), "a late frame moves nothing");

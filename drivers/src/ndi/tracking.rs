@@ -7,7 +7,7 @@ use super::{
     run::FrameStep,
 };
 use crate::{
-    device::{DeviceEvent, Frame, Hello, LinkBudget},
+    device::{DeviceEvent, Frame, Hello, LinkBudget, PoseFrame},
     link::link_budget,
 };
 
@@ -129,6 +129,14 @@ impl NdiHost {
             timecode: None,
             markers: &self.samples,
         }));
+        if !self.bodies.is_empty() {
+            on_event(DeviceEvent::Poses(PoseFrame {
+                seq: number,
+                number: self.run.pose_number(),
+                device_ticks: self.run.ticks,
+                poses: &self.frame.poses,
+            }));
+        }
         if step.dropped > 0 {
             // Report losses immediately, so that a recording that is killed still has them in its ledger.
             on_event(DeviceEvent::Status(self.run.status()));

@@ -2,8 +2,9 @@
 
 use mocapd_drivers::{
     device::{
-        Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol, SampleBatch,
-        SampleForm, SampledChannelInfo, SampledGroupInfo, Status, Trigger,
+        BodyInfo, Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Pose,
+        PoseFrame, PoseStatus, Protocol, SampleBatch, SampleForm, SampledChannelInfo,
+        SampledGroupInfo, Status, Trigger,
     },
     link::{DeviceLink, FrameForm, HostLink, frame_bytes_in_volume, link_budget},
 };
@@ -97,6 +98,23 @@ pub(crate) fn all() -> Vec<Example> {
         n_channels: 1,
         samples: &[-0.5],
     };
+    let bodies = [
+        BodyInfo { id: 1, name: "pelvis".to_owned() },
+        BodyInfo { id: 4, name: String::new() },
+        BodyInfo { id: 5, name: "prop".to_owned() },
+    ];
+    let of_bodies = [
+        Pose {
+            body: 1,
+            status: PoseStatus::Tracked,
+            position_mm: [812.5, -40.25, 1604.0],
+            quaternion: [0.5, -0.5, 0.5, -0.5],
+            residual_mm: 0.25,
+        },
+        Pose::without(4, PoseStatus::Lost),
+        Pose::without(5, PoseStatus::Rejected),
+    ];
+    let poses = PoseFrame { seq: 7, number: 6, device_ticks: 70_000, poses: &of_bodies };
     let near =
         [seen(0, 12, [812.5, -40.25, 1604.0]), occluded(1), seen(2, 0, [800.0, -40.0, 1600.0])];
     let far = [
@@ -122,6 +140,8 @@ pub(crate) fn all() -> Vec<Example> {
         from_device("samples-float", DeviceEvent::Samples(of_floats), |l, o| {
             l.samples(&of_floats, o).unwrap();
         }),
+        from_device("bodies", DeviceEvent::Bodies(&bodies), |l, o| l.bodies(&bodies, o).unwrap()),
+        from_device("poses", DeviceEvent::Poses(poses), |l, o| l.poses(&poses, o).unwrap()),
         frame("frame-float", FrameForm::Float, None, &near),
         frame("frame-micrometres", FrameForm::Micrometres, Some([10, 59, 30, 11]), &near),
         frame("frame-compact", FrameForm::Compact, None, &near),

@@ -7,6 +7,8 @@ mod examples;
 #[cfg(test)]
 mod limits;
 #[cfg(test)]
+mod poses;
+#[cfg(test)]
 mod properties;
 #[cfg(test)]
 mod samples;

@@ -1,6 +1,6 @@
 //! Frames, composed byte by byte.
 
-use mocapd_drivers::device::Command;
+use mocapd_drivers::device::{BodyInfo, Command, Pose, PoseStatus};
 use mocapd_testkit::random::Random;
 
 use super::script::{Script, binary, text};
@@ -13,7 +13,7 @@ fn floats(values: &[f32]) -> Vec<u8> {
 fn bx_block(number: u32) -> Vec<u8> {
     let mut block = vec![3];
     block.extend([1, 1]);
-    block.extend(floats(&[1.0, 0.0, 0.0, 0.0, 100.5, -200.25, -1500.0, 0.31]));
+    block.extend(floats(&[0.5, -0.5, 0.5, -0.5, 100.5, -200.25, -1500.0, 0.31]));
     block.extend([0x31, 0, 0, 0]);
     block.extend(number.to_le_bytes());
     block.extend([2, 2]);
@@ -54,6 +54,20 @@ fn a_frame_of_bx() {
         ]
     );
     assert_eq!(script.frames[1].0, 602);
+    assert_eq!(script.bodies, [BodyInfo { id: 1, name: "8700449".to_owned() }]);
+    let (seq, number, ticks, poses) = &script.poses[0];
+    assert_eq!((*seq, *number, *ticks), (601, 1, 601_000));
+    // The disabled tool is not there.
+    let first = Pose {
+        body: 1,
+        status: PoseStatus::Tracked,
+        position_mm: [100.5, -200.25, -1500.0],
+        quaternion: [0.5, -0.5, 0.5, -0.5],
+        residual_mm: 0.31,
+    };
+    assert_eq!(poses[0], first);
+    assert_eq!((poses.len(), poses[1].body, poses[1].status), (2, 2, PoseStatus::Lost));
+    assert_eq!((script.poses[1].0, script.poses[1].1), (602, 2));
 }
 
 #[test]
@@ -97,7 +111,7 @@ fn frame_item(number: u32, seconds: u32, ns: u32) -> Vec<u8> {
     item.extend(ns.to_le_bytes());
     item.extend([1, 0, 3, 0]);
     let mut tools = vec![1, 0, 0, 0];
-    tools.extend(floats(&[1.0, 0.0, 0.0, 0.0, 10.0, 20.0, -30.0, 9.9]));
+    tools.extend(floats(&[-0.6, 0.0, 0.8, 0.0, 10.0, 20.0, -30.0, 9.9]));
     tools.extend([2, 0, 0x00, 0x01]);
     tools.extend([3, 0, 0x03, 0x00]);
     tools.extend(floats(&[1.0, 0.0, 0.0, 0.0, 11.0, 21.0, -31.0, 0.2]));
@@ -152,6 +166,13 @@ fn a_frame_of_bx2() {
         ]
     );
     assert_eq!(script.counters().samples_not_finite, 1);
+    let (seq, number, ticks, poses) = &script.poses[0];
+    assert_eq!((*seq, *number, *ticks), (77, 1, 12_345_678_901));
+    let states: Vec<_> = poses.iter().map(|pose| (pose.body, pose.status)).collect();
+    let expected = [PoseStatus::Tracked, PoseStatus::Lost, PoseStatus::Rejected];
+    assert_eq!(states, [(1, expected[0]), (2, expected[1]), (3, expected[2])]);
+    assert_eq!((poses[0].quaternion, poses[0].residual_mm), ([-0.6, 0.0, 0.8, 0.0], 9.9));
+    assert_eq!(poses[0].position_mm, [10.0, 20.0, -30.0]);
 }
 
 #[test]

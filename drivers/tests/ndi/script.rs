@@ -1,7 +1,7 @@
 //! A scripted device: a function from request to reply.
 
 use mocapd_drivers::device::{
-    Command, DeviceEvent, Hello, LinkCounters, MarkerInfo, MarkerSample, Protocol,
+    BodyInfo, Command, DeviceEvent, Hello, LinkCounters, MarkerInfo, MarkerSample, Pose, Protocol,
 };
 use mocapd_drivers::ndi::NdiHost;
 use mocapd_drivers::transport::polled::{LineCommand, LineCommandReceiver, line_command_channel};
@@ -22,6 +22,9 @@ pub(super) struct Script {
     pub(super) markers: Vec<MarkerInfo>,
     /// Number, ticks and markers of each frame.
     pub(super) frames: Vec<(u32, u64, Vec<MarkerSample>)>,
+    pub(super) bodies: Vec<BodyInfo>,
+    /// Number of the frame, number of the message, ticks and poses of each pose frame.
+    pub(super) poses: Vec<(u32, u32, u64, Vec<Pose>)>,
     pub(super) ended: bool,
 }
 
@@ -40,6 +43,8 @@ impl Script {
             hello: None,
             markers: Vec::new(),
             frames: Vec::new(),
+            bodies: Vec::new(),
+            poses: Vec::new(),
             ended: false,
         }
     }
@@ -80,11 +85,15 @@ impl Script {
             }
             self.now_ns += if bytes.is_empty() { 20 * MS } else { MS / 10 };
             self.commands.set_now_ns(self.now_ns);
-            let Self { hello, markers, frames, ended, .. } = self;
+            let Self { hello, markers, frames, bodies, poses, ended, .. } = self;
             self.host.push(&bytes, &mut |event| match event {
                 DeviceEvent::Hello(event) => *hello = Some(event.clone()),
                 DeviceEvent::Markers(table) => *markers = table.to_vec(),
                 DeviceEvent::Frame(f) => frames.push((f.seq, f.device_ticks, f.markers.to_vec())),
+                DeviceEvent::Bodies(table) => *bodies = table.to_vec(),
+                DeviceEvent::Poses(f) => {
+                    poses.push((f.seq, f.number, f.device_ticks, f.poses.to_vec()));
+                }
                 DeviceEvent::EndOfStream(_) => *ended = true,
                 _ => {}
             });

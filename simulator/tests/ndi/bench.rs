@@ -152,6 +152,8 @@ impl Bench {
             // An NDI system has no sampled channels.
             DeviceEvent::SampledGroup(_)
             | DeviceEvent::Samples(_)
+            | DeviceEvent::Bodies(_)
+            | DeviceEvent::Poses(_)
             | DeviceEvent::Trigger(_)
             | DeviceEvent::RateSet(_) => {}
         });

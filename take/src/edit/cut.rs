@@ -15,7 +15,7 @@ use crate::{
     TakeError, TakeEvent, TakeTraversal, TakeWriter,
     record::{EndingKind, Event, Header, Ledger, SeriesPlace, TakeEnding},
     recovery::LedgerTally,
-    sampled::RECORDED,
+    sampled::is_recorded,
     statistics::{BlockTally, StretchTally},
     stretch::{CopiedStretch, NUMBERS, Span, Stretch, StretchHeaderWriter, put_block},
     timeline::{RowRun, Timeline, TimelineEncoder},
@@ -70,7 +70,7 @@ pub fn cut<W: Write>(
     let mut left_out: Vec<String> = source.left_out().collect();
     let first_frame = source.first_frame();
     let frames = first_frame.saturating_add(rows.start)..first_frame.saturating_add(rows.end);
-    for part in source.map().foreign.iter().filter(|part| part.kind != RECORDED) {
+    for part in source.map().foreign.iter().filter(|part| !is_recorded(&part.kind)) {
         match foreign::cut(part, &mut input, &frames, context)? {
             Some(found) => take.foreign_with_lost(&found.part, &found.lost)?,
             None => left_out.push(part.kind.clone()),

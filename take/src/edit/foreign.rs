@@ -15,7 +15,7 @@ use crate::{
         content::{PartStore, ScratchFile, Spool},
     },
     interchange::c3d::sample_parts,
-    sampled::{LostSamples, RECORDED, SampledPart},
+    sampled::{LostSamples, SampledPart, is_recorded},
 };
 
 /// How the content of a part relates to frames.
@@ -126,7 +126,7 @@ pub(super) fn join<R: Read + Seek>(
 ) -> Result<JoinedParts, TakeError> {
     let mut kinds: Vec<&str> = Vec::new();
     let parts = sources.iter().flat_map(|source| &source.map().foreign);
-    for part in parts.filter(|part| part.kind != RECORDED) {
+    for part in parts.filter(|part| !is_recorded(&part.kind)) {
         if !kinds.contains(&part.kind.as_str()) {
             kinds.push(&part.kind);
         }

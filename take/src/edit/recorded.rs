@@ -13,7 +13,7 @@ use crate::{
     TakeError, TakeMap, TakeTraversal, TakeWriter,
     damage::Problem,
     record::{ClockLine, GroupLedger, SampleLedger, SampledGroup},
-    sampled::{GroupSamples, RECORDED, SampleAnchor, SampleContent, SampleSpan},
+    sampled::{GroupSamples, SampleAnchor, SampleContent, SampleSpan},
     timeline::{LossCauses, RowTime, Timeline},
     traversal::Decode,
 };
@@ -332,7 +332,7 @@ impl Part<'_> {
             Ok(())
         })?;
         if let Some(found) = undecodable.first() {
-            return Err(damaged(&Problem::of_samples(RECORDED, found)));
+            return Err(damaged(&Problem::of_samples(&self.group.group.kind, found)));
         }
         outcome.map(|()| ledger)
     }

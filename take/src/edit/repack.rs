@@ -22,7 +22,7 @@ use crate::{
     frames::TakeFrames,
     motion_encoder::{EncodePlan, MotionWriter, stretch_rows},
     record::{Header, KeyDistance},
-    sampled::RECORDED,
+    sampled::is_recorded,
     statistics::{BlockTally, StretchTally},
     stretch::{CopiedStretch, NUMBERS, Span, Stretch, is_alone, put_block, put_renumbered},
     timeline::Timeline,
@@ -97,7 +97,7 @@ pub fn repack<W: Write>(
     map.subject.iter().try_for_each(|subject| take.subject(subject))?;
     take.order(&map.order)?;
     recorded::write_groups(map, &mut take)?;
-    for part in map.foreign.iter().filter(|part| part.kind != RECORDED) {
+    for part in map.foreign.iter().filter(|part| !is_recorded(&part.kind)) {
         let whole = foreign::read_whole(part, &mut input, context)?;
         take.foreign_with_lost(&whole.part, &whole.lost)?;
     }

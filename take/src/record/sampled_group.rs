@@ -1,7 +1,7 @@
 //! `SAMPLED_GROUP`: a group of scalar channels that have a rate of their own, such as those of force plates and electrodes.
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
-use mocapd_codec::GROUP_CHANNELS;
+use mocapd_codec::{GROUP_CHANNELS, poses::POSE_CHANNELS};
 
 use super::{CONFIG, Record, deflate, inflate};
 use crate::{TakeError, chunk::types};
@@ -72,7 +72,8 @@ pub struct SampledGroup {
     pub source: u16,
     /// Its number, by which SAMPLES refer to it. No two groups of a take have the same.
     pub number: u32,
-    /// The kind of the foreign part that the group belongs to, such as `c3d/analog`; empty for channels of a recording.
+    /// The kind of the foreign part that the group belongs to, such as `c3d/analog`; empty for channels of a
+    /// recording, and [`POSES`](crate::poses::POSES) for those of rigid bodies.
     pub kind: String,
     /// The form of the samples in the source.
     pub form: SampleForm,
@@ -180,6 +181,8 @@ impl SampledGroup {
             Err("it has more samples than a take can hold")
         } else if !matches!(self.bounds.0.len() as u64, n if n == 0 || n == n_channels) {
             Err("it does not have one bound for each channel")
+        } else if self.has_poses() && n_channels % POSE_CHANNELS as u64 != 0 {
+            Err("its channels are not those of bodies")
         } else if !self.bounds.0.iter().all(|bound| bound.is_finite() && *bound >= 0.0) {
             Err("a bound is negative or not finite")
         } else if self.form != SampleForm::Float32

@@ -11,7 +11,9 @@ use crate::{
     damage::{Problem, push_problem},
     foreign::ForeignPart,
     record::{Event, EventKind, GroupLedger, SampleLedger, SampledGroup},
-    sampled::{GroupSamples, RECORDED, RecoveredSamples, SampleContent, SampleSpan, part_name},
+    sampled::{
+        GroupSamples, RECORDED, RecoveredSamples, SampleContent, SampleSpan, is_recorded, part_name,
+    },
     timeline::LossCauses,
 };
 
@@ -55,7 +57,7 @@ impl KeptSamples {
                     push_problem(&mut kept.undecodable, problem);
                 }
                 let recovered = group.recovered(&undecodable);
-                if group.group.kind == RECORDED {
+                if is_recorded(&group.group.kind) {
                     let ledger = kept.ledger.get_or_insert_default();
                     ledger.groups.push(group_ledger(take, group, &recovered));
                 }

@@ -9,7 +9,8 @@ use std::{
 use mocapd_codec::sampled::SampledDecoder;
 
 use super::{
-    RECORDED, SampleAnchor, SampleClock, SampleContent, SampleSpan, SampleTimes, SamplesChunk, fits,
+    SampleAnchor, SampleClock, SampleContent, SampleSpan, SampleTimes, SamplesChunk, fits,
+    is_recorded,
 };
 use crate::{
     TakeError,
@@ -94,7 +95,7 @@ impl GroupSamples {
 
     /// A ledger states that the take had this many samples by then.
     fn state(&mut self, ledger: &GroupLedger) {
-        if self.group.kind == RECORDED && ledger.taken <= SAMPLES_MAX {
+        if is_recorded(&self.group.kind) && ledger.taken <= SAMPLES_MAX {
             self.n_stated = self.n_stated.max(ledger.taken);
         }
     }
@@ -116,7 +117,7 @@ impl GroupSamples {
         let (Some(first), Some(last)) = (times.anchors.first(), times.anchors.last()) else {
             return false;
         };
-        let belongs = self.group.kind == RECORDED
+        let belongs = is_recorded(&self.group.kind)
             && last.run_start <= first.number
             && self.anchors.last().is_none_or(|known| {
                 known.run_start <= first.run_start
@@ -417,8 +418,7 @@ impl SampledPart {
     #[expect(clippy::result_large_err, reason = "it is no error: the group begins another part")]
     pub(crate) fn push_group(&mut self, group: GroupSamples) -> Result<(), GroupSamples> {
         let end = self.groups.last().map_or(0, |last| last.channels()[1]);
-        let is_recorded = self.kind() == RECORDED;
-        if is_recorded
+        if is_recorded(self.kind())
             || group.group.kind != self.kind()
             || u64::from(group.group.first_channel) < end
         {

@@ -3,7 +3,11 @@
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
-use mocapd_codec::{GROUP_CHANNELS, sampled::SampledEncoder};
+use mocapd_codec::{
+    GROUP_CHANNELS,
+    poses::{POSE_CHANNELS, PoseErrors, PoseQuantiser},
+    sampled::SampledEncoder,
+};
 
 use super::{FreeBuffers, GroupPlan, ItemContent, RingEnds, SampleItem};
 use crate::pipeline::messages::{PartContent, SamplePart, WriterInput};
@@ -22,6 +26,8 @@ pub(super) struct SampledGroupCoder {
     /// The next item, for which no buffer was free.
     waiting: Option<SampleItem>,
     encoder: SampledEncoder,
+    /// By body, if the group is one of poses that are stored within bounds.
+    quantisers: Vec<PoseQuantiser>,
     /// The samples of a block, one after another, and channel after channel.
     rows: Vec<f32>,
     columns: Vec<f32>,
@@ -35,13 +41,25 @@ impl SampledGroupCoder {
         plan: GroupPlan,
         rings: RingEnds,
         buffers: FreeBuffers,
+        quantisers: Vec<PoseQuantiser>,
     ) -> Self {
         let mut encoder = SampledEncoder::new();
         encoder.prepare(plan.n_channels, plan.rows_max as usize);
         let values = plan.n_channels * plan.rows_max as usize;
         let (rows, columns) = (vec![0.0; values], vec![0.0; values]);
         let (waiting, is_out_of_step) = (None, false);
-        Self { index, plan, rings, buffers, waiting, encoder, rows, columns, is_out_of_step }
+        Self {
+            index,
+            plan,
+            rings,
+            buffers,
+            waiting,
+            encoder,
+            quantisers,
+            rows,
+            columns,
+            is_out_of_step,
+        }
     }
 
     /// Encodes the samples in the rings while there are free buffers. Returns `false` when no more will come, or the
@@ -79,7 +97,10 @@ impl SampledGroupCoder {
             ItemContent::Block { n, key, time } => {
                 let key = key || self.is_out_of_step;
                 if self.encode(n as usize, key, &mut buffer) {
-                    PartContent::Block { n, key, time, block: buffer }
+                    let mut errors = PoseErrors::default();
+                    let measured = self.quantisers.iter_mut().map(PoseQuantiser::take_errors);
+                    measured.for_each(|of_body| errors.add(&of_body));
+                    PartContent::Block { n, key, time, errors, block: buffer }
                 } else {
                     // A bug in this program: a cause without a name.
                     let causes = Default::default();
@@ -96,6 +117,11 @@ impl SampledGroupCoder {
         let values = n_rows * n_channels;
         let n = self.rings.0.pop_slice(&mut self.rows[..values]);
         debug_assert_eq!(n, values, "an ended block is in the ring");
+        for row in self.rows[..values].chunks_exact_mut(n_channels) {
+            let (poses, _) = row.as_chunks_mut::<POSE_CHANNELS>();
+            let quantisers = self.quantisers.iter_mut();
+            quantisers.zip(poses).for_each(|(quantiser, pose)| quantiser.round(pose));
+        }
         let rows = self.rows[..values].chunks_exact(n_channels);
         for (row, samples) in rows.enumerate() {
             for (channel, &sample) in samples.iter().enumerate() {

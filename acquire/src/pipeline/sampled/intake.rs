@@ -1,7 +1,7 @@
 //! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
 
 use mocapd_drivers::{
-    device::{SampleBatch, SampledGroupInfo},
+    device::{BodyInfo, PoseFrame, SampleBatch, SampledGroupInfo},
     link::SAMPLE_VALUES_MAX,
 };
 use mocapd_take::timeline::LossCauses;
@@ -10,8 +10,9 @@ use super::{
     GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
     SampleWakes,
     counter::{BatchStep, SampleCounter},
+    poses::{PoseRows, PosesOutcome},
 };
-use crate::pipeline::messages::BlockTime;
+use crate::pipeline::{PipelineConfig, messages::BlockTime};
 
 /// The causes of losses that have not been stated yet, in the order in which they are stated.
 const CAUSES: [LossCauses; 5] = [
@@ -48,6 +49,7 @@ pub(in crate::pipeline) struct SampledIntake {
     /// Index of the group with each number; `None` for one that was not announced.
     by_id: [Option<u8>; 256],
     wakes: SampleWakes,
+    poses: PoseRows,
 }
 
 /// One group.
@@ -95,7 +97,7 @@ impl SampledIntake {
         infos: &[SampledGroupInfo],
         plans: &[GroupPlan],
         rings: Vec<Rings>,
-        tick_hz: u64,
+        config: &PipelineConfig,
         wakes: SampleWakes,
     ) -> Self {
         let mut by_id = [None; 256];
@@ -109,7 +111,7 @@ impl SampledIntake {
                 plan: *plan,
                 samples,
                 items,
-                counter: SampleCounter::new(rate_hz, tick_hz),
+                counter: SampleCounter::new(rate_hz, config.tick_hz),
                 next: 0,
                 open: None,
                 pending: [0; CAUSES.len()],
@@ -125,7 +127,8 @@ impl SampledIntake {
                 has_early_block: false,
             }
         });
-        Self { groups: groups.collect(), by_id, wakes }
+        let groups = groups.collect();
+        Self { groups, by_id, wakes, poses: PoseRows::new(&config.bodies) }
     }
 
     fn group_mut(&mut self, id: u8) -> Option<&mut GroupIntake> {
@@ -162,7 +165,7 @@ impl SampledIntake {
         if !fits {
             // One of another shape or form need not be of this series.
             if group.is_contradicted && group.has_shape_of(batch) {
-                group.refuse(batch);
+                group.lose(batch, REFUSED);
             }
             return BatchOutcome::Refused;
         }
@@ -173,6 +176,38 @@ impl SampledIntake {
             self.wakes.wake(index.into());
         }
         BatchOutcome::Counted
+    }
+
+    /// Whether an announcement has the bodies that were known at the start, and no others.
+    pub(in crate::pipeline) fn announce_bodies(&mut self, bodies: &[BodyInfo]) -> bool {
+        self.poses.announce(bodies)
+    }
+
+    /// Accepts the poses of a frame, all or none.
+    pub(in crate::pipeline) fn poses(
+        &mut self,
+        frame: &PoseFrame<'_>,
+        stretch: u64,
+        segment: u32,
+    ) -> PosesOutcome {
+        let Self { groups, by_id, wakes, poses } = self;
+        let outcome = poses.fill(frame);
+        let index_of = |batch: &SampleBatch<'_>| by_id[usize::from(batch.group)].map(usize::from);
+        let batches =
+            poses.batches(frame).filter_map(|batch| index_of(&batch).map(|index| (index, batch)));
+        let has_room = |(index, batch): (usize, SampleBatch<'_>)| {
+            groups.get(index).is_some_and(|group| group.has_room(&batch))
+        };
+        let have_room = batches.clone().all(has_room);
+        for (index, batch) in batches {
+            let Some(group) = groups.get_mut(index) else { continue };
+            if !have_room {
+                group.lose(&batch, LossCauses::RING_FULL);
+            } else if group.batch(&batch, stretch, segment) {
+                wakes.wake(index);
+            }
+        }
+        outcome
     }
 
     /// Ends the open blocks with a stretch, so that they are in the same takes, and begin where it can be decoded from
@@ -223,9 +258,9 @@ impl GroupIntake {
     }
 
     /// Counts the samples of a batch that cannot be stored.
-    fn refuse(&mut self, batch: &SampleBatch<'_>) {
+    fn lose(&mut self, batch: &SampleBatch<'_>, causes: LossCauses) {
         if self.follow(batch) {
-            self.add_lost(batch.n_samples() as u64, REFUSED);
+            self.add_lost(batch.n_samples() as u64, causes);
         }
     }
 
@@ -248,6 +283,10 @@ impl GroupIntake {
         true
     }
 
+    fn has_room(&self, batch: &SampleBatch<'_>) -> bool {
+        self.samples.vacant() >= batch.samples.len() && self.items.vacant() > ITEMS_RESERVED
+    }
+
     fn has_numbers_for(&self, missing: u64) -> bool {
         let pending = self.pending.iter().fold(missing, |sum, n| sum.saturating_add(*n));
         self.next.saturating_add(pending) < NUMBERS_MAX
@@ -262,7 +301,7 @@ impl GroupIntake {
         if n == 0 {
             return false;
         }
-        if self.samples.vacant() < batch.samples.len() || self.items.vacant() <= ITEMS_RESERVED {
+        if !self.has_room(batch) {
             self.add_lost(n.into(), LossCauses::RING_FULL);
             return false;
         }

@@ -16,6 +16,7 @@
 mod coder;
 mod counter;
 mod intake;
+mod poses;
 
 use std::{
     sync::{
@@ -26,9 +27,13 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_codec::sampled::max_block_bytes;
+use mocapd_codec::{
+    poses::{GROUP_BODIES, POSE_CHANNELS, PoseBounds, PoseQuantiser},
+    sampled::max_block_bytes,
+};
 use mocapd_drivers::{device::SampledGroupInfo, link::SAMPLE_VALUES_MAX};
 use mocapd_take::{
+    poses::POSES,
     record::{SampleForm, SampledChannel, SampledGroup},
     sampled::{BLOCK_ROWS_MAX, RECORDED, block_rows_max},
     timeline::LossCauses,
@@ -36,7 +41,9 @@ use mocapd_take::{
 
 use self::coder::SampledGroupCoder;
 pub(super) use self::intake::{BatchOutcome, SampledIntake};
+pub(super) use self::poses::{PosesOutcome, groups as pose_groups};
 use super::{
+    PipelineConfig,
     messages::{BlockTime, WriterInput},
     ring::{RingConsumer, RingProducer, ring},
 };
@@ -183,14 +190,14 @@ pub(super) fn parts_max(groups: &[SampledGroupInfo]) -> usize {
 /// Allocates the memory of all groups and starts their threads.
 pub(super) fn start(
     groups: &[SampledGroupInfo],
-    stretch: Duration,
-    (tick_hz, workers): (u64, usize),
+    config: &PipelineConfig,
     to_writer: &Sender<WriterInput>,
 ) -> anyhow::Result<(SampledIntake, SampleReturns, SamplingThreads)> {
-    let plans: Vec<GroupPlan> = groups.iter().map(|group| GroupPlan::new(group, stretch)).collect();
+    let plans: Vec<GroupPlan> =
+        groups.iter().map(|group| GroupPlan::new(group, config.stretch)).collect();
     let bytes: usize = plans.iter().map(GroupPlan::block_bytes_max).sum();
     let n_buffers = (MEMORY_BYTES / bytes.max(1)).clamp(BUFFERS_MIN, BUFFERS_MAX);
-    let n_threads = workers.clamp(1, 8).min(groups.len());
+    let n_threads = config.workers.clamp(1, 8).min(groups.len());
     let mut coders: Vec<Vec<SampledGroupCoder>> = (0..n_threads).map(|_| Vec::new()).collect();
     let (mut rings, mut buffers) = (Vec::new(), Vec::new());
     for (index, plan) in plans.iter().enumerate() {
@@ -205,6 +212,7 @@ pub(super) fn start(
             *plan,
             (samples_out, items_out),
             free,
+            quantisers(&groups[index], config.pose_bounds),
         ));
         rings.push((samples, items));
         buffers.push(back);
@@ -222,7 +230,7 @@ pub(super) fn start(
         })?);
     }
     let wakes = SampleWakes(wakes);
-    let intake = SampledIntake::new(groups, &plans, rings, tick_hz, wakes.clone());
+    let intake = SampledIntake::new(groups, &plans, rings, config, wakes.clone());
     let block_bytes_max = plans.iter().map(GroupPlan::block_bytes_max).max().unwrap_or(0);
     let returns = SampleReturns { buffers, wakes, block_bytes_max, are_gone };
     Ok((intake, returns, SamplingThreads(handles)))
@@ -246,8 +254,15 @@ impl SamplingThreads {
     }
 }
 
+/// One for each body of a group of poses; none if all bits are kept, or for a group of the device.
+fn quantisers(group: &SampledGroupInfo, bounds: Option<PoseBounds>) -> Vec<PoseQuantiser> {
+    let bounds = bounds.filter(|_| group.id >= poses::FIRST_GROUP);
+    let n_bodies = (group.channels.len() / POSE_CHANNELS).min(GROUP_BODIES);
+    bounds.map_or_else(Vec::new, |bounds| vec![PoseQuantiser::new(bounds); n_bodies])
+}
+
 /// The groups as takes describe them.
-pub(super) fn records(groups: &[SampledGroupInfo]) -> Vec<SampledGroup> {
+pub(super) fn records(config: &PipelineConfig) -> Vec<SampledGroup> {
     let record = |group: &SampledGroupInfo| SampledGroup {
         number: group.id.into(),
         kind: RECORDED.to_owned(),
@@ -271,7 +286,17 @@ pub(super) fn records(groups: &[SampledGroupInfo]) -> Vec<SampledGroup> {
             .collect(),
         ..SampledGroup::default()
     };
-    groups.iter().map(record).collect()
+    let mut records: Vec<SampledGroup> = config.sample_groups().iter().map(record).collect();
+    let are_poses = |group: &&mut SampledGroup| group.number >= poses::FIRST_GROUP.into();
+    for group in records.iter_mut().filter(are_poses) {
+        group.kind = POSES.to_owned();
+        let bodies = config.bodies.chunks(GROUP_BODIES);
+        let bodies = bodies.skip((group.number - u32::from(poses::FIRST_GROUP)) as usize);
+        let ids = bodies.flatten().flat_map(|body| [u32::from(body.id); POSE_CHANNELS]);
+        group.channels.iter_mut().zip(ids).for_each(|(channel, id)| channel.index = id);
+        config.pose_bounds.iter().for_each(|bounds| group.set_pose_bounds(bounds));
+    }
+    records
 }
 
 type Rings = (RingProducer<f32>, RingProducer<SampleItem>);

@@ -128,8 +128,9 @@ impl SamplePart {
     /// A copy for the pre-roll, with memory for its block alone.
     pub(super) fn copy(&self) -> Self {
         let content = match &self.content {
-            PartContent::Block { n, key, time, block } => {
-                PartContent::Block { n: *n, key: *key, time: *time, block: block.clone() }
+            PartContent::Block { n, key, time, errors, block } => {
+                let (n, key, time, errors, block) = (*n, *key, *time, *errors, block.clone());
+                PartContent::Block { n, key, time, errors, block }
             }
             PartContent::Lost { n, causes, .. } => {
                 PartContent::Lost { n: *n, causes: *causes, buffer: Vec::new() }

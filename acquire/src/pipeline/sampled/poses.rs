@@ -1,0 +1,139 @@
+//! Poses of rigid bodies as sampled channels: eight of a body, eight bodies a group, one sample a frame.
+
+use mocapd_codec::{
+    GROUP_CHANNELS,
+    poses::{GROUP_BODIES, POSE_CHANNELS, without_pose},
+};
+use mocapd_drivers::{
+    device::{
+        BodyInfo, PoseFrame, PoseStatus, SampleBatch, SampleForm, SampledChannelInfo,
+        SampledGroupInfo,
+    },
+    link::GROUPS_MAX,
+};
+use mocapd_take::poses::{CHANNEL_NAMES, CHANNEL_UNITS, UNLISTED};
+
+/// Numbers of the groups of poses: those behind the numbers of the device's own groups.
+pub(super) const FIRST_GROUP: u8 = GROUPS_MAX as u8;
+
+/// The bodies as groups of sampled channels.
+pub(in crate::pipeline) fn groups(
+    bodies: &[BodyInfo],
+    rate_millihertz: u32,
+) -> Vec<SampledGroupInfo> {
+    let group = |(id, bodies): (u8, &[BodyInfo])| SampledGroupInfo {
+        id,
+        form: SampleForm::Float32,
+        rate_millihertz,
+        channels: bodies.iter().flat_map(channels).collect(),
+    };
+    (FIRST_GROUP..).zip(bodies.chunks(GROUP_BODIES)).map(group).collect()
+}
+
+fn channels(body: &BodyInfo) -> impl Iterator<Item = SampledChannelInfo> {
+    CHANNEL_NAMES.iter().zip(CHANNEL_UNITS).map(|(name, unit)| SampledChannelInfo {
+        name: format!("{}.{name}", body.name),
+        unit: unit.to_owned(),
+        scale: 1.0,
+        offset: 0.0,
+    })
+}
+
+/// What became of the poses of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::pipeline) enum PosesOutcome {
+    /// They are in the rings, or were counted as lost or as duplicates.
+    Counted,
+    /// So are the others; this body was not announced before the start, or was announced otherwise since.
+    Refused { body: u16 },
+}
+
+/// Turns the poses of a frame into one sample of every group.
+#[derive(Debug, Default)]
+pub(super) struct PoseRows {
+    bodies: Vec<KnownBody>,
+    /// The last frame's number as sent, and counted on without wrapping.
+    last: Option<(u32, u64)>,
+    /// The samples of all groups, one group after another.
+    row: Vec<f32>,
+}
+
+#[derive(Debug)]
+struct KnownBody {
+    info: BodyInfo,
+    /// Whether the device announced it otherwise since: its poses must not be stored under its old name.
+    is_contradicted: bool,
+}
+
+impl PoseRows {
+    pub(super) fn new(bodies: &[BodyInfo]) -> Self {
+        let known = |info: &BodyInfo| KnownBody { info: info.clone(), is_contradicted: false };
+        let row = Vec::with_capacity(bodies.len() * POSE_CHANNELS);
+        Self { bodies: bodies.iter().map(known).collect(), last: None, row }
+    }
+
+    /// Whether an announcement has the known bodies and no others.
+    pub(super) fn announce(&mut self, bodies: &[BodyInfo]) -> bool {
+        let mut are_known = bodies.len() == self.bodies.len();
+        for known in &mut self.bodies {
+            let now = bodies.iter().find(|body| body.id == known.info.id);
+            known.is_contradicted = now.is_some_and(|now| *now != known.info);
+            are_known &= now == Some(&known.info);
+        }
+        are_known
+    }
+
+    /// Takes the poses of a frame. The samples are those of [`batches`](Self::batches) until the next call.
+    pub(super) fn fill(&mut self, frame: &PoseFrame<'_>) -> PosesOutcome {
+        let (last, count) = self.last.unwrap_or((frame.seq, frame.seq.into()));
+        let step = i64::from(frame.seq.wrapping_sub(last).cast_signed());
+        self.last = Some((frame.seq, count.wrapping_add_signed(step)));
+        self.row.clear();
+        if frame.poses.is_empty() {
+            return PosesOutcome::Counted;
+        }
+        let unlisted = without_pose(UNLISTED);
+        self.row.extend(self.bodies.iter().flat_map(|_| unlisted));
+        let mut outcome = PosesOutcome::Counted;
+        let (rows, _) = self.row.as_chunks_mut::<POSE_CHANNELS>();
+        for (place, pose) in frame.poses.iter().enumerate() {
+            let is_its = |known: &KnownBody| known.info.id == pose.body;
+            // Most devices send the bodies in the order of their table.
+            let place = match self.bodies.get(place).is_some_and(is_its) {
+                true => Some(place),
+                false => self.bodies.iter().position(is_its),
+            };
+            let known = place.and_then(|place| self.bodies.get(place).zip(rows.get_mut(place)));
+            let Some((_, row)) = known.filter(|(known, _)| !known.is_contradicted) else {
+                outcome = PosesOutcome::Refused { body: pose.body };
+                continue;
+            };
+            let pose = pose.checked();
+            let ([x, y, z], [qw, qx, qy, qz]) = (pose.position_mm, pose.quaternion);
+            *row = match pose.status {
+                PoseStatus::Tracked => [x, y, z, qw, qx, qy, qz, pose.residual_mm],
+                status => without_pose(status.code()),
+            };
+        }
+        outcome
+    }
+
+    /// The batch of each group: one sample, or none to say how many there were.
+    pub(super) fn batches<'a>(
+        &'a self,
+        frame: &PoseFrame<'_>,
+    ) -> impl Iterator<Item = SampleBatch<'a>> + Clone {
+        let first = self.last.map_or(0, |(_, count)| count);
+        let (number, device_ticks) = (frame.number, frame.device_ticks);
+        let groups = self.bodies.chunks(GROUP_BODIES).enumerate();
+        groups.map(move |(index, bodies)| SampleBatch {
+            group: FIRST_GROUP + index as u8,
+            number,
+            first,
+            device_ticks,
+            form: SampleForm::Float32,
+            n_channels: (bodies.len() * POSE_CHANNELS) as u8,
+            samples: self.row.chunks(GROUP_CHANNELS).nth(index).unwrap_or_default(),
+        })
+    }
+}

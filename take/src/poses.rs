@@ -1,0 +1,229 @@
+//! Poses of rigid bodies in a recording: groups of sampled channels of the kind [`POSES`].
+//!
+//! `docs/poses.md` describes them. A body has eight channels, and one sample in each frame.
+
+use std::io::{self, Read, Seek};
+
+use mocapd_codec::poses::{
+    POSE_CHANNELS, PoseBounds, PoseRow, RESIDUAL_ERROR_MM, code_without_pose, has_pose, unit,
+};
+
+use crate::{
+    TakeError,
+    record::SampledGroup,
+    sampled::{GroupSamples, LostSamples},
+};
+
+/// The kind of groups of poses.
+pub const POSES: &str = "poses";
+
+/// What is behind a body's name, and a point, in the names of its channels.
+pub const CHANNEL_NAMES: [&str; POSE_CHANNELS] =
+    ["x", "y", "z", "qw", "qx", "qy", "qz", "residual"];
+
+/// Their units.
+pub const CHANNEL_UNITS: [&str; POSE_CHANNELS] = ["mm", "mm", "mm", "", "", "", "", "mm"];
+
+/// The code of a body that a frame did not list; smaller ones are those of the device's states.
+pub const UNLISTED: u8 = 3;
+
+/// Why a row has a pose, or none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PoseState {
+    /// The device tracked the body.
+    Tracked,
+    /// The device did not see enough of it.
+    Lost,
+    /// The device did not vouch for its pose, or sent numbers that are none.
+    Rejected,
+    /// The frame did not list it.
+    Unlisted,
+    /// For a reason that this version does not know.
+    Other,
+}
+
+impl PoseState {
+    /// All, by their codes.
+    pub const ALL: [Self; 5] =
+        [Self::Tracked, Self::Lost, Self::Rejected, Self::Unlisted, Self::Other];
+
+    /// The name in reports.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tracked => "tracked",
+            Self::Lost => "lost",
+            Self::Rejected => "rejected",
+            Self::Unlisted => "unlisted",
+            Self::Other => "other",
+        }
+    }
+}
+
+/// The pose of a body in a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Whether it is there; all numbers are NaN if not.
+    pub state: PoseState,
+    /// Position of the body's origin in millimetres.
+    pub position_mm: [f32; 3],
+    /// Rotation from the body's axes to the device's: w, x, y, z, of length 1.
+    pub quaternion: [f32; 4],
+    /// How well the body's markers fit, in millimetres; NaN if the device did not report it.
+    pub residual_mm: f32,
+}
+
+/// How the poses of a group are read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseReader {
+    /// Whether they are within bounds; else they are as the device sent them.
+    is_bounded: bool,
+}
+
+impl PoseReader {
+    /// For the poses of a group.
+    #[must_use]
+    pub fn new(group: &SampledGroup) -> Self {
+        Self { is_bounded: !group.bounds.0.is_empty() }
+    }
+
+    /// The pose of the stored numbers of a body.
+    #[must_use]
+    pub fn pose(&self, row: &PoseRow) -> Pose {
+        let [x, y, z, qw, qx, qy, qz, residual_mm] = *row;
+        if has_pose(row) {
+            let quaternion = [qw, qx, qy, qz];
+            let quaternion = if self.is_bounded { unit(quaternion) } else { quaternion };
+            let (state, position_mm) = (PoseState::Tracked, [x, y, z]);
+            return Pose { state, position_mm, quaternion, residual_mm };
+        }
+        let state = match code_without_pose(row) {
+            Some(1) => PoseState::Lost,
+            Some(2) => PoseState::Rejected,
+            Some(UNLISTED) => PoseState::Unlisted,
+            _ => PoseState::Other,
+        };
+        let (position_mm, quaternion) = ([f32::NAN; 3], [f32::NAN; 4]);
+        Pose { state, position_mm, quaternion, residual_mm: f32::NAN }
+    }
+}
+
+impl SampledGroup {
+    /// Whether its channels are the poses of rigid bodies.
+    #[must_use]
+    pub fn has_poses(&self) -> bool {
+        self.kind == POSES
+    }
+
+    /// The names of its bodies; none if it has no poses.
+    pub fn bodies(&self) -> impl Iterator<Item = &str> {
+        let channels = if self.has_poses() { &self.channels[..] } else { &[] };
+        let suffix = CHANNEL_NAMES[0];
+        channels.chunks_exact(POSE_CHANNELS).filter_map(|channels| channels.first()).map(
+            move |first| {
+                let name = first.name.strip_suffix(suffix);
+                name.and_then(|name| name.strip_suffix('.')).unwrap_or(&first.name)
+            },
+        )
+    }
+
+    /// The largest errors of positions in millimetres and of angles in degrees that its poses may have; `None` if they are
+    /// as the device sent them.
+    #[must_use]
+    pub fn pose_bounds(&self) -> Option<[f64; 2]> {
+        let position_mm = self.bounds.0.first().filter(|_| self.has_poses())?;
+        Some([*position_mm, *self.bounds.0.get(3)?])
+    }
+
+    /// States the largest errors that the poses of a group may have.
+    pub fn set_pose_bounds(&mut self, bounds: &PoseBounds) {
+        let (position_mm, angle_degrees) = (bounds.position_mm(), bounds.angle_degrees());
+        let (p, a) = (position_mm, angle_degrees);
+        let of_body = [p, p, p, a, a, a, a, RESIDUAL_ERROR_MM];
+        self.bounds.0 = of_body.repeat(self.channels.len() / POSE_CHANNELS);
+    }
+}
+
+impl GroupSamples {
+    /// Decodes the poses of the group's bodies. `each` receives the number of the first frame, the number of frames, and
+    /// the poses, frame after frame and in each all bodies in order, or `None` where they are lost. Returns those that
+    /// cannot be decoded. A group without poses has none.
+    ///
+    /// # Errors
+    /// `Io`, and those of `each`.
+    pub fn read_poses(
+        &self,
+        input: &mut (impl Read + Seek),
+        mut each: impl FnMut(u64, u64, Option<&[Pose]>) -> io::Result<()>,
+    ) -> Result<Vec<LostSamples>, TakeError> {
+        let (reader, n_bodies) = (PoseReader::new(&self.group), self.group.bodies().count());
+        let mut poses = Vec::new();
+        if n_bodies == 0 {
+            return Ok(Vec::new());
+        }
+        self.read(input, |first, n, samples| {
+            let Some(samples) = samples else { return each(first, n, None) };
+            poses.clear();
+            let columns: Vec<&[f32]> = samples.chunks_exact(n as usize).collect();
+            for frame in 0..n as usize {
+                for body in columns.chunks_exact(POSE_CHANNELS) {
+                    let number = |channel: usize| {
+                        let column = body.get(channel).and_then(|column| column.get(frame));
+                        column.copied().unwrap_or(f32::NAN)
+                    };
+                    poses.push(reader.pose(&std::array::from_fn(number)));
+                }
+            }
+            each(first, n, Some(&poses))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mocapd_codec::poses::without_pose;
+
+    use super::*;
+    use crate::record::SampledChannel;
+
+    #[test]
+    fn poses_are_read_with_their_states() {
+        let names = ["pelvis", "a.b", ""].map(str::to_owned);
+        let channel = |body: &String, name| SampledChannel {
+            name: format!("{body}.{name}"),
+            ..SampledChannel::default()
+        };
+        let mut group = SampledGroup {
+            kind: POSES.to_owned(),
+            channels: names
+                .iter()
+                .flat_map(|body| CHANNEL_NAMES.map(|name| channel(body, name)))
+                .collect(),
+            ..SampledGroup::default()
+        };
+        assert!(group.bodies().eq(["pelvis", "a.b", ""]));
+        assert_eq!(group.pose_bounds(), None);
+        let row = [1.0, -2.0, 3.0, 0.6, 0.0, 0.79, 0.0, 0.25];
+        let exact = PoseReader::new(&group).pose(&row);
+        assert_eq!((exact.state, exact.quaternion), (PoseState::Tracked, [0.6, 0.0, 0.79, 0.0]));
+        assert_eq!((exact.position_mm, exact.residual_mm), ([1.0, -2.0, 3.0], 0.25));
+        let tolerance = mocapd_codec::Tolerance::from_mm(0.5).unwrap();
+        let bounds = PoseBounds::new(tolerance, 0.25).unwrap();
+        group.set_pose_bounds(&bounds);
+        assert_eq!((group.bounds.0.len(), group.pose_bounds()), (24, Some([0.5, 0.25])));
+        let reader = PoseReader::new(&group);
+        let length: f32 = reader.pose(&row).quaternion.iter().map(|x| x * x).sum();
+        assert!((length - 1.0).abs() < 1e-6);
+        for (code, state) in (1..).zip(&PoseState::ALL[1..]) {
+            let code = if *state == PoseState::Other { 77 } else { code };
+            let pose = reader.pose(&without_pose(code));
+            assert_eq!(pose.state, *state);
+            assert!(pose.position_mm.iter().chain(&pose.quaternion).all(|x| x.is_nan()));
+        }
+        let mut damaged = row;
+        damaged[4] = f32::INFINITY;
+        assert_eq!(reader.pose(&damaged).state, PoseState::Other);
+        group.kind = String::new();
+        assert_eq!((group.bodies().count(), group.pose_bounds()), (0, None));
+    }
+}

@@ -1,0 +1,278 @@
+//! Poses of rigid bodies beside the frames: all of a frame are in the take bit for bit or within the bounds, or counted as
+//! lost.
+
+use std::io::Cursor;
+
+use mocapd_acquire::{
+    inspect::Summary,
+    pipeline::{Intake, PipelineConfig},
+    verdict::Verdict,
+};
+use mocapd_codec::{Settings, poses::PoseBounds};
+use mocapd_drivers::device::{BodyInfo, Pose, PoseFrame, PoseStatus};
+use mocapd_take::{
+    TakeMap,
+    motion::Motion,
+    poses::{Pose as StoredPose, PoseState},
+    record::GroupLedger,
+};
+
+use super::takes::feed_all;
+use crate::support::{TICK_HZ, config, dense, jump, lossless, start};
+
+/// More than the bodies of a group, with ids in no order.
+const BODIES: u16 = 11;
+
+fn bodies() -> Vec<BodyInfo> {
+    let body = |i: u16| BodyInfo { id: (i * 7) % 100, name: format!("body {i}") };
+    (0..BODIES).map(body).collect()
+}
+
+/// The pose of a body in a frame: some are lost, rejected or unlisted, and the sign of quaternions changes.
+fn pose(info: &BodyInfo, frame: u32) -> Option<Pose> {
+    let (id, t) = (f64::from(info.id), f64::from(frame) * 0.01);
+    let without = |status| Some(Pose::without(info.id, status));
+    match (u32::from(info.id) + frame) % 97 {
+        3..=5 => return without(PoseStatus::Lost),
+        7 => return without(PoseStatus::Rejected),
+        8 => return None,
+        _ => {}
+    }
+    let half = 0.7 * t + id;
+    let axis = [0.48 * (0.3 * t).sin(), 0.6, 0.64];
+    let length = (1.0_f64 + axis.iter().map(|x| x * x).sum::<f64>()).sqrt();
+    let sign = if frame.is_multiple_of(5) { -1.0 } else { 1.0 };
+    let [x, y, z] = axis.map(|x| x * half.sin());
+    let norm = (half.cos().powi(2) + x * x + y * y + z * z).sqrt().max(length * 1e-9);
+    Some(Pose {
+        body: info.id,
+        status: PoseStatus::Tracked,
+        position_mm: [
+            (900.0 * (t + id).sin()) as f32,
+            (id * 10.0 + 40.0 * t) as f32,
+            1000.0 + (frame % 7) as f32 * 0.013,
+        ],
+        quaternion: [half.cos(), x, y, z].map(|number| (sign * number / norm) as f32),
+        residual_mm: if info.id == 7 { f32::NAN } else { 0.1 + (frame % 13) as f32 * 0.017 },
+    })
+}
+
+fn send(intake: &mut Intake, frame: u32, number: u32) {
+    let poses: Vec<Pose> = bodies().iter().filter_map(|body| pose(body, frame)).collect();
+    intake.poses(&PoseFrame { seq: frame, number, device_ticks: ticks(frame), poses: &poses });
+}
+
+fn ticks(frame: u32) -> u64 {
+    1_000 + u64::from(frame) * TICK_HZ / 200
+}
+
+fn with_bodies(motion: &Motion, codec: Settings) -> PipelineConfig {
+    PipelineConfig { bodies: bodies(), ..config(motion, codec) }
+}
+
+/// The poses of a take: number of the frame, body, pose; lost ones are left out.
+fn read(take: &[u8]) -> (Vec<(u64, usize, StoredPose)>, TakeMap) {
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let (mut found, mut before) = (Vec::new(), 0);
+    for group in map.pose_groups() {
+        let n_bodies = group.group.bodies().count();
+        let undecodable = group
+            .read_poses(&mut Cursor::new(take), |first, n, poses| {
+                let Some(poses) = poses else { return Ok(()) };
+                assert_eq!(poses.len() as u64, n * n_bodies as u64);
+                for (frame, of_frame) in (first..).zip(poses.chunks_exact(n_bodies)) {
+                    found.extend((before..).zip(of_frame).map(|(body, pose)| (frame, body, *pose)));
+                }
+                Ok(())
+            })
+            .unwrap();
+        assert_eq!(undecodable, []);
+        before += n_bodies;
+    }
+    (found, map)
+}
+
+#[track_caller]
+fn assert_clean(take: &[u8]) -> Vec<GroupLedger> {
+    let summary = Summary::read(take).unwrap();
+    let verdict = Verdict::of(&summary);
+    assert!(verdict.problems.is_empty(), "{:?}", verdict.problems);
+    assert_eq!(verdict.contradictions, [""; 0]);
+    let ledger = summary.take.sample_ledger.clone().unwrap();
+    assert!(ledger.finished && ledger.groups.iter().all(GroupLedger::closes), "{ledger:?}");
+    ledger.groups
+}
+
+/// The angle between two rotations in degrees.
+fn angle_degrees(a: [f32; 4], b: [f32; 4]) -> f64 {
+    let unit = |q: [f32; 4]| {
+        let length = q.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt();
+        q.map(|x| f64::from(x) / length)
+    };
+    let (a, b) = (unit(a), unit(b));
+    let distance = |sign: f64| a.iter().zip(&b).map(|(a, b)| (a - sign * b).powi(2)).sum::<f64>();
+    let chord = distance(1.0).min(distance(-1.0)).sqrt();
+    (4.0 * (chord / 2.0).asin()).to_degrees()
+}
+
+/// Asserts that the poses are those of the device from frame `from` on. Returns their number.
+#[track_caller]
+fn assert_true(take: &[u8], from: u64, bounds: Option<PoseBounds>) -> usize {
+    let (found, map) = read(take);
+    let clock = map.pose_groups().next().unwrap().clock(TICK_HZ);
+    let infos = bodies();
+    for (frame, body, got) in &found {
+        let sent = (frame + from) as u32;
+        let state = |status| match status {
+            PoseStatus::Tracked => PoseState::Tracked,
+            PoseStatus::Lost => PoseState::Lost,
+            PoseStatus::Rejected => PoseState::Rejected,
+        };
+        let expected = pose(&infos[*body], sent);
+        assert_eq!(got.state, expected.map_or(PoseState::Unlisted, |pose| state(pose.status)));
+        let time = clock.at(*frame).unwrap();
+        assert_eq!(time.device_ticks, ticks(sent), "frame {sent}");
+        let Some(expected) = expected.filter(|pose| pose.status == PoseStatus::Tracked) else {
+            assert!(got.position_mm[0].is_nan() && got.quaternion[3].is_nan());
+            continue;
+        };
+        let [x, y, z] =
+            std::array::from_fn(|i| f64::from(got.position_mm[i] - expected.position_mm[i]));
+        let distance_mm = (x * x + y * y + z * z).sqrt();
+        let angle = angle_degrees(got.quaternion, expected.quaternion);
+        let residual_mm = got.residual_mm - expected.residual_mm;
+        match bounds {
+            None => {
+                assert_eq!(got.position_mm, expected.position_mm);
+                assert_eq!(got.quaternion, expected.quaternion);
+                assert_eq!(got.residual_mm.to_bits(), expected.residual_mm.to_bits());
+            }
+            Some(bounds) => {
+                assert!(distance_mm <= bounds.position_mm(), "{distance_mm} mm");
+                assert!(angle <= bounds.angle_degrees() * (1.0 + 1e-6), "{angle} degrees");
+                let length: f64 = got.quaternion.iter().map(|x| f64::from(*x).powi(2)).sum();
+                assert!((length - 1.0).abs() < 4e-7);
+                assert!(residual_mm.abs() <= 1.0 / 256.0 || expected.residual_mm.is_nan());
+            }
+        }
+    }
+    found.len()
+}
+
+#[test]
+fn every_pose_is_in_the_take_bit_for_bit_or_within_its_bounds() {
+    let motion = jump(1, 200.0, 12.0);
+    let mut sizes = Vec::new();
+    for codec in [lossless(), dense(0.1), dense(5.0)] {
+        let config = with_bodies(&motion, codec);
+        let (mut intake, pipeline) = start(&config, Vec::new());
+        for frame in 0..2400 {
+            feed_all(&mut intake, &motion, [frame as usize]);
+            send(&mut intake, frame, frame);
+        }
+        intake.finish();
+        let (written, take) = pipeline.finish().unwrap();
+        assert_eq!(written.ledger.recorded, 2400);
+        for ledger in assert_clean(&take) {
+            assert_eq!((ledger.taken, ledger.stored, ledger.lost()), (2400, 2400, 0));
+        }
+        assert_eq!(assert_true(&take, 0, config.pose_bounds), 2400 * usize::from(BODIES));
+        let (_, map) = read(&take);
+        let names: Vec<_> = map.pose_groups().flat_map(|group| group.group.bodies()).collect();
+        assert!(names.iter().eq(&bodies().iter().map(|body| &body.name[..]).collect::<Vec<_>>()));
+        let stated = map.pose_groups().next().unwrap().group.pose_bounds();
+        let expected = config.pose_bounds.map(|b| [b.position_mm(), b.angle_degrees()]);
+        assert_eq!(stated, expected);
+        sizes.push(map.pose_groups().map(|group| group.stored_bytes).sum::<u64>());
+    }
+    let raw = 2400 * u64::from(BODIES) * 32;
+    println!("raw {raw}: {sizes:?}");
+    assert!(sizes[0] < raw && 3 * sizes[1] < raw && sizes[2] < sizes[1], "{sizes:?}");
+}
+
+#[test]
+fn lost_poses_are_stated_with_their_causes() {
+    let motion = jump(2, 200.0, 6.0);
+    let (mut intake, pipeline) = start(&with_bodies(&motion, lossless()), Vec::new());
+    let mut number = 0;
+    for frame in 0..1200 {
+        feed_all(&mut intake, &motion, [frame as usize]);
+        match frame {
+            // The device dropped these.
+            100..110 => continue,
+            // These were lost on the link.
+            200..203 => {}
+            300 => {
+                send(&mut intake, frame, number);
+                send(&mut intake, frame, number);
+                send(&mut intake, frame - 2, number - 2);
+            }
+            _ => send(&mut intake, frame, number),
+        }
+        number += 1;
+    }
+    // Two more at the end are lost, as an empty frame says.
+    let (device_ticks, poses) = (ticks(1202), &[][..]);
+    intake.poses(&PoseFrame { seq: 1202, number: number + 2, device_ticks, poses });
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    for ledger in assert_clean(&take) {
+        assert_eq!((ledger.taken, ledger.stored), (1202, 1187));
+        assert_eq!((ledger.dropped_by_device, ledger.lost_on_link), (10, 5));
+        assert_eq!((ledger.duplicates, ledger.jumps), (2, 0));
+    }
+    assert_eq!(assert_true(&take, 0, None), 1187 * usize::from(BODIES));
+}
+
+#[test]
+fn what_is_no_pose_is_rejected_and_unknown_bodies_are_counted() {
+    let motion = jump(3, 200.0, 1.0);
+    let (mut intake, pipeline) = start(&with_bodies(&motion, lossless()), Vec::new());
+    let info = &bodies()[2];
+    let good = Pose {
+        body: info.id,
+        status: PoseStatus::Tracked,
+        position_mm: [1.0; 3],
+        quaternion: [1.0, 0.0, 0.0, 0.0],
+        residual_mm: 0.5,
+    };
+    let frames = [
+        vec![good],
+        vec![Pose { quaternion: [0.5, 0.0, 0.0, 0.0], ..good }],
+        vec![Pose { position_mm: [f32::NAN; 3], ..good }],
+        vec![Pose { body: 9_999, ..good }, good],
+        vec![Pose::without(info.id, PoseStatus::Lost)],
+    ];
+    for (frame, poses) in (0..).zip(&frames) {
+        feed_all(&mut intake, &motion, [frame as usize]);
+        intake.poses(&PoseFrame { seq: frame, number: frame, device_ticks: ticks(frame), poses });
+    }
+    // Announced as before, with one more, and under another name: then it is not stored under the old one.
+    let mut others = bodies();
+    intake.announce_bodies(&others);
+    others.push(BodyInfo { id: 300, name: "new".to_owned() });
+    intake.announce_bodies(&others);
+    let again = |seq, intake: &mut Intake| {
+        let (device_ticks, poses) = (ticks(seq), &[good][..]);
+        intake.poses(&PoseFrame { seq, number: seq, device_ticks, poses });
+    };
+    again(5, &mut intake);
+    others[2].name = "other".to_owned();
+    intake.announce_bodies(&others);
+    again(6, &mut intake);
+    intake.announce_bodies(&bodies());
+    again(7, &mut intake);
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    let summary = Summary::read(&take[..]).unwrap();
+    assert_eq!(summary.take.sample_ledger.as_ref().unwrap().batches_refused, 2);
+    let (found, map) = read(&take);
+    let states: Vec<PoseState> =
+        found.iter().filter(|(_, body, _)| *body == 2).map(|(_, _, pose)| pose.state).collect();
+    let [tracked, lost, rejected, unlisted] = [0, 1, 2, 3].map(|code| PoseState::ALL[code]);
+    assert_eq!(states, [tracked, rejected, rejected, tracked, lost, tracked, unlisted, tracked]);
+    let texts: Vec<&str> = map.events.iter().map(|event| &event.text[..]).collect();
+    assert_eq!(texts.len(), 3, "{texts:?}");
+    assert!(texts[0].contains("poses of body 9999"), "{texts:?}");
+    assert!(texts[1..].iter().all(|text| text.contains("other rigid bodies")), "{texts:?}");
+}
