@@ -9,8 +9,7 @@ use crate::{
     device::Protocol,
     link, natnet, ndi, qtm,
     transport::{
-        Access, Transport, TransportError, access,
-        network,
+        Access, Transport, TransportError, access, network,
         serial::SerialTransport,
         usb::{self, UsbDevice, UsbTransport},
     },

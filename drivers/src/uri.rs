@@ -193,7 +193,9 @@ impl Query {
                     parsed.local = Some(local.to_owned());
                 }
                 Some(("local", _)) if by_udp => {
-                    return Err(format!("expected local=INTERFACE or local=ADDRESS, found '{part}'"));
+                    return Err(format!(
+                        "expected local=INTERFACE or local=ADDRESS, found '{part}'"
+                    ));
                 }
                 _ => return Err(format!("expected driver=NAME after '?', found '{part}'")),
             }
@@ -204,7 +206,8 @@ impl Query {
 
 /// Whether a text can be the name of an interface, which has 15 characters at most, or an IPv4 address, which has as many.
 fn is_interface(text: &str) -> bool {
-    (1..=15).contains(&text.len()) && text.chars().all(|c| c.is_ascii_graphic() && !"/&?".contains(c))
+    (1..=15).contains(&text.len())
+        && text.chars().all(|c| c.is_ascii_graphic() && !"/&?".contains(c))
 }
 
 /// Parses `HOST[:PORT]`; an IPv6 address needs brackets if a port follows.
@@ -316,7 +319,10 @@ mod tests {
             serial: serial.map(str::to_owned),
         };
         let qtm = |host: &str, port, datagrams| {
-            Location::Network(NetworkAddress { datagrams, ..NetworkAddress::new("qtm", host, port) })
+            Location::Network(NetworkAddress {
+                datagrams,
+                ..NetworkAddress::new("qtm", host, port)
+            })
         };
         let natnet = |host: &str, port, local: Option<&str>, mode| {
             let local = local.map(str::to_owned);
@@ -381,9 +387,13 @@ mod tests {
             let error = text.parse::<DeviceUri>().unwrap_err();
             assert!(error.reason.contains(reason), "{text}: {error}");
             let message = error.to_string();
-            for form in
-                ["serial:PATH[@BAUD]", "usb:VID:PID[:SERIAL]", "qtm:HOST[:PORT]", "natnet:HOST[:PORT]", "?driver=NAME"]
-            {
+            for form in [
+                "serial:PATH[@BAUD]",
+                "usb:VID:PID[:SERIAL]",
+                "qtm:HOST[:PORT]",
+                "natnet:HOST[:PORT]",
+                "?driver=NAME",
+            ] {
                 assert!(message.contains(form), "{message}");
             }
         }

@@ -6,13 +6,13 @@ use super::{
     frame::FrameOfData,
     host::{MS, NatNetHost, REPLY_TIMEOUT_NS, SessionState, Step},
     message::{Bitstream, Message, MessageKind, ServerInfo},
-    model::{Model, ModelError},
+    model::{AssetKind, Model, ModelError},
     names::MarkerNames,
     sampled::{SAMPLES_PER_FRAME_MAX, SampledGroups},
 };
 use crate::{
     bytes::WireValue,
-    device::Hello,
+    device::{BODIES_MAX, Hello},
     frame_axis::FrameAxis,
     marker_ids::UNLABELLED_MAX,
     transport::{DatagramSource, polled::LineCommand},
@@ -186,14 +186,14 @@ impl NatNetHost {
 
     /// Reads definitions in the layout that is in use, or in another one that fits.
     pub(super) fn read_model(&mut self, body: &[u8]) {
-        let others = [Bitstream::NEWEST, Bitstream::new(4, 0), Bitstream::new(3, 1), Bitstream::OLDEST];
+        let others =
+            [Bitstream::NEWEST, Bitstream::new(4, 0), Bitstream::new(3, 1), Bitstream::OLDEST];
         let first = Model::read(body, self.version);
         let found = match first {
             Ok(model) => Ok(model),
-            Err(error) => others
-                .into_iter()
-                .find_map(|version| Model::read(body, version).ok())
-                .ok_or(error),
+            Err(error) => {
+                others.into_iter().find_map(|version| Model::read(body, version).ok()).ok_or(error)
+            }
         };
         match found {
             Ok(model) => self.model = model,
@@ -217,6 +217,7 @@ impl NatNetHost {
     pub(super) fn use_model(&mut self) {
         let (names, labels) = MarkerNames::new(&self.model);
         self.names = names;
+        self.bodies.update(&self.model);
         let n_excess = self.labels.update(&labels);
         if n_excess > 0 {
             self.remarks.push(format!(
@@ -226,11 +227,17 @@ impl NatNetHost {
     }
 
     fn after_model(&mut self) {
-        let n_bodies = self.model.assets.len();
-        if n_bodies > 0 {
+        let has_bones = |kind| matches!(kind, AssetKind::Skeleton | AssetKind::Trained);
+        let n_skeletons = self.model.assets.iter().filter(|asset| has_bones(asset.kind)).count();
+        if n_skeletons > 0 {
             self.remarks.push(format!(
-                "poses of {n_bodies} rigid bodies, skeletons or other assets are not recorded, their markers are"
+                "{n_skeletons} skeletons or trained marker sets: their markers are recorded, and not their bones"
             ));
+        }
+        if self.bodies.n_excess > 0 {
+            let n = self.bodies.n_excess;
+            self.remarks
+                .push(format!("{n} rigid bodies are left out: at most {BODIES_MAX} are recorded"));
         }
         if self.model.n_unknown > 0 {
             let n = self.model.n_unknown;
@@ -265,12 +272,8 @@ impl NatNetHost {
 
     fn set_ready(&mut self, frame: Option<&FrameOfData<'_>>) {
         let rate_millihertz = self.hello.rate_millihertz;
-        self.sampled = SampledGroups::new(
-            &self.model.sampled,
-            self.samples_per_frame,
-            frame,
-            rate_millihertz,
-        );
+        self.sampled =
+            SampledGroups::new(&self.model.sampled, self.samples_per_frame, frame, rate_millihertz);
         self.remarks.extend(self.sampled.remark());
         let (model, version) = self.server.as_ref().map_or_else(Default::default, |server| {
             (server.name.clone(), server.app_version_text())

@@ -66,6 +66,46 @@ impl WireMarker {
     }
 }
 
+/// A rigid body of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct WireBody {
+    /// Its id, as in its description.
+    pub id: u32,
+    /// x, y, z in metres.
+    pub position_m: [f32; 3],
+    /// Its rotation as a quaternion x, y, z, w.
+    pub quaternion_xyzw: [f32; 4],
+    /// Mean distance of its markers from where the model has them, in metres.
+    pub error_m: f32,
+    /// Whether it is tracked.
+    pub is_tracked: bool,
+}
+
+impl WireBody {
+    fn read(cursor: &mut Cursor<'_>, version: Bitstream) -> Option<Self> {
+        let (id, position_m) = (cursor.get()?, cursor.get()?);
+        let quaternion_xyzw = [cursor.get()?, cursor.get()?, cursor.get()?, cursor.get()?];
+        if !version.has_ticks() {
+            walk_counted(cursor, POSITION_BYTES + 4 + 4)?;
+        }
+        let error_m = cursor.get()?;
+        let is_tracked = cursor.get::<u16>()? & 1 != 0;
+        Some(Self { id, position_m, quaternion_xyzw, error_m, is_tracked })
+    }
+
+    fn put(&self, version: Bitstream, out: &mut Vec<u8>) {
+        self.id.put(out);
+        self.position_m.put(out);
+        self.quaternion_xyzw.into_iter().for_each(|value| value.put(out));
+        if !version.has_ticks() {
+            // Number of its markers, which are sent as labelled ones.
+            0_u32.put(out);
+        }
+        self.error_m.put(out);
+        u16::from(self.is_tracked).put(out);
+    }
+}
+
 /// The end of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FrameEnd {
@@ -96,7 +136,8 @@ const END_TAG_BYTES: usize = 4;
 const PRECISION_BYTES: usize = 8;
 
 impl FrameEnd {
-    fn read(cursor: &mut Cursor<'_>, version: Bitstream) -> Option<Self> {
+    /// Reads it; also whether a tag closes the frame.
+    fn read(cursor: &mut Cursor<'_>, version: Bitstream) -> Option<(Self, bool)> {
         let more = cursor.len().checked_sub(end_bytes(version))?;
         // Readers of 4.1 disagree whether the network clock is there; the number of bytes tells.
         let (has_precision, has_tag) = match more {
@@ -121,7 +162,7 @@ impl FrameEnd {
         if has_tag {
             cursor.bytes(END_TAG_BYTES)?;
         }
-        Some(Self { timecode, timecode_sub, timestamp_s, ticks, flags })
+        Some((Self { timecode, timecode_sub, timestamp_s, ticks, flags }, has_tag))
     }
 
     fn put(&self, version: Bitstream, out: &mut Vec<u8>) {
@@ -150,6 +191,7 @@ pub struct FrameOfData<'a> {
     pub number: u32,
     marker_sets: &'a [u8],
     others: &'a [u8],
+    bodies: Section<'a>,
     labelled: &'a [u8],
     plates: &'a [u8],
     devices: &'a [u8],
@@ -157,6 +199,8 @@ pub struct FrameOfData<'a> {
     pub n_bodies: [u32; 3],
     /// The end of the frame.
     pub end: FrameEnd,
+    /// Whether a tag closes it, as Motive's do. A frame without one may be of another layout that is shorter by as much.
+    pub has_tag: bool,
 }
 
 /// A section: its number of entries, and its bytes.
@@ -258,8 +302,7 @@ impl<'a> FrameOfData<'a> {
     pub fn read(body: &'a [u8], version: Bitstream) -> Option<Self> {
         let mut cursor = Cursor::new(body);
         let number = cursor.get()?;
-        let mut section =
-            |walk, is_exact| Section::read(&mut cursor, version, walk, is_exact);
+        let mut section = |walk, is_exact| Section::read(&mut cursor, version, walk, is_exact);
         let marker_sets = section(walk_marker_set, false)?;
         let others = section(walk_position, false)?;
         let bodies = section(walk_body, false)?;
@@ -269,17 +312,19 @@ impl<'a> FrameOfData<'a> {
         let plates = section(walk_sampled, true)?;
         let devices =
             if version.has_devices() { section(walk_sampled, true)?.content } else { &[] };
-        let end = FrameEnd::read(&mut cursor, version)?;
+        let (end, has_tag) = FrameEnd::read(&mut cursor, version)?;
         let frame = Self {
             version,
             number,
             marker_sets: marker_sets.content,
             others: others.content,
+            bodies,
             labelled: labelled.content,
             plates: plates.content,
             devices,
             n_bodies: [bodies.count, skeletons.count, n_assets],
             end,
+            has_tag,
         };
         cursor.end(frame)
     }
@@ -288,6 +333,16 @@ impl<'a> FrameOfData<'a> {
     pub fn markers(&self) -> impl Iterator<Item = WireMarker> + use<'a> {
         let (mut cursor, version) = (Cursor::new(self.labelled), self.version);
         std::iter::from_fn(move || WireMarker::read(&mut cursor, version))
+    }
+
+    /// Rigid bodies; none if those of a later version have another size.
+    pub fn bodies(&self) -> impl Iterator<Item = WireBody> + use<'a> {
+        let version = self.version;
+        let Section { count, content } = self.bodies;
+        let bytes = usize::try_from(count).ok().and_then(|count| count.checked_mul(BODY_BYTES));
+        let fits = !version.has_sizes() || bytes == Some(content.len());
+        let mut cursor = Cursor::new(if fits { content } else { &[] });
+        std::iter::from_fn(move || WireBody::read(&mut cursor, version))
     }
 
     /// Positions of the section of markers without a set: before bitstream 3.0 the unlabelled ones.
@@ -418,6 +473,8 @@ pub struct FrameToSend<'a> {
     pub number: u32,
     /// The marker sets.
     pub sets: &'a [SetToSend<'a>],
+    /// The rigid bodies.
+    pub bodies: &'a [WireBody],
     /// Ids of skeletons, which are sent without bones.
     pub skeletons: &'a [u32],
     /// Labelled markers.
@@ -473,7 +530,9 @@ pub fn put_frame(frame: &FrameToSend<'_>, version: Bitstream, out: &mut Vec<u8>)
         put_section(others.len(), version, out, |out| {
             others.iter().for_each(|marker| marker.position_m.put(out));
         });
-        put_section(0, version, out, |_| {});
+        put_section(frame.bodies.len(), version, out, |out| {
+            frame.bodies.iter().for_each(|body| body.put(version, out));
+        });
         put_section(frame.skeletons.len(), version, out, |out| {
             for id in frame.skeletons {
                 id.put(out);

@@ -1,6 +1,7 @@
 //! The driver of NatNet: its state, and the commands of the recorder.
 
 use super::{
+    bodies::BodyTable,
     message::{Bitstream, Message, MessageKind, ServerInfo, put_echo, put_message, put_text},
     model::Model,
     names::MarkerNames,
@@ -105,6 +106,7 @@ pub struct NatNetHost {
     pub(super) names: MarkerNames,
     pub(super) labels: LabelTable,
     pub(super) unlabelled: UnlabelledIds,
+    pub(super) bodies: BodyTable,
     pub(super) sampled: SampledGroups,
     pub(super) samples_per_frame: Option<u32>,
     /// When the definitions were requested during the stream, if they have not come.
@@ -151,6 +153,7 @@ impl NatNetHost {
             names: MarkerNames::default(),
             labels: LabelTable::default(),
             unlabelled: UnlabelledIds::default(),
+            bodies: BodyTable::default(),
             sampled: SampledGroups::default(),
             samples_per_frame: None,
             awaits_model_ns: None,
@@ -318,6 +321,7 @@ impl NatNetHost {
         if std::mem::take(&mut self.todo.hello) {
             on_event(DeviceEvent::Hello(&self.hello));
             on_event(DeviceEvent::Markers(&self.labels.markers()));
+            on_event(DeviceEvent::Bodies(&self.bodies.infos));
             self.sampled.infos().for_each(|info| on_event(DeviceEvent::SampledGroup(info)));
         }
         if std::mem::take(&mut self.todo.stop) {
@@ -333,7 +337,7 @@ impl NatNetHost {
         }
         if std::mem::take(&mut self.todo.start) {
             self.run = StreamRun::default();
-            self.awaits_model_ns = None;
+            (self.awaits_model_ns, self.model_request_ns) = (None, 0);
             self.state = SessionState::Starting;
             self.step_ns = self.line.now_ns();
             if let Some(source) = self.source {

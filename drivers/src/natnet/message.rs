@@ -127,6 +127,22 @@ pub fn read_echo_reply(body: &[u8]) -> Option<(u64, u64)> {
     body.end(reply)
 }
 
+/// Appends a search for servers by a program of this name, whose newest bitstream is `version`.
+pub fn put_discovery(name: &str, app_version: [u8; 4], version: Bitstream, out: &mut Vec<u8>) {
+    put_message(MessageKind::Discovery, out, |out| put_sender(name, app_version, version, out));
+}
+
+/// Who a message is from: name, version, and the version of the bitstream.
+fn put_sender(name: &str, app_version: [u8; 4], version: Bitstream, out: &mut Vec<u8>) {
+    // The last byte of the field is a NUL.
+    let mut field = [0; NAME_BYTES];
+    let bytes = field.iter_mut().take(NAME_BYTES - 1).zip(name.bytes());
+    bytes.for_each(|(to, from)| *to = from);
+    out.extend_from_slice(&field);
+    out.extend_from_slice(&app_version);
+    out.extend_from_slice(&[version.major, version.minor, 0, 0]);
+}
+
 /// Longest text of a server's that is kept, in characters.
 const TEXT_CHARS_MAX: usize = 160;
 
@@ -193,9 +209,9 @@ impl FromStr for Bitstream {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let parsed = text.split_once('.').and_then(|(major, minor)| {
-            Some(Self::new(major.parse().ok()?, minor.parse().ok()?))
-        });
+        let parsed = text
+            .split_once('.')
+            .and_then(|(major, minor)| Some(Self::new(major.parse().ok()?, minor.parse().ok()?)));
         parsed.ok_or_else(|| format!("'{text}' is not a version: give one such as 4.1"))
     }
 }
@@ -246,14 +262,7 @@ impl ServerInfo {
     /// Appends the message.
     pub fn put(&self, out: &mut Vec<u8>) {
         put_message(MessageKind::ServerInfo, out, |out| {
-            let name = self.name.as_bytes();
-            // The last byte of the field is a NUL.
-            let mut field = [0; NAME_BYTES];
-            let bytes = field.iter_mut().take(NAME_BYTES - 1).zip(name);
-            bytes.for_each(|(to, from)| *to = *from);
-            out.extend_from_slice(&field);
-            out.extend_from_slice(&self.app_version);
-            out.extend_from_slice(&[self.bitstream.major, self.bitstream.minor, 0, 0]);
+            put_sender(&self.name, self.app_version, self.bitstream, out);
             if let Some(stream) = self.stream {
                 stream.clock_hz.put(out);
                 stream.port.put(out);

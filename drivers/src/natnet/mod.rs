@@ -3,6 +3,7 @@
 //! [`NatNetHost`] is the client's end, sans-io; it sends [line commands](crate::transport::polled). What a server says and
 //! understands is in the same modules, so that both ends have one description of every message.
 
+mod bodies;
 mod bring_up;
 mod frame;
 mod host;
@@ -19,12 +20,12 @@ pub use self::{
     frame::{
         ChannelSamples, FrameEnd, FrameOfData, FrameToSend, HAS_MODEL, MEASURED, MODEL_FILLED,
         MODELS_CHANGED, OCCLUDED, SampledData, SampledToSend, SetPositions, SetToSend, UNLABELLED,
-        WireMarker, put_frame,
+        WireBody, WireMarker, put_frame,
     },
     host::NatNetHost,
     message::{
         Bitstream, HEADER_BYTES, MESSAGE_BYTES_MAX, Message, MessageKind, ServerInfo, StreamInfo,
-        put_echo, put_message, put_text, read_echo_reply,
+        put_discovery, put_echo, put_message, put_text, read_echo_reply,
     },
     model::{Asset, AssetKind, MarkerSet, Model, ModelError, SampledDescription},
     server::{CLIENTS_MAX, NatNetServer, ServedStream, ServerDatagram, ServerSettings},

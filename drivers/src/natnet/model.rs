@@ -229,19 +229,34 @@ impl Model {
         Some(())
     }
 
-    /// Appends the message: marker sets, skeletons without bones, force plates without geometry, and devices. Descriptions of
+    /// Appends the message: marker sets, rigid bodies without markers, skeletons without bones, force plates without geometry, and devices. Descriptions of
     /// force plates and devices are left out before bitstream 3.0, which has none.
     pub fn put(&self, version: Bitstream, out: &mut Vec<u8>) {
         let has_sampled = version.major >= 3;
-        let skeletons = || self.assets.iter().filter(|asset| asset.kind == AssetKind::Skeleton);
+        let of_kind = |kind| self.assets.iter().filter(move |asset| asset.kind == kind);
+        let bodies = || of_kind(AssetKind::RigidBody);
+        let skeletons = || of_kind(AssetKind::Skeleton);
         let sampled = || self.sampled.iter().filter(|_| has_sampled);
         put_message(MessageKind::Model, out, |out| {
-            let count = self.sets.len() + skeletons().count() + sampled().count();
+            let count =
+                self.sets.len() + bodies().count() + skeletons().count() + sampled().count();
             (count as u32).put(out);
             for set in &self.sets {
                 put_description(MARKER_SET, version, out, |out| {
                     put_name(&set.name, out);
                     put_names(&set.markers, out);
+                });
+            }
+            for asset in bodies() {
+                put_description(RIGID_BODY, version, out, |out| {
+                    put_name(&asset.name, out);
+                    asset.id.put(out);
+                    // No parent, and at its place.
+                    (-1_i32).put(out);
+                    [0.0_f32; 3].put(out);
+                    if has_sampled {
+                        0_u32.put(out);
+                    }
                 });
             }
             for asset in skeletons() {

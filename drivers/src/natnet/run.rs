@@ -8,7 +8,7 @@ use super::{
     names::is_labelled,
 };
 use crate::{
-    device::{DeviceEvent, Frame, LinkBudget, MarkerSample, Status},
+    device::{DeviceEvent, Frame, LinkBudget, MarkerSample, PoseFrame, Status},
     transport::{DatagramSource, polled::LineCommand},
 };
 
@@ -59,8 +59,12 @@ pub(super) struct StreamRun {
     is_port_open: bool,
     /// Frames whose sets were searched for names.
     searches: u32,
-    /// Frames that wait for definitions.
-    held: Vec<Vec<u8>>,
+    /// Number of the last frame, late or not.
+    number: u32,
+    /// Whether the definitions may have changed.
+    doubts_model: bool,
+    /// Frames that wait for definitions, each with its layout.
+    held: Vec<(Bitstream, Vec<u8>)>,
     /// Frames of an unknown layout.
     misfits: u64,
     /// Frames without the time of their exposure.
@@ -82,7 +86,7 @@ impl StreamRun {
 }
 
 /// Metres as millimetres, rounded once.
-fn in_mm(position_m: [f32; 3]) -> [f32; 3] {
+pub(super) fn in_mm(position_m: [f32; 3]) -> [f32; 3] {
     position_m.map(|metres| (f64::from(metres) * 1000.0) as f32)
 }
 
@@ -119,7 +123,8 @@ impl NatNetHost {
         let layouts =
             [Bitstream::NEWEST, Bitstream::new(3, 1), Bitstream::new(2, 11), Bitstream::OLDEST];
         let found = layouts.into_iter().find_map(|version| {
-            Some((version, FrameOfData::read(body, version)?))
+            let frame = FrameOfData::read(body, version).filter(|frame| frame.has_tag)?;
+            Some((version, frame))
         });
         let (version, frame) = found?;
         self.remarks.push(format!(
@@ -153,13 +158,17 @@ impl NatNetHost {
         if self.version != before {
             self.pass_remarks(on_event);
         }
-        if frame.end.flags & MODELS_CHANGED != 0 {
+        // The frame that states a change may be lost, and nobody listens before a start.
+        let is_next = frame.number == self.run.number.wrapping_add(1);
+        self.run.doubts_model |= frame.end.flags & MODELS_CHANGED != 0 || !is_next;
+        self.run.number = frame.number;
+        if self.run.doubts_model {
             self.request_model();
         }
         if self.run.held.is_empty() && self.awaits_model_ns.is_none() {
             return self.decode(&frame, on_event);
         }
-        self.run.held.push(body.to_vec());
+        self.run.held.push((self.version, body.to_vec()));
         if self.run.held.len() >= HELD_MAX {
             self.release_held(on_event);
         }
@@ -173,6 +182,7 @@ impl NatNetHost {
         if is_due && self.awaits_model_ns.is_none() {
             self.awaits_model_ns = Some(now_ns);
             self.model_request_ns = now_ns.max(1);
+            self.run.doubts_model = false;
             self.send_empty(MessageKind::RequestModel);
         }
     }
@@ -180,8 +190,8 @@ impl NatNetHost {
     /// Decodes the frames that waited for definitions.
     fn release_held(&mut self, on_event: EventSink<'_>) {
         self.awaits_model_ns = None;
-        for body in std::mem::take(&mut self.run.held) {
-            if let Some(frame) = FrameOfData::read(&body, self.version) {
+        for (version, body) in std::mem::take(&mut self.run.held) {
+            if let Some(frame) = FrameOfData::read(&body, version) {
                 self.decode(&frame, on_event);
             }
         }
@@ -190,7 +200,7 @@ impl NatNetHost {
     /// The definitions came again.
     pub(super) fn on_new_model(&mut self, message: &Message<'_>, on_event: EventSink<'_>) {
         let before = self.labels.markers();
-        let sampled = self.model.sampled.clone();
+        let (sampled, bodies) = (self.model.sampled.clone(), self.bodies.infos.clone());
         self.read_model(message.body);
         self.use_model();
         self.run.searches = 0;
@@ -199,6 +209,9 @@ impl NatNetHost {
             on_event(DeviceEvent::Markers(&now));
             let n = now.len();
             self.note(&format!("the server's definitions changed: {n} labels"), on_event);
+        }
+        if self.bodies.infos != bodies {
+            on_event(DeviceEvent::Bodies(&self.bodies.infos));
         }
         if self.model.sampled != sampled {
             self.note(
@@ -248,6 +261,15 @@ impl NatNetHost {
             timecode: timecode(frame.end.timecode),
             markers: &self.samples,
         }));
+        if !self.bodies.infos.is_empty() {
+            let poses = self.bodies.poses(frame);
+            on_event(DeviceEvent::Poses(PoseFrame {
+                seq,
+                number: seq,
+                device_ticks: ticks,
+                poses,
+            }));
+        }
         self.sampled.pass_on(frame, index, ticks, on_event);
     }
 
@@ -257,9 +279,8 @@ impl NatNetHost {
             self.run.searches += 1;
             self.names.learn(frame, self.version);
         }
-        let is_known = |marker: WireMarker| {
-            !is_labelled(&marker, self.version) || self.names.knows(marker.id)
-        };
+        let is_known =
+            |marker: WireMarker| !is_labelled(&marker, self.version) || self.names.knows(marker.id);
         if frame.markers().all(is_known) {
             self.samples.clear();
             self.unlabelled.begin_frame();
@@ -334,10 +355,9 @@ impl NatNetHost {
         if self.awaits_model_ns.is_some_and(|at_ns| now_ns.saturating_sub(at_ns) > MODEL_WAIT_NS) {
             self.release_held(on_event);
             // It may have been lost on the way.
-            self.model_request_ns = 0;
+            self.run.doubts_model = true;
         }
-        let is_idle =
-            self.run.frames == 0 && now_ns.saturating_sub(self.run.began_ns) > IDLE_NS;
+        let is_idle = self.run.frames == 0 && now_ns.saturating_sub(self.run.began_ns) > IDLE_NS;
         if is_idle && self.source.is_none() && !self.run.is_port_open {
             // Servers differ in where they send frames for one client: to the socket of its commands, or to this port.
             self.run.is_port_open = true;
@@ -378,9 +398,20 @@ impl NatNetHost {
     pub(super) fn report_end(&mut self, on_event: EventSink<'_>) {
         self.release_held(on_event);
         let run = &mut self.run;
+        if run.frames > 0 && !self.bodies.infos.is_empty() {
+            let (seq, device_ticks) = (run.last.wrapping_add(1), run.last_ticks);
+            let poses = PoseFrame { seq, number: seq, device_ticks, poses: &[] };
+            on_event(DeviceEvent::Poses(poses));
+        }
         let counts = [
-            (&mut run.filled, "samples were computed by the server from other markers, not measured"),
-            (&mut run.without_exposure, "frames have no time of exposure: that of their arrival is used"),
+            (
+                &mut run.filled,
+                "samples were computed by the server from other markers, not measured",
+            ),
+            (
+                &mut run.without_exposure,
+                "frames have no time of exposure: that of their arrival is used",
+            ),
             (&mut run.excess, "unlabelled samples were left out: too many at once"),
             (
                 &mut self.sampled.n_misfits,

@@ -57,9 +57,8 @@ impl SampledGroups {
             groups.add(description, n_samples, rate_millihertz);
         }
         for data in seen() {
-            let is_new = |group: &SampledGroup| {
-                (group.is_plate, group.wire_id) != (data.is_plate, data.id)
-            };
+            let is_new =
+                |group: &SampledGroup| (group.is_plate, group.wire_id) != (data.is_plate, data.id);
             if groups.groups.iter().all(is_new)
                 && let Some(n_samples) = samples_of(data)
             {
@@ -119,9 +118,8 @@ impl SampledGroups {
         on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) {
         for data in frame.sampled() {
-            let is_its = |group: &&SampledGroup| {
-                (group.is_plate, group.wire_id) == (data.is_plate, data.id)
-            };
+            let is_its =
+                |group: &&SampledGroup| (group.is_plate, group.wire_id) == (data.is_plate, data.id);
             let found = self.groups.iter().find(is_its);
             let Some(group) = found.filter(|group| fits(group, &data)) else {
                 self.n_misfits += u64::from(data.n_channels > 0);

@@ -5,11 +5,11 @@
 use std::net::{IpAddr, SocketAddr, SocketAddrV4};
 
 use super::{
+    frame::{FrameToSend, put_frame},
     message::{
         Bitstream, MESSAGE_BYTES_MAX, Message, MessageKind, ServerInfo, StreamInfo, put_echo,
         put_message, put_text,
     },
-    frame::{FrameToSend, put_frame},
     model::Model,
 };
 use crate::bytes::Cursor;

@@ -4,7 +4,7 @@ use mocapd_drivers::{
     device::MarkerSample,
     natnet::{
         Asset, AssetKind, FrameEnd, FrameToSend, HAS_MODEL, MEASURED, MarkerSet, Model,
-        NatNetServer, OCCLUDED, SampledDescription, SampledToSend, SetToSend, UNLABELLED,
+        NatNetServer, OCCLUDED, SampledDescription, SampledToSend, SetToSend, UNLABELLED, WireBody,
         WireMarker,
     },
 };
@@ -16,6 +16,9 @@ use crate::{generator::PLATE_COMPONENTS, sampled::SampledSource};
 /// Diameter of every marker, and its residual, which motions do not have.
 const MARKER_SIZE_M: f32 = 0.014;
 const RESIDUAL_M: f32 = 0.000_25;
+
+/// Radians by which a rigid body turns in a frame.
+const TURN_PER_FRAME: f64 = 0.01;
 
 /// Id of the first unlabelled marker: unlike a marker's place, so that nobody can take one for the other.
 const FIRST_ID: u32 = 1000;
@@ -43,6 +46,7 @@ pub(super) struct Content {
     samples_per_frame: Vec<u64>,
     devices: Vec<SampledDevice>,
     positions_m: Vec<Vec<[f32; 3]>>,
+    bodies: Vec<WireBody>,
     labelled: Vec<WireMarker>,
     unlabelled: Vec<WireMarker>,
     /// Samples of each device: one channel after another.
@@ -93,6 +97,13 @@ impl Content {
                 columns.push(column);
             }
         }
+        for name in &settings.rigid_bodies {
+            let named = |asset: &&mut Asset| asset.name == *name;
+            match model.assets.iter_mut().find(named) {
+                Some(asset) => asset.kind = AssetKind::RigidBody,
+                None => return Err(NatNetError::NoSuchAsset { name: name.clone() }),
+            }
+        }
         let mut content = Self {
             model,
             positions_m: assets.iter().map(|_| Vec::new()).collect(),
@@ -101,6 +112,7 @@ impl Content {
             sources: settings.sampled.clone(),
             samples_per_frame: Vec::new(),
             devices: Vec::new(),
+            bodies: Vec::new(),
             labelled: Vec::new(),
             unlabelled: Vec::new(),
             samples: Vec::new(),
@@ -128,8 +140,7 @@ impl Content {
             if !is_plate && !version.has_devices() {
                 return Err(NatNetError::NoDevices { version });
             }
-            let n_channels =
-                if is_plate { PLATE_COMPONENTS.len() } else { info.channels.len() };
+            let n_channels = if is_plate { PLATE_COMPONENTS.len() } else { info.channels.len() };
             for (index, channels) in info.channels.chunks(n_channels).enumerate() {
                 let of_kind = |device: &&SampledDevice| device.is_plate == is_plate;
                 let id = self.devices.iter().filter(of_kind).count() as u32 + 1;
@@ -202,7 +213,32 @@ impl Content {
         self.unlabelled.extend(seen);
         let ghosts = ghosts.iter().map(|ghost| unlabelled(ghost.id.into(), ghost.position_mm));
         self.unlabelled.extend(ghosts);
+        self.fill_bodies(played);
         self.fill_samples(played);
+    }
+
+    /// A rigid body is where its markers are on average, and turns about the vertical; with a marker hidden it is lost.
+    fn fill_bodies(&mut self, played: u64) {
+        self.bodies.clear();
+        for (asset, positions_m) in self.model.assets.iter().zip(&self.positions_m) {
+            if asset.kind != AssetKind::RigidBody {
+                continue;
+            }
+            let is_tracked = !positions_m.contains(&[0.0; 3]);
+            let n = positions_m.len().max(1) as f64;
+            let mean = |axis: usize| {
+                let values = positions_m.iter().filter_map(|position| position.get(axis));
+                (values.map(|value| f64::from(*value)).sum::<f64>() / n) as f32
+            };
+            let half = played as f64 * TURN_PER_FRAME / 2.0;
+            self.bodies.push(WireBody {
+                id: asset.id,
+                position_m: [mean(0), mean(1), mean(2)],
+                quaternion_xyzw: [0.0, half.sin() as f32, 0.0, half.cos() as f32],
+                error_m: RESIDUAL_M,
+                is_tracked,
+            });
+        }
     }
 
     fn fill_samples(&mut self, played: u64) {
@@ -238,7 +274,8 @@ impl Content {
             .zip(&self.positions_m)
             .map(|(set, positions_m)| SetToSend { name: &set.name, positions_m })
             .collect();
-        let skeletons: Vec<u32> = self.model.assets.iter().map(|asset| asset.id).collect();
+        let skeletons = self.model.assets.iter().filter(|a| a.kind == AssetKind::Skeleton);
+        let skeletons: Vec<u32> = skeletons.map(|asset| asset.id).collect();
         let of_kind = |is_plate: bool| -> Vec<SampledToSend<'_>> {
             let all = self.devices.iter().zip(&self.samples);
             let some = all.filter(|(device, _)| device.is_plate == is_plate);
@@ -253,6 +290,7 @@ impl Content {
         let frame = FrameToSend {
             number,
             sets: &sets,
+            bodies: &self.bodies,
             skeletons: &skeletons,
             labelled: &self.labelled,
             unlabelled: &self.unlabelled,

@@ -53,6 +53,8 @@ pub struct NatNetSettings {
     pub bitstream: Bitstream,
     /// How frames are sent.
     pub stream: ServedStream,
+    /// Names of assets that are rigid bodies.
+    pub rigid_bodies: Vec<String>,
     /// Force plates, and devices.
     pub sampled: Vec<SampledSource>,
     /// Faults of frames, time, connection and definitions.
@@ -69,6 +71,7 @@ impl NatNetSettings {
             looping: false,
             bitstream: Bitstream::NEWEST,
             stream,
+            rigid_bodies: Vec::new(),
             sampled: Vec::new(),
             faults: None,
         }
@@ -94,7 +97,11 @@ pub enum NatNetError {
         kind: &'static str,
     },
     /// A version that is not known.
-    #[error("bitstream {version} is not known: give {} to {}", Bitstream::OLDEST, Bitstream::NEWEST)]
+    #[error(
+        "bitstream {version} is not known: give {} to {}",
+        Bitstream::OLDEST,
+        Bitstream::NEWEST
+    )]
     Bitstream {
         /// The version.
         version: Bitstream,
@@ -109,8 +116,16 @@ pub enum NatNetError {
         /// Frames per second.
         frame_hz: f64,
     },
+    /// No marker belongs to the asset.
+    #[error("no label begins with '{name}:', so that there is no such asset: check --rigid-body")]
+    NoSuchAsset {
+        /// Its name.
+        name: String,
+    },
     /// Devices are not part of it.
-    #[error("bitstream {version} has no devices, only force plates: give 2.11 or later, or remove --emg")]
+    #[error(
+        "bitstream {version} has no devices, only force plates: give 2.11 or later, or remove --emg"
+    )]
     NoDevices {
         /// The version.
         version: Bitstream,

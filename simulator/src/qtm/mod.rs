@@ -139,7 +139,9 @@ impl QtmDevice {
         }
         let no_faults = || Arc::new(Script { seed: 0, faults: Vec::new(), expect: None });
         let script = settings.faults.clone().unwrap_or_else(no_faults);
-        if let Some(kind) = script.faults.iter().map(|f| f.fault.kind()).find(|k| !happens(*k) || k.is_of_natnet()) {
+        if let Some(kind) =
+            script.faults.iter().map(|f| f.fault.kind()).find(|k| !happens(*k) || k.is_of_natnet())
+        {
             return Err(QtmError::Fault { kind: kind.name() });
         }
         let (labelled, unlabelled): (Vec<_>, Vec<_>) =

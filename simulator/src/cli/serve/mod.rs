@@ -303,7 +303,9 @@ fn device(
             let kinds = script.iter().flat_map(|script| &script.faults);
             if let Some(kind) = kinds.map(|f| f.fault.kind()).find(|kind| kind.is_of_natnet()) {
                 let name = kind.name();
-                return usage(&format!("{name} happens to a NatNet server only: add --protocol natnet"));
+                return usage(&format!(
+                    "{name} happens to a NatNet server only: add --protocol natnet"
+                ));
             }
             let sampled = input::sampled(args)?;
             let settings = DeviceSettings { faults: script.clone(), sampled, ..settings(args) };

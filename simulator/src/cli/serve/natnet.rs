@@ -29,6 +29,9 @@ pub(super) struct NatNetArgs {
     /// With --protocol natnet: version of the bitstream, 2.10 to 4.2 [default: 4.2]
     #[arg(long, value_name = "VERSION")]
     bitstream: Option<Bitstream>,
+    /// With --protocol natnet: the markers whose labels begin with NAME: are a rigid body, and not a skeleton (repeatable)
+    #[arg(long, value_name = "NAME")]
+    rigid_body: Vec<String>,
 }
 
 impl NatNetArgs {
@@ -39,6 +42,7 @@ impl NatNetArgs {
             ("--multicast", self.multicast.is_some()),
             ("--data-port", self.data_port.is_some()),
             ("--bitstream", self.bitstream.is_some()),
+            ("--rigid-body", !self.rigid_body.is_empty()),
         ];
         options.iter().find(|(_, is_given)| *is_given).map(|(option, _)| *option)
     }
@@ -59,9 +63,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     let n_markers = motion.info.markers.len();
     let natnet = &args.natnet;
     let stream = match natnet.multicast {
-        Some(group) => {
-            ServedStream::Multicast(group.unwrap_or_else(NatNetSettings::default_group))
-        }
+        Some(group) => ServedStream::Multicast(group.unwrap_or_else(NatNetSettings::default_group)),
         None => ServedStream::Unicast(natnet.data_port.unwrap_or(DATA_PORT)),
     };
     let settings = NatNetSettings {
@@ -69,6 +71,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         speed: args.speed,
         looping: args.looping,
         bitstream: natnet.bitstream.unwrap_or(Bitstream::NEWEST),
+        rigid_bodies: natnet.rigid_body.clone(),
         sampled: input::sampled(args)?,
         faults: input::script(args)?,
         ..NatNetSettings::new(stream)
