@@ -5,7 +5,7 @@ use super::{
     COMMAND_PORT, DATA_PORT, GROUP,
     frame::FrameOfData,
     host::{MS, NatNetHost, REPLY_TIMEOUT_NS, SessionState, Step},
-    message::{Bitstream, Message, MessageKind, ServerInfo},
+    message::{Bitstream, Message, MessageKind, ServerInfo, put_message},
     model::{AssetKind, Model, ModelError},
     names::MarkerNames,
     sampled::{SAMPLES_PER_FRAME_MAX, SampledGroups},
@@ -14,13 +14,19 @@ use crate::{
     bytes::WireValue,
     device::{BODIES_MAX, Hello},
     frame_axis::FrameAxis,
-    marker_ids::UNLABELLED_MAX,
-    transport::{DatagramSource, polled::LineCommand},
+    marker_ids::{LABELS_MAX, UNLABELLED_MAX},
+    transport::{
+        DatagramSource,
+        polled::{LineCommand, Request},
+    },
     uri::StreamMode,
 };
 
 /// Frame rates that cameras have, in Hz: more than the fastest at a reduced image.
 const RATE_HZ: std::ops::RangeInclusive<f32> = 1.0..=100_000.0;
+
+/// Ticks of a second, as the driver reports them.
+const TICK_HZ: u64 = 1_000_000_000;
 
 /// Time that the definitions have: a server that is busy with them lets the names come during the stream.
 const MODEL_TIMEOUT_NS: u64 = 2_000 * MS;
@@ -76,11 +82,18 @@ impl NatNetHost {
             return;
         }
         match step {
-            Step::Connect => self.fail(&format!(
+            Step::Connect => self.fail(&match self.line.stranger() {
+                Some(stranger) => format!(
+                    "no NatNet server answers at this address, but datagrams come from {}: use natnet:{}",
+                    stranger.ip(),
+                    stranger.ip()
+                ),
+                None => format!(
                 "no NatNet server answers: start Motive on that machine, switch on streaming in its Data Streaming pane, \
                  choose the network to this machine under Local Interface, and let its firewall pass UDP port \
                  {COMMAND_PORT}; local= names another interface of this machine"
-            )),
+                ),
+            }),
             Step::Bitstream => self.ask(Step::FrameRate),
             Step::FrameRate => self.fail(
                 "the server answers, but does not state its frame rate: it may be busy with another task; try again, or \
@@ -112,6 +125,15 @@ impl NatNetHost {
                 None => self.counters.messages_damaged += 1,
             },
             (Step::Bitstream, MessageKind::Response | MessageKind::Unrecognized) => {
+                // Servers reply with 0, or with the version.
+                let is_granted = kind == MessageKind::Response
+                    && (message.body == [0; 4] || message.text().starts_with("Bitstream"));
+                if !is_granted {
+                    self.remarks.push(format!(
+                        "the server does not change its bitstream to {}: what is unknown in its frames is skipped",
+                        Bitstream::NEWEST
+                    ));
+                }
                 self.ask(Step::FrameRate);
             }
             (Step::FrameRate, MessageKind::Response) => {
@@ -167,7 +189,14 @@ impl NatNetHost {
         let group = stream.map_or(GROUP, |stream| stream.group);
         // Some servers that do not use multicast state none.
         let group = if group.is_multicast() { group } else { GROUP };
-        let port = stream.map_or(DATA_PORT, |stream| stream.port);
+        let port = stream.map(|stream| stream.port).filter(|port| *port > 0).unwrap_or(DATA_PORT);
+        if !is_multicast {
+            // So that the server stops to send when the line is closed.
+            let mut message = Vec::new();
+            put_message(MessageKind::Disconnect, &mut message, |_| {});
+            let goodbye = Request::new(&message).into_iter().collect();
+            self.line.send(LineCommand::Goodbye(goodbye));
+        }
         self.source = is_multicast.then_some(DatagramSource { group: Some(group), port });
         self.version = stated.min(Bitstream::NEWEST);
         self.server = Some(server);
@@ -284,11 +313,19 @@ impl NatNetHost {
             rate_millihertz,
             rate_min_millihertz: rate_millihertz,
             rate_max_millihertz: rate_millihertz,
-            tick_hz: self.clock_hz().unwrap_or(1_000_000),
-            markers_max: (self.labels.n_labels() + UNLABELLED_MAX) as u16,
+            tick_hz: TICK_HZ,
+            markers_max: (self.labels.n_labels().min(LABELS_MAX) + UNLABELLED_MAX) as u16,
             ..Hello::default()
         };
         self.axis = FrameAxis::new(rate_millihertz);
+        self.line.send(LineCommand::StopListening);
+        self.first_version = self.version;
         self.state = SessionState::Ready;
+    }
+
+    /// The server's clock in nanoseconds: a take states one rate of the clock, and a server that comes back may have another.
+    pub(super) fn in_ns(&self, ticks: u64) -> u64 {
+        let hz = u128::from(self.clock_hz().unwrap_or(TICK_HZ));
+        u64::try_from(u128::from(ticks) * u128::from(TICK_HZ) / hz).unwrap_or(u64::MAX)
     }
 }

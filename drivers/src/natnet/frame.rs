@@ -20,6 +20,9 @@ pub const HAS_MODEL: u16 = 0x08;
 /// It has no label; from bitstream 3.0 on.
 pub const UNLABELLED: u16 = 0x10;
 
+/// It sends its own id; from bitstream 3.0 on.
+pub const ACTIVE: u16 = 0x20;
+
 /// Models have changed since the frame before.
 pub const MODELS_CHANGED: u16 = 0x02;
 
@@ -327,6 +330,12 @@ impl<'a> FrameOfData<'a> {
             has_tag,
         };
         cursor.end(frame)
+    }
+
+    /// Whether the flags of its markers tell the labelled ones, as from bitstream 3.0 on.
+    #[must_use]
+    pub fn has_flags(&self) -> bool {
+        self.version.has_ticks()
     }
 
     /// Labelled markers; from bitstream 3.0 on the unlabelled ones, too.

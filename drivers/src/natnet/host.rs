@@ -33,6 +33,9 @@ pub(super) const REPLY_TIMEOUT_NS: u64 = 3_000 * MS;
 /// A server from which nothing has arrived for this long is asked whether it is there.
 const CHECK_AFTER_NS: u64 = 2_000 * MS;
 
+/// A stream without a frame for this long is joined again, and explained.
+pub(super) const NO_FRAMES_NS: u64 = 3_000 * MS;
+
 /// How often a server that sends frames to this machine alone is told that it is still there: several times before any
 /// server is known to give up.
 const KEEP_ALIVE_NS: u64 = 1_000 * MS;
@@ -98,8 +101,9 @@ pub struct NatNetHost {
     pub(super) counters: LinkCounters,
     pub(super) hello: Hello,
     pub(super) server: Option<ServerInfo>,
-    /// The layout of frames and definitions.
+    /// The layout of frames and definitions, and the one with which the stream began.
     pub(super) version: Bitstream,
+    pub(super) first_version: Bitstream,
     /// The group of frames; `None` when they are sent to this machine.
     pub(super) source: Option<DatagramSource>,
     pub(super) model: Model,
@@ -115,6 +119,8 @@ pub struct NatNetHost {
     /// Whether frames came, on this line or an earlier one.
     pub(super) had_frames: bool,
     pub(super) samples: Vec<MarkerSample>,
+    /// The frame, counted from 1, in which each labelled marker was last.
+    pub(super) seen: Vec<u64>,
     pub(super) axis: FrameAxis,
     pub(super) run: StreamRun,
     /// What the server leaves open: one line each, for the take.
@@ -148,6 +154,7 @@ impl NatNetHost {
             hello: Hello::default(),
             server: None,
             version: Bitstream::NEWEST,
+            first_version: Bitstream::NEWEST,
             source: None,
             model: Model::default(),
             names: MarkerNames::default(),
@@ -160,6 +167,7 @@ impl NatNetHost {
             model_request_ns: 0,
             had_frames: false,
             samples: Vec::new(),
+            seen: Vec::new(),
             axis: FrameAxis::default(),
             run: StreamRun::default(),
             remarks: Vec::new(),
@@ -226,11 +234,12 @@ impl NatNetHost {
             }
             (MessageKind::Model, SessionState::Streaming) => self.on_new_model(message, on_event),
             (MessageKind::EchoReply, SessionState::Streaming) => self.on_echo(message, on_event),
+            (MessageKind::Model, SessionState::Starting) => self.on_new_model(message, on_event),
             (MessageKind::Response, SessionState::Starting) => {
                 self.state = SessionState::Streaming;
                 self.report_started(on_event);
             }
-            (MessageKind::ServerInfo, SessionState::Streaming) => self.note_idle(on_event),
+
             (MessageKind::DisconnectByTimeout, SessionState::Streaming) => {
                 self.note("the server took mocapd for gone: connecting again", on_event);
                 self.send_text(MessageKind::Connect, "Ping");
@@ -245,7 +254,8 @@ impl NatNetHost {
 
     fn on_echo(&mut self, message: &Message<'_>, on_event: EventSink<'_>) {
         match super::message::read_echo_reply(message.body) {
-            Some((host_ns, device_ticks)) => {
+            Some((host_ns, ticks)) => {
+                let device_ticks = self.in_ns(ticks);
                 on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks }));
             }
             None => self.counters.messages_damaged += 1,
@@ -308,8 +318,10 @@ impl NatNetHost {
         }
     }
 
-    /// Sends a request whose reply separates the frames of this stream from those that wait.
+    /// Asks for the definitions, which may have changed since the bring-up, and sends a request whose reply separates the
+    /// frames of this stream from those that wait.
     fn send_fence(&mut self) {
+        self.send_empty(MessageKind::RequestModel);
         self.send_text(MessageKind::Request, "FrameRate");
     }
 
@@ -337,7 +349,9 @@ impl NatNetHost {
         }
         if std::mem::take(&mut self.todo.start) {
             self.run = StreamRun::default();
-            (self.awaits_model_ns, self.model_request_ns) = (None, 0);
+            self.seen.clear();
+            self.awaits_model_ns = None;
+            self.model_request_ns = self.line.now_ns();
             self.state = SessionState::Starting;
             self.step_ns = self.line.now_ns();
             if let Some(source) = self.source {

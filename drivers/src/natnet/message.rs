@@ -209,9 +209,12 @@ impl FromStr for Bitstream {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let parsed = text
-            .split_once('.')
-            .and_then(|(major, minor)| Some(Self::new(major.parse().ok()?, minor.parse().ok()?)));
+        // Clients may append more parts than count.
+        let mut parts = text.split('.').map(str::parse);
+        let parsed = match (parts.next(), parts.next()) {
+            (Some(Ok(major)), Some(Ok(minor))) => Some(Self::new(major, minor)),
+            _ => None,
+        };
         parsed.ok_or_else(|| format!("'{text}' is not a version: give one such as 4.1"))
     }
 }

@@ -18,9 +18,9 @@ use std::net::Ipv4Addr;
 
 pub use self::{
     frame::{
-        ChannelSamples, FrameEnd, FrameOfData, FrameToSend, HAS_MODEL, MEASURED, MODEL_FILLED,
-        MODELS_CHANGED, OCCLUDED, SampledData, SampledToSend, SetPositions, SetToSend, UNLABELLED,
-        WireBody, WireMarker, put_frame,
+        ACTIVE, ChannelSamples, FrameEnd, FrameOfData, FrameToSend, HAS_MODEL, MEASURED,
+        MODEL_FILLED, MODELS_CHANGED, OCCLUDED, SampledData, SampledToSend, SetPositions,
+        SetToSend, UNLABELLED, WireBody, WireMarker, put_frame,
     },
     host::NatNetHost,
     message::{

@@ -15,6 +15,9 @@ const DEVICE: u32 = 4;
 const CAMERA: u32 = 5;
 const ASSET: u32 = 6;
 
+/// The first bitstream whose descriptions of rigid bodies have a quaternion.
+const QUATERNION: Bitstream = Bitstream::new(4, 2);
+
 /// Bytes of a force plate's description between its serial number and its type: width, length, origin, a calibration of 12
 /// by 12 and four corners, all of them float32.
 const PLATE_GEOMETRY_BYTES: usize = 4 * (1 + 1 + 3 + 144 + 12);
@@ -143,9 +146,10 @@ impl Model {
         match kind {
             RIGID_BODY => {
                 let asset = read_body(content)?;
-                // From 4.2 on some writers have a quaternion in front of the markers: what fits the size is right.
+                // A quaternion is in front of the markers from 4.2 on, which not all know: what fits the size is right.
                 let mut markers = Vec::new();
-                for skipped in [0, 16] {
+                let skips = if version >= QUATERNION { [16, 0] } else { [0, 16] };
+                for skipped in skips {
                     let mut rest = *content;
                     if rest.bytes(skipped).is_none() {
                         continue;
@@ -254,6 +258,9 @@ impl Model {
                     // No parent, and at its place.
                     (-1_i32).put(out);
                     [0.0_f32; 3].put(out);
+                    if version >= QUATERNION {
+                        [0.0_f32, 0.0, 0.0, 1.0].into_iter().for_each(|value| value.put(out));
+                    }
                     if has_sampled {
                         0_u32.put(out);
                     }

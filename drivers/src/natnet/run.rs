@@ -3,9 +3,9 @@
 use super::{
     DATA_PORT,
     frame::{FrameOfData, MODEL_FILLED, MODELS_CHANGED, OCCLUDED, WireMarker},
-    host::{EventSink, MS, NatNetHost, REPEAT_NS},
+    host::{EventSink, MS, NO_FRAMES_NS, NatNetHost, REPEAT_NS},
     message::{Bitstream, Message, MessageKind},
-    names::is_labelled,
+    names::{MarkerNames, is_labelled},
 };
 use crate::{
     device::{DeviceEvent, Frame, LinkBudget, MarkerSample, PoseFrame, Status},
@@ -26,12 +26,12 @@ const HELD_MAX: usize = 64;
 /// Without a frame for so long, frames may come to another port, or not at all.
 const IDLE_NS: u64 = 1_000 * MS;
 
-/// Frames of an unknown layout in front of the first known one, after which the session is given up.
+/// Frames of an unknown layout in a row, after which the session is given up.
 const MISFITS_MAX: u64 = 16;
 
 /// Frames whose sets are searched for the markers of assets without a name, until other definitions come: some seconds, in
 /// which every marker is seen.
-const SEARCHES_MAX: u32 = 1024;
+const SEARCHES_MAX: u32 = 512;
 
 /// Ids of markers with an asset, but without a label: above all that unlabelled ones have.
 const NO_LABEL: u64 = 1 << 32;
@@ -45,8 +45,14 @@ const INDEX_BASE: u64 = 1 << 40;
 /// The state of a stream.
 #[derive(Debug, Default)]
 pub(super) struct StreamRun {
-    /// When frames were wanted.
-    began_ns: u64,
+    /// When the last frame came, or frames were wanted; and when their group was joined again.
+    last_frame_ns: u64,
+    joined_ns: u64,
+    /// Number and stamps of the last frame.
+    last_key: Option<(u32, [u64; 3])>,
+    /// Whether definitions were requested because they changed.
+    had_change: bool,
+    is_stranger_noted: bool,
     /// Counter of the first frame, and of the last that was not late; the latter also as the number of the frame.
     first: Option<u32>,
     last: u32,
@@ -59,7 +65,7 @@ pub(super) struct StreamRun {
     is_port_open: bool,
     /// Frames whose sets were searched for names.
     searches: u32,
-    /// Number of the last frame, late or not.
+    /// Number of the last frame that was not late.
     number: u32,
     /// Whether the definitions may have changed.
     doubts_model: bool,
@@ -72,6 +78,8 @@ pub(super) struct StreamRun {
     /// Markers whose positions are computed, and those without a channel.
     filled: u64,
     excess: u64,
+    /// Markers whose label was in their frame already.
+    repeated: u64,
 }
 
 impl StreamRun {
@@ -93,7 +101,7 @@ pub(super) fn in_mm(position_m: [f32; 3]) -> [f32; 3] {
 impl NatNetHost {
     /// Frames come from now on.
     pub(super) fn report_started(&mut self, on_event: EventSink<'_>) {
-        self.run.began_ns = self.line.now_ns();
+        self.run.last_frame_ns = self.line.now_ns();
         on_event(DeviceEvent::Started(LinkBudget {
             needed_bytes_per_s: 0,
             available_bytes_per_s: u64::MAX,
@@ -131,11 +139,6 @@ impl NatNetHost {
             "frames have the layout of bitstream {version}, and not of {}: it is used from here on",
             self.version
         ));
-        // Ticks and seconds cannot be told apart in a take that has begun with one of them.
-        if version.has_ticks() != self.version.has_ticks() && self.run.frames > 0 {
-            self.lose(format!("the server changed its bitstream to {version}"));
-            return None;
-        }
         self.version = version;
         Some(frame)
     }
@@ -143,27 +146,37 @@ impl NatNetHost {
     pub(super) fn on_frame(&mut self, body: &[u8], on_event: EventSink<'_>) {
         let before = self.version;
         let Some(frame) = self.read_frame(body) else {
-            self.counters.messages_damaged += 1;
-            self.run.misfits += 1;
-            if self.run.frames == 0 && self.run.misfits > MISFITS_MAX {
-                let (version, newest) = (self.version, Bitstream::NEWEST);
-                self.fail(&format!(
-                    "frames do not have the layout of bitstream {version}, nor any that mocapd reads ({} to {newest}): \
-                     install another version of the server",
-                    Bitstream::OLDEST
-                ));
-            }
-            return;
+            return self.on_misfit(on_event);
         };
+        let key = (frame.number, frame.end.ticks);
+        let is_copy = self.run.is_port_open && self.run.last_key == Some(key);
+        self.run.last_key = Some(key);
+        self.run.misfits = 0;
+        self.run.last_frame_ns = self.line.now_ns();
+        self.run.is_idle_noted = false;
+        if is_copy {
+            // A server that sends to both ports of this machine.
+            return;
+        }
+        if self.version.has_ticks() != self.first_version.has_ticks() {
+            // Times of another clock: the recorder joins the stream again.
+            self.release_held(on_event);
+            return self.lose(format!("the server changed its bitstream to {}", self.version));
+        }
         if self.version != before {
             self.pass_remarks(on_event);
         }
-        // The frame that states a change may be lost, and nobody listens before a start.
-        let is_next = frame.number == self.run.number.wrapping_add(1);
-        self.run.doubts_model |= frame.end.flags & MODELS_CHANGED != 0 || !is_next;
-        self.run.number = frame.number;
-        if self.run.doubts_model {
-            self.request_model();
+        let changed = frame.end.flags & MODELS_CHANGED != 0;
+        let ahead = frame.number.wrapping_sub(self.run.number).cast_signed();
+        if self.run.frames > 0 && ahead > 1 {
+            // The frame that states a change may be lost.
+            self.run.doubts_model = true;
+        }
+        if self.run.frames == 0 || ahead > 0 {
+            self.run.number = frame.number;
+        }
+        if changed || self.run.doubts_model {
+            self.request_model(changed);
         }
         if self.run.held.is_empty() && self.awaits_model_ns.is_none() {
             return self.decode(&frame, on_event);
@@ -174,25 +187,44 @@ impl NatNetHost {
         }
     }
 
-    /// Requests the definitions again; not for every frame, if a server keeps stating that they changed.
-    fn request_model(&mut self) {
-        let now_ns = self.line.now_ns();
-        let is_due = now_ns.saturating_sub(self.model_request_ns) > MODEL_INTERVAL_NS
-            || self.model_request_ns == 0;
-        if is_due && self.awaits_model_ns.is_none() {
-            self.awaits_model_ns = Some(now_ns);
-            self.model_request_ns = now_ns.max(1);
-            self.run.doubts_model = false;
-            self.send_empty(MessageKind::RequestModel);
+    /// A frame of an unknown layout. After many in a row the server has changed to another one.
+    fn on_misfit(&mut self, on_event: EventSink<'_>) {
+        self.counters.messages_damaged += 1;
+        self.run.misfits += 1;
+        if self.run.misfits > MISFITS_MAX {
+            self.release_held(on_event);
+            let (version, newest) = (self.version, Bitstream::NEWEST);
+            self.fail(&format!(
+                "frames do not have the layout of bitstream {version}, nor any that mocapd reads ({} to {newest}): \
+                 install another version of the server",
+                Bitstream::OLDEST
+            ));
         }
+    }
+
+    /// Requests the definitions again; not for every frame, if a server keeps stating that they changed. Frames wait for them
+    /// only if they have changed: those that wait are reported later than they arrived.
+    fn request_model(&mut self, changed: bool) {
+        let now_ns = self.line.now_ns();
+        let is_due = now_ns.saturating_sub(self.model_request_ns) > MODEL_INTERVAL_NS;
+        if self.awaits_model_ns.is_some() || !(is_due || changed && !self.run.had_change) {
+            self.run.doubts_model |= changed;
+            return;
+        }
+        self.awaits_model_ns = changed.then_some(now_ns);
+        self.run.had_change = changed;
+        self.run.doubts_model = false;
+        self.model_request_ns = now_ns;
+        self.send_empty(MessageKind::RequestModel);
     }
 
     /// Decodes the frames that waited for definitions.
     fn release_held(&mut self, on_event: EventSink<'_>) {
         self.awaits_model_ns = None;
         for (version, body) in std::mem::take(&mut self.run.held) {
-            if let Some(frame) = FrameOfData::read(&body, version) {
-                self.decode(&frame, on_event);
+            match FrameOfData::read(&body, version) {
+                Some(frame) => self.decode(&frame, on_event),
+                None => self.counters.messages_damaged += 1,
             }
         }
     }
@@ -226,21 +258,15 @@ impl NatNetHost {
     fn decode(&mut self, frame: &FrameOfData<'_>, on_event: EventSink<'_>) {
         self.samples.clear();
         self.unlabelled.begin_frame();
-        let mut unknown = false;
-        for marker in frame.markers() {
-            unknown |= is_labelled(&marker, self.version) && !self.names.knows(marker.id);
-            self.add_marker(&marker);
-        }
-        if unknown {
-            self.find_names(frame);
-        }
-        if !self.version.has_ticks() {
+        self.find_names(frame);
+        frame.markers().for_each(|marker| self.add_marker(&marker, frame.has_flags()));
+        if !frame.has_flags() {
             for (place, position_m) in frame.other_positions_m().enumerate() {
                 self.add_unlabelled(BY_PLACE + place as u64, position_m, 0);
             }
         }
         let ticks = self.ticks_of(frame);
-        let seq = self.axis.counter(frame.number, self.in_us(ticks));
+        let seq = self.axis.counter(frame.number, ticks / 1000);
         let run = &mut self.run;
         let index = match run.first {
             None => INDEX_BASE + u64::from(seq),
@@ -273,32 +299,30 @@ impl NatNetHost {
         self.sampled.pass_on(frame, index, ticks, on_event);
     }
 
-    /// Some markers have an asset that no definition names: its set may have the same positions, or the definitions are old.
+    /// Where markers have labels that no definition tells: their sets may have the same positions, or the definitions are old.
     fn find_names(&mut self, frame: &FrameOfData<'_>) {
+        let is_unknown = |names: &MarkerNames, marker: &WireMarker| {
+            is_labelled(marker, frame.has_flags()) && names.label(marker.id).is_none()
+        };
+        let has_unknown = |names: &MarkerNames| frame.markers().any(|m| is_unknown(names, &m));
+        if !has_unknown(&self.names) {
+            return;
+        }
         if self.run.searches < SEARCHES_MAX {
             self.run.searches += 1;
-            self.names.learn(frame, self.version);
-        }
-        let is_known =
-            |marker: WireMarker| !is_labelled(&marker, self.version) || self.names.knows(marker.id);
-        if frame.markers().all(is_known) {
-            self.samples.clear();
-            self.unlabelled.begin_frame();
-            frame.markers().for_each(|marker| self.add_marker(&marker));
-        } else {
-            let now_ns = self.line.now_ns();
-            if now_ns.saturating_sub(self.model_request_ns) > MODEL_INTERVAL_NS {
-                self.model_request_ns = now_ns;
-                self.send_empty(MessageKind::RequestModel);
+            self.names.learn(frame);
+            if !has_unknown(&self.names) {
+                return;
             }
         }
+        self.request_model(false);
     }
 
-    fn add_marker(&mut self, marker: &WireMarker) {
+    fn add_marker(&mut self, marker: &WireMarker, has_flags: bool) {
         // Metres per ray as hundredths of a millimetre; a negative one and NaN become 0.
         let residual_10um = (marker.residual_m * 1e5).round().clamp(0.0, 255.0) as u8;
         let is_seen = marker.flags & OCCLUDED == 0;
-        let labelled = is_labelled(marker, self.version);
+        let labelled = is_labelled(marker, has_flags);
         let label = self.names.label(marker.id).filter(|_| labelled);
         let Some(id) = label.and_then(|index| self.labels.id(index)) else {
             let of_asset = if labelled { NO_LABEL } else { 0 };
@@ -308,6 +332,10 @@ impl NatNetHost {
             }
             return;
         };
+        if !self.is_first(id) {
+            self.run.repeated += 1;
+            return;
+        }
         let position_mm = in_mm(marker.position_m);
         let is_finite = position_mm.iter().all(|value| value.is_finite());
         self.counters.samples_not_finite += u64::from(is_seen && !is_finite);
@@ -315,6 +343,16 @@ impl NatNetHost {
         let occluded = !is_seen || !is_finite;
         let position_mm = if occluded { [0.0; 3] } else { position_mm };
         self.samples.push(MarkerSample { id, occluded, residual_10um, position_mm });
+    }
+
+    /// Whether a labelled marker has not been in this frame yet.
+    fn is_first(&mut self, id: u16) -> bool {
+        let index = usize::from(id);
+        if self.seen.len() <= index {
+            self.seen.resize(index + 1, 0);
+        }
+        let frame = self.run.frames + 1;
+        self.seen.get_mut(index).is_some_and(|last| std::mem::replace(last, frame) != frame)
     }
 
     fn add_unlabelled(&mut self, vendor_id: u64, position_m: [f32; 3], residual_10um: u8) {
@@ -335,18 +373,13 @@ impl NatNetHost {
         let [exposure, received, _] = frame.end.ticks;
         if !self.has_clock() {
             // A negative time and NaN become 0.
-            return (frame.end.timestamp_s * 1e6).round() as u64;
+            return (frame.end.timestamp_s * 1e9).round() as u64;
         }
         if exposure != 0 {
-            return exposure;
+            return self.in_ns(exposure);
         }
         self.run.without_exposure += 1;
-        received
-    }
-
-    fn in_us(&self, ticks: u64) -> u64 {
-        let us = u128::from(ticks) * 1_000_000 / u128::from(self.hello.tick_hz.max(1));
-        u64::try_from(us).unwrap_or(u64::MAX)
+        self.in_ns(received)
     }
 
     /// What is due by the clock during a stream.
@@ -357,29 +390,62 @@ impl NatNetHost {
             // It may have been lost on the way.
             self.run.doubts_model = true;
         }
-        let is_idle = self.run.frames == 0 && now_ns.saturating_sub(self.run.began_ns) > IDLE_NS;
+        let idle_ns = now_ns.saturating_sub(self.run.last_frame_ns);
+        let is_idle = self.run.frames == 0 && idle_ns > IDLE_NS;
         if is_idle && self.source.is_none() && !self.run.is_port_open {
             // Servers differ in where they send frames for one client: to the socket of its commands, or to this port.
             self.run.is_port_open = true;
             let stream = self.server.as_ref().and_then(|server| server.stream);
-            let port = stream.map_or(DATA_PORT, |stream| stream.port);
+            let port = stream.map(|stream| stream.port).filter(|port| *port > 0);
+            let port = port.unwrap_or(DATA_PORT);
             self.line.send(LineCommand::Listen(DatagramSource { group: None, port }));
+        }
+        let since_joined_ns = now_ns.saturating_sub(self.run.joined_ns.max(self.run.last_frame_ns));
+        if since_joined_ns > NO_FRAMES_NS {
+            self.run.joined_ns = now_ns;
+            self.note_idle(on_event);
+            self.join_again();
+        }
+        if let Some(stranger) = self.line.stranger().filter(|_| self.run.frames > 0)
+            && !std::mem::replace(&mut self.run.is_stranger_noted, true)
+        {
+            self.note(
+                &format!(
+                    "datagrams of another NatNet server come from {stranger}: they are left out"
+                ),
+                on_event,
+            );
         }
     }
 
-    /// Explains, once, why the server answers and no frame has come.
-    pub(super) fn note_idle(&mut self, on_event: EventSink<'_>) {
-        if self.run.frames > 0 || std::mem::replace(&mut self.run.is_idle_noted, true) {
+    /// No frames come: a switch or an interface that went may have lost the membership, and the server its client.
+    fn join_again(&mut self) {
+        match self.source {
+            Some(source) => {
+                self.line.send(LineCommand::StopListening);
+                self.line.send(LineCommand::Listen(source));
+            }
+            None => self.send_text(MessageKind::Connect, "Ping"),
+        }
+    }
+
+    /// Explains, once for each silence, why no frame comes.
+    fn note_idle(&mut self, on_event: EventSink<'_>) {
+        if std::mem::replace(&mut self.run.is_idle_noted, true) {
             return;
         }
-        let text = match self.source {
-            Some(source) => format!(
-                "the server answers, but no frame has come from {source}: either it sends none (Motive: live, or playing), or \
-                 they go to another network (Motive: Local Interface; here: local=), or a firewall or a switch blocks \
-                 multicast; with Transmission Type Unicast they come to this machine alone"
+        let text = match (self.line.stranger(), self.source) {
+            (Some(stranger), _) => format!(
+                "no frame comes from the address in the URI, but datagrams come from {stranger}: use natnet:{}",
+                stranger.ip()
             ),
-            None => "the server answers, but no frame has come: either it sends none (Motive: live, or playing), or its \
-                     Transmission Type is not Unicast, or a firewall blocks UDP"
+            (None, Some(source)) => format!(
+                "no frame comes from {source}: either the server sends none (Motive: live, or playing), or they go to \
+                 another network (Motive: Local Interface; here: local=), or a firewall or a switch blocks multicast; with \
+                 Transmission Type Unicast they come to this machine alone"
+            ),
+            (None, None) => "no frame comes: either the server sends none (Motive: live, or playing), or its Transmission \
+                             Type is not Unicast, or a firewall blocks UDP"
                 .to_owned(),
         };
         self.note(&text, on_event);
@@ -412,6 +478,7 @@ impl NatNetHost {
                 &mut run.without_exposure,
                 "frames have no time of exposure: that of their arrival is used",
             ),
+            (&mut run.repeated, "samples of labels that were twice in a frame were left out"),
             (&mut run.excess, "unlabelled samples were left out: too many at once"),
             (
                 &mut self.sampled.n_misfits,

@@ -202,7 +202,14 @@ impl NatNetServer {
         self.reply(from, |server, out| server.info().put(out));
         let is_known = self.clients.iter().any(|client| client.address == from);
         let is_multicast = matches!(self.settings.stream, ServedStream::Multicast(_));
-        if !is_multicast && !is_known && self.clients.len() < CLIENTS_MAX {
+        if !is_multicast && !is_known {
+            if self.clients.len() >= CLIENTS_MAX {
+                // The one that has been silent for longest is gone most likely.
+                let oldest = self.clients.iter().enumerate().min_by_key(|(_, one)| one.last_ns);
+                if let Some(index) = oldest.map(|(index, _)| index) {
+                    self.clients.remove(index);
+                }
+            }
             let version = self.settings.bitstream;
             self.clients.push(Client { address: from, version, last_ns: now_ns });
         }
@@ -263,11 +270,11 @@ impl NatNetServer {
                     let mut bytes = Vec::new();
                     put_frame(frame, client.version, &mut bytes);
                     let ip = client.address.ip();
+                    fits &= self.push(client.address, bytes.clone());
                     if !machines.contains(&ip) && client.address.port() != port {
                         machines.push(ip);
-                        self.push(SocketAddr::new(ip, port), bytes.clone());
+                        self.push(SocketAddr::new(ip, port), bytes);
                     }
-                    fits &= self.push(client.address, bytes);
                     self.clients.push(client);
                 }
             }

@@ -10,7 +10,7 @@ pub mod usb;
 use std::{
     fmt::{self, Debug},
     io,
-    net::Ipv4Addr,
+    net::{Ipv4Addr, SocketAddrV4},
     time::Duration,
 };
 
@@ -88,6 +88,11 @@ pub trait Transport: Send + Debug {
 
     /// Stops receiving from that source.
     fn stop_listening(&mut self) {}
+
+    /// The last sender of datagrams that are not the device's, and are left out.
+    fn stranger(&self) -> Option<SocketAddrV4> {
+        self.inner()?.stranger()
+    }
 
     /// What the system grants this line less than was wanted, in one line that says what to do.
     fn remark(&self) -> Option<String> {

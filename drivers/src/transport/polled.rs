@@ -10,6 +10,7 @@
 //! Sender and receiver live on the reader's thread, and neither ever waits for the other.
 
 use std::{
+    net::{Ipv4Addr, SocketAddrV4},
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
@@ -93,9 +94,23 @@ pub struct LineCommandSender {
     commands: SyncSender<LineCommand>,
     now_ns: Arc<AtomicU64>,
     is_datagram: Arc<AtomicBool>,
+    stranger: Arc<AtomicU64>,
+}
+
+/// An address and a port as a number; 0 for none.
+fn packed(address: Option<SocketAddrV4>) -> u64 {
+    address
+        .map_or(0, |address| u64::from(u32::from(*address.ip())) << 16 | u64::from(address.port()))
 }
 
 impl LineCommandSender {
+    /// The last sender of datagrams that are not the device's.
+    #[must_use]
+    pub fn stranger(&self) -> Option<SocketAddrV4> {
+        let packed = self.stranger.load(Ordering::Relaxed);
+        let ip = Ipv4Addr::from((packed >> 16) as u32);
+        (packed != 0).then(|| SocketAddrV4::new(ip, packed as u16))
+    }
     /// Whether the bytes of the last read are one datagram, and no part of the stream.
     #[must_use]
     pub fn is_datagram(&self) -> bool {
@@ -120,9 +135,14 @@ pub struct LineCommandReceiver {
     commands: Receiver<LineCommand>,
     now_ns: Arc<AtomicU64>,
     is_datagram: Arc<AtomicBool>,
+    stranger: Arc<AtomicU64>,
 }
 
 impl LineCommandReceiver {
+    /// Publishes to the protocol who else sends datagrams.
+    pub fn set_stranger(&self, stranger: Option<SocketAddrV4>) {
+        self.stranger.store(packed(stranger), Ordering::Relaxed);
+    }
     /// Publishes to the protocol whether it gets a datagram next.
     pub fn set_datagram(&self, is_datagram: bool) {
         self.is_datagram.store(is_datagram, Ordering::Relaxed);
@@ -145,13 +165,15 @@ pub fn line_command_channel() -> (LineCommandSender, LineCommandReceiver) {
     let (sender, receiver) = sync_channel(LINE_COMMANDS_MAX);
     let now_ns = Arc::new(AtomicU64::new(0));
     let is_datagram = Arc::new(AtomicBool::new(false));
+    let stranger = Arc::new(AtomicU64::new(0));
     (
         LineCommandSender {
             commands: sender,
             now_ns: Arc::clone(&now_ns),
             is_datagram: Arc::clone(&is_datagram),
+            stranger: Arc::clone(&stranger),
         },
-        LineCommandReceiver { commands: receiver, now_ns, is_datagram },
+        LineCommandReceiver { commands: receiver, now_ns, is_datagram, stranger },
     )
 }
 
@@ -237,6 +259,7 @@ impl Transport for PolledTransport {
         let may_read = self.execute()?;
         let n = if may_read { self.line.read(buf)? } else { 0 };
         self.queue.set_datagram(n > 0 && self.line.arrival().is_datagram);
+        self.queue.set_stranger(self.line.stranger());
         self.publish_time();
         Ok(n)
     }

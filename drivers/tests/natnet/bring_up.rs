@@ -8,7 +8,7 @@ use mocapd_drivers::{
 
 use crate::{
     model::VERSIONS,
-    pair::{CLOCK_HZ, Driver, GROUP, LABELS, MS, Pair, client, settings},
+    pair::{Driver, GROUP, LABELS, MS, Pair, client, settings},
 };
 
 const MULTICAST: ServedStream = ServedStream::Multicast(GROUP);
@@ -24,8 +24,8 @@ fn every_version_is_set_up_by_multicast_and_unicast() {
             let hello = reported.hello.as_ref().unwrap();
             assert_eq!((&*hello.model, hello.rate_millihertz), ("Motive", 100_000));
             assert_eq!(hello.firmware, format!("3.1, NatNet {version}"));
-            let tick_hz = if version.has_ticks() { CLOCK_HZ } else { 1_000_000 };
-            assert_eq!((hello.tick_hz, hello.up_axis), (tick_hz, 0));
+
+            assert_eq!((hello.tick_hz, hello.up_axis), (1_000_000_000, 0));
             let labels: Vec<_> = reported.markers.iter().map(|m| &*m.label).collect();
             assert_eq!(labels, LABELS);
             assert_eq!(reported.groups.len(), if version.has_ticks() { 2 } else { 0 }, "{version}");

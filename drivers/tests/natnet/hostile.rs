@@ -8,7 +8,7 @@ use mocapd_testkit::random::Random;
 
 use crate::{
     model::VERSIONS,
-    pair::{GROUP, MS, Pair, client, frame_bytes, model, settings, ticks},
+    pair::{GROUP, MS, Pair, client, frame_bytes, model, settings, time_ns},
 };
 
 const N_MUTATIONS: u64 = 10_000;
@@ -105,7 +105,7 @@ fn the_driver_is_back_in_step_after_mutated_datagrams() {
         pair.driver.now_ns += 300 * MS;
         pair.steps(2);
         let found = pair.driver.reported.frames.get(before..).unwrap();
-        let time = if version.has_ticks() { ticks(900) } else { 9_000_000 };
+        let time = if version.has_ticks() { time_ns(900) } else { 9_000_000_000 };
         assert!(found.iter().any(|frame| frame.1 == time), "seed {seed}: {bytes:?}");
         let finite = |frame: &(u32, u64, Vec<mocapd_drivers::device::MarkerSample>)| {
             frame.2.iter().all(|s| s.occluded || s.position_mm.iter().all(|v| v.is_finite()))
@@ -185,7 +185,7 @@ fn clients_that_are_gone_or_too_many_cost_nothing() {
         "its own socket, and the port of its machine"
     );
     let keep_alive = [10, 0, 0, 0];
-    let one = std::net::SocketAddr::from(([10, 0, 0, 1], 20_000));
+    let one = std::net::SocketAddr::from(([10, 0, 49, 1], 21_999));
     server.receive(one, &keep_alive, 0, 9_000 * MS);
     let frame = mocapd_drivers::natnet::FrameToSend::default();
     assert_eq!(server.frame(&frame, 15_000 * MS), Some(2));

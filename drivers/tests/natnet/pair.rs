@@ -129,6 +129,7 @@ impl Driver {
             match command {
                 LineCommand::Write { request, .. } => written.push(request.as_bytes().to_vec()),
                 LineCommand::Listen(source) => self.listens = Some(source),
+                LineCommand::Goodbye(_) => {}
                 LineCommand::StopListening => self.listens = None,
                 LineCommand::Fail(message) => self.failed = Some(message),
                 LineCommand::Lost(cause) => self.lost = Some(cause),
@@ -200,6 +201,11 @@ pub(crate) fn client() -> SocketAddr {
 /// The server's clock at a frame of 10 ms.
 pub(crate) fn ticks(number: u32) -> u64 {
     1_000_000 + u64::from(number) * CLOCK_HZ / 100
+}
+
+/// The time that the driver reports for it.
+pub(crate) fn time_ns(number: u32) -> u64 {
+    (u128::from(ticks(number)) * 1_000_000_000 / u128::from(CLOCK_HZ)) as u64
 }
 
 /// Where a marker is.

@@ -3,9 +3,9 @@
 use mocapd_drivers::{
     device::MarkerSample,
     natnet::{
-        Asset, AssetKind, FrameEnd, FrameToSend, HAS_MODEL, MEASURED, MarkerSet, Model,
-        NatNetServer, OCCLUDED, SampledDescription, SampledToSend, SetToSend, UNLABELLED, WireBody,
-        WireMarker,
+        Asset, AssetKind, Bitstream, FrameEnd, FrameToSend, HAS_MODEL, MEASURED, MESSAGE_BYTES_MAX,
+        MarkerSet, Model, NatNetServer, OCCLUDED, SampledDescription, SampledToSend, SetToSend,
+        UNLABELLED, WireBody, WireMarker,
     },
 };
 use mocapd_take::motion::{Motion, Position, is_gap};
@@ -167,6 +167,31 @@ impl Content {
 
     pub(super) fn model(&self) -> &Model {
         &self.model
+    }
+
+    /// Whether definitions and frames fit into datagrams.
+    pub(super) fn check_size(&self, version: Bitstream) -> Result<(), NatNetError> {
+        let mut definitions = Vec::new();
+        self.model.put(version, &mut definitions);
+        // Of a frame: names of sets; a position and a marker for each; samples; and less than 1 KiB besides.
+        let names: usize = self.model.sets.iter().map(|set| set.name.len() + 5).sum();
+        let n_labelled: usize = self.assets.iter().map(Vec::len).sum();
+        let markers = n_labelled * (12 + 26) + self.unlabelled_columns.len() * 26;
+        let samples: usize = self
+            .devices
+            .iter()
+            .map(|device| {
+                let n = self.samples_per_frame.get(device.source).copied().unwrap_or(0) as usize;
+                8 + device.n_channels * (4 + 4 * n)
+            })
+            .sum();
+        let frame = names + markers + samples + (1 << 10);
+        for (what, bytes) in [("definitions", definitions.len()), ("frames", frame)] {
+            if bytes > MESSAGE_BYTES_MAX {
+                return Err(NatNetError::TooLarge { what, bytes });
+            }
+        }
+        Ok(())
     }
 
     /// Samples of the first device in a frame.

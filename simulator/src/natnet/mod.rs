@@ -15,8 +15,8 @@ use std::{
 use mocapd_drivers::{
     device::MarkerSample,
     natnet::{
-        Bitstream, FrameEnd, MODELS_CHANGED, NatNetServer, ServedStream, ServerDatagram,
-        ServerSettings,
+        Bitstream, FrameEnd, MESSAGE_BYTES_MAX, MODELS_CHANGED, NatNetServer, ServedStream,
+        ServerDatagram, ServerSettings,
     },
     qtm::{Delivery, LABELS_MAX},
 };
@@ -115,6 +115,16 @@ pub enum NatNetError {
         sampled_hz: f64,
         /// Frames per second.
         frame_hz: f64,
+    },
+    /// A datagram has 65 507 bytes at most.
+    #[error(
+        "its {what} take {bytes} bytes, and a datagram has {MESSAGE_BYTES_MAX} at most: play fewer markers"
+    )]
+    TooLarge {
+        /// Frames or definitions.
+        what: &'static str,
+        /// Their size.
+        bytes: usize,
     },
     /// No marker belongs to the asset.
     #[error("no label begins with '{name}:', so that there is no such asset: check --rigid-body")]
@@ -217,6 +227,7 @@ impl NatNetDevice {
         let rates = Rates::new(&motion, settings.rate_hz, settings.speed)?;
         let n_markers = motion.info.markers.len();
         let content = Content::new(&motion, &settings, rates.rate_millihertz)?;
+        content.check_size(version)?;
         let server = NatNetServer::new(ServerSettings {
             name: "mocapd-sim".to_owned(),
             app_version: app_version(),

@@ -76,7 +76,7 @@ pub(super) fn address_towards(target: SocketAddrV4) -> io::Result<Ipv4Addr> {
 }
 
 /// A socket at which datagrams for a port arrive: those to a group on the interface with this address, or those to this
-/// machine. Other programs may listen there, too.
+/// machine. Other programs may listen to a group, too.
 ///
 /// # Errors
 /// The system's.
@@ -86,9 +86,10 @@ pub(super) fn listening_socket(
     interface: Ipv4Addr,
 ) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
-    socket.set_reuse_address(true)?;
+    // Datagrams to a group reach all programs that joined it; those to this machine only the last one.
+    socket.set_reuse_address(group.is_some())?;
     // Bound to the group, it gets no datagrams of other groups on this port.
-    let address = group.unwrap_or(Ipv4Addr::UNSPECIFIED);
+    let address = group.unwrap_or(interface);
     socket.bind(&SocketAddr::from((address, port)).into())?;
     if let Some(group) = group {
         socket.join_multicast_v4(&group, &interface)?;

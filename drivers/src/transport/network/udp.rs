@@ -2,7 +2,7 @@
 //! machine or to a multicast group.
 
 use std::{
-    io::{self, ErrorKind},
+    io,
     net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket},
 };
 
@@ -72,17 +72,11 @@ impl UdpTransport {
         Ok(Self { device, target, interface, commands, frames: None, arrival, was_frame: false })
     }
 
-    fn failed(&self, action: &'static str, source: io::Error) -> TransportError {
-        let cause = match source.kind() {
-            ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable | ErrorKind::NetworkDown => {
-                "the network is down"
-            }
-            ErrorKind::ConnectionRefused => "nothing listens there any more",
-            _ => {
-                return TransportError::Io { device: self.device.clone(), action, source };
-            }
-        };
-        TransportError::ConnectionLost { device: self.describe(), cause: cause.to_owned() }
+    /// An open session ends with any error: the interface or its address may be gone, and both are looked up again when the
+    /// recorder comes back.
+    fn lost(&self, action: &'static str, error: &io::Error) -> TransportError {
+        let cause = format!("{action} on the interface {} failed ({error})", self.interface);
+        TransportError::ConnectionLost { device: self.describe(), cause }
     }
 
     /// Waits up to [`READ_TIMEOUT`] for a datagram; whether commands and frames have one.
@@ -105,12 +99,17 @@ impl UdpTransport {
     }
 }
 
+/// Whether the system has no room for a datagram at the moment.
+fn is_full(error: &io::Error) -> bool {
+    rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::NOBUFS)
+}
+
 impl Transport for UdpTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         let [has_reply, has_frame] = match self.wait() {
             Ok(ready) => ready,
             Err(error) if is_retry(&error) => return Ok(0),
-            Err(error) => return Err(self.failed("waiting for datagrams", error)),
+            Err(error) => return Err(self.lost("waiting for datagrams", &error)),
         };
         let takes_frame = has_frame && !(has_reply && self.was_frame);
         self.was_frame = takes_frame;
@@ -125,7 +124,7 @@ impl Transport for UdpTransport {
                 Ok(n)
             }
             Err(error) if is_retry(&error) => Ok(0),
-            Err(error) => Err(self.failed("receiving datagrams", error)),
+            Err(error) => Err(self.lost("receiving datagrams", &error)),
         }
     }
 
@@ -134,8 +133,8 @@ impl Transport for UdpTransport {
         match self.commands.send_to(bytes, self.target) {
             Ok(()) => Ok(()),
             // Lost on this machine, as a datagram can be on the way: who sent it asks again.
-            Err(error) if is_retry(&error) => Ok(()),
-            Err(error) => Err(self.failed("sending a datagram", error)),
+            Err(error) if is_retry(&error) || is_full(&error) => Ok(()),
+            Err(error) => Err(self.lost("sending a datagram", &error)),
         }
     }
 
@@ -149,9 +148,12 @@ impl Transport for UdpTransport {
             .and_then(|socket| DatagramSocket::new(socket, peer));
         match opened {
             Ok(socket) => {
-                self.frames = Some((socket, source));
+                self.frames = Some((socket.pin_port(), source));
                 Ok(())
             }
+            // Frames to the commands' socket need no other.
+            Err(_) if source.group.is_none() => Ok(()),
+
             Err(error) => Err(TransportError::Unreachable {
                 device: self.device.clone(),
                 remedy: format!(
@@ -173,6 +175,14 @@ impl Transport for UdpTransport {
 
     fn datagram_port(&self) -> Option<u16> {
         Some(self.commands.port())
+    }
+
+    fn stranger(&self) -> Option<SocketAddrV4> {
+        let frames = self.frames.as_ref().and_then(|(socket, _)| socket.stranger());
+        match frames.or_else(|| self.commands.stranger())? {
+            SocketAddr::V4(stranger) => Some(stranger),
+            SocketAddr::V6(_) => None,
+        }
     }
 
     fn remark(&self) -> Option<String> {
