@@ -5,6 +5,7 @@
 
 mod bodies;
 mod bring_up;
+pub(crate) mod discovery;
 mod frame;
 mod host;
 mod message;
@@ -17,6 +18,7 @@ mod server;
 use std::net::Ipv4Addr;
 
 pub use self::{
+    discovery::find_servers,
     frame::{
         ACTIVE, ChannelSamples, FrameEnd, FrameOfData, FrameToSend, HAS_MODEL, MEASURED,
         MODEL_FILLED, MODELS_CHANGED, OCCLUDED, SampledData, SampledToSend, SetPositions,

@@ -6,6 +6,7 @@
 mod connect;
 mod datagrams;
 mod multicast;
+mod search;
 mod udp;
 
 use std::{
@@ -19,6 +20,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use self::datagrams::DatagramSocket;
 pub use self::{
     multicast::{Interface, interfaces, multicast_sender},
+    search::search,
     udp::UdpTransport,
 };
 use super::{Arrival, READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
