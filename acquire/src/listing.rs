@@ -43,10 +43,11 @@ impl From<AttachedDevice> for ListedDevice {
     }
 }
 
-/// Lists the attached devices. It opens none of them.
+/// Lists the attached devices, and those that answer a search on the network. It opens none of them.
 ///
 /// # Errors
 /// When the system cannot list its devices.
 pub fn devices() -> Result<Vec<ListedDevice>, TransportError> {
-    Ok(registry::devices()?.into_iter().map(ListedDevice::from).collect())
+    let attached = registry::devices()?.into_iter().chain(registry::network_devices());
+    Ok(attached.map(ListedDevice::from).collect())
 }

@@ -27,6 +27,19 @@ impl<'a> Cursor<'a> {
         T::get(self)
     }
 
+    /// Number of bytes that are left.
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Reads the bytes in front of the next NUL, and the NUL.
+    pub(crate) fn until_nul(&mut self) -> Option<&'a [u8]> {
+        let n = self.0.iter().position(|byte| *byte == 0)?;
+        let text = self.bytes(n)?;
+        self.bytes(1)?;
+        Some(text)
+    }
+
     /// Reads a length byte and that many bytes of UTF-8 without control characters, at most `bytes_max`.
     pub(crate) fn text(&mut self, bytes_max: usize) -> Option<&'a str> {
         let n = usize::from(self.get::<u8>()?);

@@ -3,7 +3,7 @@
 //!
 //! A [`device::Protocol`] is sans-io: it turns received bytes into events and commands into bytes. A
 //! [`transport::Transport`] moves those bytes. [`registry`] pairs the two for a device URI, and
-//! [`link`], [`ndi`] and [`qtm`] are the families so far.
+//! [`link`], [`ndi`], [`qtm`] and [`natnet`] are the families so far.
 //!
 //! One frame, encoded at the device's end of a link and decoded at the host's:
 //!
@@ -35,7 +35,10 @@
 
 mod bytes;
 pub mod device;
+mod frame_axis;
 pub mod link;
+mod marker_ids;
+pub mod natnet;
 pub mod ndi;
 pub mod plain_file;
 pub mod qtm;

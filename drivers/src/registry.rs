@@ -7,10 +7,9 @@ use serialport::SerialPortType;
 pub use crate::device::{Candidate, Claim, Family};
 use crate::{
     device::Protocol,
-    link, ndi, qtm,
+    link, natnet, ndi, qtm,
     transport::{
-        Access, Transport, TransportError, access,
-        network::NetworkTransport,
+        Access, Transport, TransportError, access, network,
         serial::SerialTransport,
         usb::{self, UsbDevice, UsbTransport},
     },
@@ -18,7 +17,7 @@ use crate::{
 };
 
 /// All device families. Register a new one here.
-pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY, qtm::FAMILY];
+pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY, qtm::FAMILY, natnet::FAMILY];
 
 /// Returns the family with the highest claim on a device; of two equal claims, the first in [`FAMILIES`].
 #[must_use]
@@ -60,6 +59,13 @@ pub fn devices() -> Result<Vec<AttachedDevice>, TransportError> {
         list_device(candidate, access)
     });
     Ok(ports.chain(listed).collect())
+}
+
+/// Lists devices that answer a search on the networks of this machine, which takes a third of a second.
+#[must_use]
+pub fn network_devices() -> Vec<AttachedDevice> {
+    let found = natnet::discovery::candidates().into_iter();
+    found.map(|candidate| list_device(candidate, Access::Accessible)).collect()
 }
 
 /// Serial ports, sorted by name.
@@ -259,7 +265,7 @@ fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportEr
         Location::Usb { vid, pid, serial } => {
             Ok(Box::new(UsbTransport::open(*vid, *pid, serial.as_deref())?))
         }
-        Location::Network(address) => Ok(Box::new(NetworkTransport::open(address)?)),
+        Location::Network(address) => network::open(address),
     }
 }
 

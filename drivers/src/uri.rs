@@ -1,5 +1,5 @@
-//! Device URIs: `serial:PATH[@BAUD]`, `usb:VID:PID[:SERIAL]` or `qtm:HOST[:PORT][?transport=udp]`, with an optional
-//! `?driver=NAME`.
+//! Device URIs: `serial:PATH[@BAUD]`, `usb:VID:PID[:SERIAL]`, `qtm:HOST[:PORT][?transport=udp]` or
+//! `natnet:HOST[:PORT][?local=IF&mode=multicast]`, with an optional `?driver=NAME`.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
@@ -27,7 +27,16 @@ pub enum Location {
 }
 
 /// Families whose devices are on the network, each with the port that a URI may omit. A family's name is the scheme.
-pub const NETWORK_FAMILIES: &[(&str, u16)] = &[("qtm", 22_223)];
+pub const NETWORK_FAMILIES: &[(&str, u16)] = &[("qtm", 22_223), ("natnet", 1510)];
+
+/// Those of them whose commands travel by UDP, too: they have no connection.
+const DATAGRAM_FAMILIES: &[&str] = &["natnet"];
+
+/// Whether everything that a family's devices send travels by UDP.
+#[must_use]
+pub fn is_datagram_family(family: &str) -> bool {
+    DATAGRAM_FAMILIES.contains(&family)
+}
 
 /// The network address of a device, and how its frames travel.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -36,13 +45,57 @@ pub struct NetworkAddress {
     pub family: &'static str,
     /// Name of the machine, or its IP address without brackets.
     pub host: String,
-    /// TCP port.
+    /// Port of its commands: TCP, or UDP for a [datagram family](is_datagram_family).
     pub port: u16,
-    /// Whether frames are to arrive as UDP datagrams; commands always use TCP.
+    /// Whether frames arrive as UDP datagrams.
     pub datagrams: bool,
+    /// The interface of this machine that datagrams use, by its name or address; `None` for the one that leads to the
+    /// device.
+    pub local: Option<String>,
+    /// How a datagram family's frames are to travel; `None` for the way that the device states.
+    pub mode: Option<StreamMode>,
+}
+
+/// How datagrams of frames travel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum StreamMode {
+    /// To all that joined a group.
+    Multicast,
+    /// To this machine alone.
+    Unicast,
+}
+
+impl StreamMode {
+    /// Its name in URIs.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Multicast => "multicast",
+            Self::Unicast => "unicast",
+        }
+    }
 }
 
 impl NetworkAddress {
+    /// An address without options.
+    #[must_use]
+    pub fn new(family: &'static str, host: &str, port: u16) -> Self {
+        let datagrams = is_datagram_family(family);
+        Self { family, host: host.to_owned(), port, datagrams, local: None, mode: None }
+    }
+
+    /// The options that a URI has behind its `?`.
+    fn options(&self) -> Vec<String> {
+        let mut options = Vec::new();
+        if is_datagram_family(self.family) {
+            options.extend(self.local.as_ref().map(|local| format!("local={local}")));
+            options.extend(self.mode.map(|mode| format!("mode={}", mode.name())));
+        } else if self.datagrams {
+            options.push("transport=udp".to_owned());
+        }
+        options
+    }
+
     /// `HOST:PORT`, with brackets around an IPv6 address.
     #[must_use]
     pub fn host_and_port(&self) -> String {
@@ -67,8 +120,8 @@ pub struct DeviceUri {
 /// Error of parsing a device URI.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "invalid device URI '{text}': {reason}: write serial:PATH[@BAUD], usb:VID:PID[:SERIAL] or qtm:HOST[:PORT][?transport=udp], with \
-     ?driver=NAME where needed"
+    "invalid device URI '{text}': {reason}: write serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT][?transport=udp] or \
+     natnet:HOST[:PORT][?local=IF&mode=multicast|unicast], with ?driver=NAME where needed"
 )]
 pub struct UriError {
     text: String,
@@ -89,37 +142,72 @@ fn parse(text: &str) -> Result<DeviceUri, String> {
         let (family, port) = NETWORK_FAMILIES.iter().find(|(family, _)| *family == scheme)?;
         Some((*family, *port, rest))
     });
-    let (driver, datagrams) = parse_query(query, network.is_some())?;
+    let family = network.map(|(family, ..)| family);
+    let Query { driver, datagrams, local, mode } = Query::parse(query, family)?;
     if let Some((family, port, rest)) = network {
         let (host, port) = parse_host(rest, port)?;
-        let address = NetworkAddress { family, host, port, datagrams };
+        let datagrams = datagrams || is_datagram_family(family);
+        let address = NetworkAddress { family, host, port, datagrams, local, mode };
         return Ok(DeviceUri { location: Location::Network(address), driver });
     }
     let location = match base.split_once(':') {
         Some(("serial", rest)) => parse_serial(rest),
         Some(("usb", rest)) => parse_usb(rest),
         _ if base.starts_with('/') => Err(format!("a path needs a scheme: serial:{base}")),
-        Some((scheme, _)) => Err(format!("unknown scheme '{scheme}', expected serial, usb or qtm")),
+        Some((scheme, _)) => {
+            Err(format!("unknown scheme '{scheme}', expected serial, usb, qtm or natnet"))
+        }
         None => Err("the scheme is missing".to_owned()),
     };
     Ok(DeviceUri { location: location?, driver })
 }
 
-/// Parses what follows the `?`: the driver's name, and whether frames travel by UDP.
-fn parse_query(query: Option<&str>, is_network: bool) -> Result<(Option<String>, bool), String> {
-    let (mut driver, mut datagrams) = (None, false);
-    for part in query.into_iter().flat_map(|query| query.split('&')) {
-        match part.split_once('=') {
-            Some(("driver", name)) if !name.is_empty() => driver = Some(name.to_owned()),
-            Some(("transport", "udp")) if is_network => datagrams = true,
-            Some(("transport", "tcp")) if is_network => datagrams = false,
-            Some(("transport", _)) if is_network => {
-                return Err(format!("expected transport=tcp or transport=udp, found '{part}'"));
+/// What follows the `?` of a URI.
+#[derive(Debug, Default)]
+struct Query {
+    driver: Option<String>,
+    datagrams: bool,
+    local: Option<String>,
+    mode: Option<StreamMode>,
+}
+
+impl Query {
+    fn parse(query: Option<&str>, family: Option<&str>) -> Result<Self, String> {
+        let by_udp = family.is_some_and(is_datagram_family);
+        let by_tcp = family.is_some() && !by_udp;
+        let mut parsed = Self::default();
+        for part in query.into_iter().flat_map(|query| query.split('&')) {
+            match part.split_once('=') {
+                Some(("driver", name)) if !name.is_empty() => parsed.driver = Some(name.to_owned()),
+                Some(("transport", "udp")) if by_tcp => parsed.datagrams = true,
+                Some(("transport", "tcp")) if by_tcp => parsed.datagrams = false,
+                Some(("transport", _)) if by_tcp => {
+                    return Err(format!("expected transport=tcp or transport=udp, found '{part}'"));
+                }
+                Some(("mode", "multicast")) if by_udp => parsed.mode = Some(StreamMode::Multicast),
+                Some(("mode", "unicast")) if by_udp => parsed.mode = Some(StreamMode::Unicast),
+                Some(("mode", _)) if by_udp => {
+                    return Err(format!("expected mode=multicast or mode=unicast, found '{part}'"));
+                }
+                Some(("local", local)) if by_udp && is_interface(local) => {
+                    parsed.local = Some(local.to_owned());
+                }
+                Some(("local", _)) if by_udp => {
+                    return Err(format!(
+                        "expected local=INTERFACE or local=ADDRESS, found '{part}'"
+                    ));
+                }
+                _ => return Err(format!("expected driver=NAME after '?', found '{part}'")),
             }
-            _ => return Err(format!("expected driver=NAME after '?', found '{part}'")),
         }
+        Ok(parsed)
     }
-    Ok((driver, datagrams))
+}
+
+/// Whether a text can be the name of an interface, which has 15 characters at most, or an IPv4 address, which has as many.
+fn is_interface(text: &str) -> bool {
+    (1..=15).contains(&text.len())
+        && text.chars().all(|c| c.is_ascii_graphic() && !"/&?".contains(c))
 }
 
 /// Parses `HOST[:PORT]`; an IPv6 address needs brackets if a port follows.
@@ -191,12 +279,14 @@ impl fmt::Display for Location {
                 write!(f, "usb:{vid:04x}:{pid:04x}")?;
                 serial.as_ref().map_or(Ok(()), |serial| write!(f, ":{serial}"))
             }
-            Self::Network(NetworkAddress { family, host, port, datagrams }) => {
+            Self::Network(address) => {
+                let NetworkAddress { family, host, port, .. } = address;
                 write!(f, "{family}:{}", bracketed(host))?;
                 if !NETWORK_FAMILIES.contains(&(family, *port)) {
                     write!(f, ":{port}")?;
                 }
-                if *datagrams { write!(f, "?transport=udp") } else { Ok(()) }
+                let options = address.options();
+                if options.is_empty() { Ok(()) } else { write!(f, "?{}", options.join("&")) }
             }
         }
     }
@@ -205,7 +295,9 @@ impl fmt::Display for Location {
 impl fmt::Display for DeviceUri {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let location = self.location.to_string();
-        let joint = if location.contains("?transport=") { '&' } else { '?' };
+        let has_options =
+            matches!(&self.location, Location::Network(address) if !address.options().is_empty());
+        let joint = if has_options { '&' } else { '?' };
         write!(f, "{location}")?;
         self.driver.as_ref().map_or(Ok(()), |driver| write!(f, "{joint}driver={driver}"))
     }
@@ -228,12 +320,16 @@ mod tests {
         };
         let qtm = |host: &str, port, datagrams| {
             Location::Network(NetworkAddress {
-                family: "qtm",
-                host: host.to_owned(),
-                port,
                 datagrams,
+                ..NetworkAddress::new("qtm", host, port)
             })
         };
+        let natnet = |host: &str, port, local: Option<&str>, mode| {
+            let local = local.map(str::to_owned);
+            let address = NetworkAddress::new("natnet", host, port);
+            Location::Network(NetworkAddress { local, mode, ..address })
+        };
+        let (multicast, unicast) = (Some(StreamMode::Multicast), Some(StreamMode::Unicast));
         for (text, location, driver) in [
             ("serial:/dev/ttyUSB0", serial("/dev/ttyUSB0", None), None),
             ("serial:/dev/ttyUSB0@921600", serial("/dev/ttyUSB0", Some(921_600)), None),
@@ -245,6 +341,14 @@ mod tests {
             ("qtm:192.168.0.7:22300?driver=qtm", qtm("192.168.0.7", 22_300, false), Some("qtm")),
             ("qtm:[::1]:9?transport=udp", qtm("::1", 9, true), None),
             ("qtm:[fe80::1]?transport=udp&driver=qtm", qtm("fe80::1", 22_223, true), Some("qtm")),
+            ("natnet:motive-pc", natnet("motive-pc", 1510, None, None), None),
+            ("natnet:10.0.0.5:1520?local=eth0", natnet("10.0.0.5", 1520, Some("eth0"), None), None),
+            (
+                "natnet:m?local=10.0.0.7&mode=multicast&driver=natnet",
+                natnet("m", 1510, Some("10.0.0.7"), multicast),
+                Some("natnet"),
+            ),
+            ("natnet:m?mode=unicast", natnet("m", 1510, None, unicast), None),
         ] {
             let uri: DeviceUri = text.parse().unwrap();
             assert_eq!(uri.location, location, "{text}");
@@ -269,6 +373,11 @@ mod tests {
             ("serial:/dev/ttyUSB0?driver=", "'driver='"),
             ("serial:/dev/ttyUSB0?transport=udp", "'transport=udp'"),
             ("qtm:lab?transport=ip", "'transport=ip'"),
+            ("qtm:lab?mode=unicast", "'mode=unicast'"),
+            ("natnet:lab?transport=udp", "'transport=udp'"),
+            ("natnet:lab?mode=both", "'mode=both'"),
+            ("natnet:lab?local=", "'local='"),
+            ("natnet:lab?local=a b", "'local=a b'"),
             ("qtm:", "''"),
             ("qtm:lab pc", "'lab pc'"),
             ("qtm:lab:0", "'0'"),
@@ -278,9 +387,13 @@ mod tests {
             let error = text.parse::<DeviceUri>().unwrap_err();
             assert!(error.reason.contains(reason), "{text}: {error}");
             let message = error.to_string();
-            for form in
-                ["serial:PATH[@BAUD]", "usb:VID:PID[:SERIAL]", "qtm:HOST[:PORT]", "?driver=NAME"]
-            {
+            for form in [
+                "serial:PATH[@BAUD]",
+                "usb:VID:PID[:SERIAL]",
+                "qtm:HOST[:PORT]",
+                "natnet:HOST[:PORT]",
+                "?driver=NAME",
+            ] {
                 assert!(message.contains(form), "{message}");
             }
         }

@@ -2,7 +2,7 @@
 //!
 //! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate, and [`sampled`]
 //! makes the samples of force plates and electrodes. [`device`] plays it over the link protocol, [`ndi`] over that of NDI,
-//! and [`qtm`] on the network over that of QTM. [`faults`] injects faults by a script, and [`log_device`] replays a raw
+//! and [`qtm`] and [`natnet`] on the network over those of QTM and of OptiTrack. [`faults`] injects faults by a script, and [`log_device`] replays a raw
 //! log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
 //! controller. None of them starts a thread, and only a line reads a clock.
 
@@ -13,6 +13,7 @@ pub mod gadget;
 pub mod generator;
 pub mod line;
 pub mod log_device;
+pub mod natnet;
 pub mod ndi;
 pub mod pty;
 pub mod qtm;

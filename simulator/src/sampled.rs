@@ -146,6 +146,12 @@ impl SampledSource {
         &self.info
     }
 
+    /// Whether these are force plates.
+    #[must_use]
+    pub fn is_plates(&self) -> bool {
+        matches!(self.signal, Signal::Plates(_))
+    }
+
     /// Samples of a batch.
     pub(crate) fn batch_samples(&self) -> u64 {
         let n = u64::from(self.info.rate_millihertz) * BATCH_MS / 1_000_000;

@@ -21,6 +21,7 @@ mod gaps;
 mod imports;
 mod manual;
 mod many_files;
+mod natnet;
 mod ndi;
 mod outputs;
 mod plots;

@@ -110,7 +110,8 @@ impl Rig {
     pub fn open_logged(uri: &DeviceUri, raw_log: Option<RawLogTap>) -> anyhow::Result<Self> {
         if raw_log.is_some() && matches!(&uri.location, Location::Network(at) if at.datagrams) {
             bail!(
-                "a raw log holds one stream of bytes, and no datagrams: log {uri} without transport=udp"
+                "a raw log holds one stream of bytes, and no datagrams: record {uri} without --raw, or a QTM without \
+                 transport=udp"
             );
         }
         let opened = registry::open_with_wrapper(uri, &mut |family, line| match &raw_log {

@@ -131,9 +131,7 @@ impl QtmHost {
     pub fn new(location: &Location, line: LineCommandSender, datagram_port: Option<u16>) -> Self {
         let address = match location {
             Location::Network(address) => address.clone(),
-            other => {
-                NetworkAddress { family: "qtm", host: other.to_string(), port: 0, datagrams: false }
-            }
+            other => NetworkAddress::new("qtm", &other.to_string(), 0),
         };
         Self {
             line,

@@ -3,12 +3,10 @@
 //! [`QtmHost`] is the client's end, sans-io; it sends [line commands](crate::transport::polled). What a server says and
 //! understands is in the same modules, so that both ends have one description of every message.
 
-mod axis;
 mod bring_up;
 mod command;
 mod frame;
 mod host;
-mod labels;
 mod packet;
 mod run;
 mod server;
@@ -34,6 +32,7 @@ pub use self::{
 };
 use crate::{
     device::{Claim, Family},
+    frame_axis as axis, marker_ids as labels,
     transport::polled::line_command_channel,
     uri::{Location, NetworkAddress},
 };

@@ -2,9 +2,7 @@
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-/// Largest number of labels. A system tracks some hundred markers; a marker's channel takes memory whether or not it is
-/// seen.
-pub const LABELS_MAX: usize = 4096;
+pub use crate::marker_ids::LABELS_MAX;
 
 /// Most nodes of a document, several times those of [`LABELS_MAX`] labels or a thousand cameras. With this a document
 /// takes 20 MB at most while it is read.

@@ -7,7 +7,12 @@ pub mod serial;
 mod tty;
 pub mod usb;
 
-use std::{fmt::Debug, io, time::Duration};
+use std::{
+    fmt::{self, Debug},
+    io,
+    net::{Ipv4Addr, SocketAddrV4},
+    time::Duration,
+};
 
 pub use access::{Access, access};
 
@@ -72,6 +77,28 @@ pub trait Transport: Send + Debug {
         self.inner()?.datagram_port()
     }
 
+    /// Receives datagrams of frames from another source as well, in place of the one before.
+    ///
+    /// # Errors
+    /// `Unreachable` with a remedy when the system refuses; `Unsupported` on a line without datagrams.
+    fn listen(&mut self, source: DatagramSource) -> Result<(), TransportError> {
+        let line = self.describe();
+        Err(TransportError::Unsupported(format!("{line} cannot receive {source}: use the network")))
+    }
+
+    /// Stops receiving from that source.
+    fn stop_listening(&mut self) {}
+
+    /// The last sender of datagrams that are not the device's, and are left out.
+    fn stranger(&self) -> Option<SocketAddrV4> {
+        self.inner()?.stranger()
+    }
+
+    /// What the system grants this line less than was wanted, in one line that says what to do.
+    fn remark(&self) -> Option<String> {
+        self.inner()?.remark()
+    }
+
     /// Describes the device and the line's settings in one phrase for users.
     fn describe(&self) -> String {
         self.inner().map_or_else(|| "nothing".to_owned(), Transport::describe)
@@ -85,6 +112,24 @@ pub trait Transport: Send + Debug {
     /// Number of USB stalls that were cleared. Bytes in flight at a stall may be lost.
     fn stalls_cleared(&self) -> u64 {
         self.inner().map_or(0, Transport::stalls_cleared)
+    }
+}
+
+/// Where datagrams of frames arrive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DatagramSource {
+    /// The multicast group; `None` for datagrams to this machine.
+    pub group: Option<Ipv4Addr>,
+    /// The UDP port.
+    pub port: u16,
+}
+
+impl fmt::Display for DatagramSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.group {
+            Some(group) => write!(f, "multicast group {group}:{}", self.port),
+            None => write!(f, "UDP port {}", self.port),
+        }
     }
 }
 

@@ -10,6 +10,7 @@
 //! Sender and receiver live on the reader's thread, and neither ever waits for the other.
 
 use std::{
+    net::{Ipv4Addr, SocketAddrV4},
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
@@ -19,7 +20,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{READ_TIMEOUT, Transport, TransportError};
+use super::{DatagramSource, READ_TIMEOUT, Transport, TransportError};
 
 /// Capacity of the channel: a protocol sends at most a few commands between two reads, such as a break, a
 /// baud rate and a request.
@@ -72,6 +73,10 @@ pub enum LineCommand {
     },
     /// Send a break, if the line has one.
     Break,
+    /// Receive datagrams of frames from this source.
+    Listen(DatagramSource),
+    /// Receive no more from that source.
+    StopListening,
     /// Change the baud rate. A rate that the port does not support is ignored.
     Baud(u32),
     /// Requests to write when the line is closed, so that the next host finds the device as this one did.
@@ -89,9 +94,23 @@ pub struct LineCommandSender {
     commands: SyncSender<LineCommand>,
     now_ns: Arc<AtomicU64>,
     is_datagram: Arc<AtomicBool>,
+    stranger: Arc<AtomicU64>,
+}
+
+/// An address and a port as a number; 0 for none.
+fn packed(address: Option<SocketAddrV4>) -> u64 {
+    address
+        .map_or(0, |address| u64::from(u32::from(*address.ip())) << 16 | u64::from(address.port()))
 }
 
 impl LineCommandSender {
+    /// The last sender of datagrams that are not the device's.
+    #[must_use]
+    pub fn stranger(&self) -> Option<SocketAddrV4> {
+        let packed = self.stranger.load(Ordering::Relaxed);
+        let ip = Ipv4Addr::from((packed >> 16) as u32);
+        (packed != 0).then(|| SocketAddrV4::new(ip, packed as u16))
+    }
     /// Whether the bytes of the last read are one datagram, and no part of the stream.
     #[must_use]
     pub fn is_datagram(&self) -> bool {
@@ -116,9 +135,14 @@ pub struct LineCommandReceiver {
     commands: Receiver<LineCommand>,
     now_ns: Arc<AtomicU64>,
     is_datagram: Arc<AtomicBool>,
+    stranger: Arc<AtomicU64>,
 }
 
 impl LineCommandReceiver {
+    /// Publishes to the protocol who else sends datagrams.
+    pub fn set_stranger(&self, stranger: Option<SocketAddrV4>) {
+        self.stranger.store(packed(stranger), Ordering::Relaxed);
+    }
     /// Publishes to the protocol whether it gets a datagram next.
     pub fn set_datagram(&self, is_datagram: bool) {
         self.is_datagram.store(is_datagram, Ordering::Relaxed);
@@ -141,13 +165,15 @@ pub fn line_command_channel() -> (LineCommandSender, LineCommandReceiver) {
     let (sender, receiver) = sync_channel(LINE_COMMANDS_MAX);
     let now_ns = Arc::new(AtomicU64::new(0));
     let is_datagram = Arc::new(AtomicBool::new(false));
+    let stranger = Arc::new(AtomicU64::new(0));
     (
         LineCommandSender {
             commands: sender,
             now_ns: Arc::clone(&now_ns),
             is_datagram: Arc::clone(&is_datagram),
+            stranger: Arc::clone(&stranger),
         },
-        LineCommandReceiver { commands: receiver, now_ns, is_datagram },
+        LineCommandReceiver { commands: receiver, now_ns, is_datagram, stranger },
     )
 }
 
@@ -192,6 +218,8 @@ impl PolledTransport {
                     self.line.write_all(request.as_bytes())?;
                 }
                 LineCommand::Break => drop(self.line.send_break()?),
+                LineCommand::Listen(source) => self.line.listen(source)?,
+                LineCommand::StopListening => self.line.stop_listening(),
                 LineCommand::Baud(baud) => match self.line.set_baud(baud) {
                     // The device does not reply at the old rate, and the search continues.
                     Ok(()) | Err(TransportError::Refused(_)) => {}
@@ -231,6 +259,7 @@ impl Transport for PolledTransport {
         let may_read = self.execute()?;
         let n = if may_read { self.line.read(buf)? } else { 0 };
         self.queue.set_datagram(n > 0 && self.line.arrival().is_datagram);
+        self.queue.set_stranger(self.line.stranger());
         self.publish_time();
         Ok(n)
     }

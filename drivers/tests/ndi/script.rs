@@ -75,7 +75,9 @@ impl Script {
                     }
                     LineCommand::Break => self.sent.push("(break)".to_owned()),
                     LineCommand::Baud(baud) => self.bauds.push(baud),
-                    LineCommand::Goodbye(_) => {}
+                    LineCommand::Goodbye(_)
+                    | LineCommand::Listen(_)
+                    | LineCommand::StopListening => {}
                     LineCommand::Fail(message) | LineCommand::Lost(message) => {
                         self.failed = Some(message);
                     }

@@ -156,6 +156,20 @@ kinds! {
     }
     /// The frame counter repeats a number although a frame was produced.
     CounterRepeat = "counter-repeat", windowed: true, { rate: f64 = PER_FRAME }
+    /// NatNet: definitions are not sent for a while.
+    LateModel = "late-model", windowed: false, { for_s: f64 = FOR }
+    /// NatNet: the last labelled marker gets another name.
+    ModelChange = "model-change", windowed: false, { at_s: f64 = AT }
+    /// NatNet: frames and definitions change to another bitstream.
+    BitstreamChange = "bitstream-change", windowed: false, {
+        at_s: f64 = AT,
+        major: u8 = key("major", "version", 2.0, 4.0),
+        minor: u8 = key("minor", "version", 0.0, 11.0)
+    }
+    /// NatNet: frames arrive in front of the reply to a client's first message.
+    EarlyFrames = "early-frames", windowed: false, {
+        count: u32 = key("count", "frames", 1.0, 1000.0)
+    }
     /// Random bytes arrive before the device's Hello.
     Garbage = "garbage", windowed: false, {
         bytes: usize = key("bytes", "bytes", 1.0, 65_536.0),
@@ -172,6 +186,15 @@ impl Kind {
     #[must_use]
     pub fn name(self) -> &'static str {
         KINDS.get(self as usize).map_or("", |kind| kind.name)
+    }
+
+    /// Whether only NatNet has it.
+    #[must_use]
+    pub fn is_of_natnet(self) -> bool {
+        matches!(
+            self,
+            Self::LateModel | Self::ModelChange | Self::BitstreamChange | Self::EarlyFrames
+        )
     }
 
     /// Whether its occurrences are counted, not the frames that it affected.

@@ -30,7 +30,7 @@ enum Way {
 
 /// Follows frames to the connections that take them.
 #[derive(Debug, Default)]
-pub(super) struct DeliveryLog {
+pub(crate) struct DeliveryLog {
     open: VecDeque<LoggedFrame>,
     closed: Vec<FrameFate>,
     keeps_frames: bool,
@@ -41,20 +41,20 @@ pub(super) struct DeliveryLog {
 }
 
 impl DeliveryLog {
-    pub(super) fn keep_frames(&mut self) {
+    pub(crate) fn keep_frames(&mut self) {
         self.keeps_frames = true;
     }
 
-    pub(super) fn take(&mut self) -> Vec<FrameFate> {
+    pub(crate) fn take(&mut self) -> Vec<FrameFate> {
         std::mem::take(&mut self.closed)
     }
 
-    pub(super) fn totals(&self) -> FaultTotals {
+    pub(crate) fn totals(&self) -> FaultTotals {
         self.totals.clone()
     }
 
     /// When the last frame was due.
-    pub(super) fn last_ns(&self) -> Option<u64> {
+    pub(crate) fn last_ns(&self) -> Option<u64> {
         self.last_ns
     }
 
@@ -68,7 +68,7 @@ impl DeliveryLog {
     }
 
     /// A fault of this kind lost the frame.
-    pub(super) fn lost(&mut self, frame: SentFrame, kind: Kind) {
+    pub(crate) fn lost(&mut self, frame: SentFrame, kind: Kind) {
         self.add(frame, Fate::Lost, None);
         if let Some(last) = self.open.back_mut() {
             last.fate.faults = Kinds::of(kind);
@@ -77,7 +77,7 @@ impl DeliveryLog {
     }
 
     /// The server sent the frame, or not. Its datagrams carry `number`.
-    pub(super) fn sent(&mut self, frame: SentFrame, delivery: Delivery, number: u64) {
+    pub(crate) fn sent(&mut self, frame: SentFrame, delivery: Delivery, number: u64) {
         match delivery {
             Delivery::Queued { client, end } => {
                 self.add(frame, Fate::Waiting, Some(Way::Stream(client, end)));
@@ -95,7 +95,7 @@ impl DeliveryLog {
     }
 
     /// The last frame arrives after later ones.
-    pub(super) fn late(&mut self, frame: SentFrame, faults: Kinds) {
+    pub(crate) fn late(&mut self, frame: SentFrame, faults: Kinds) {
         if let Some(last) = self.open.back_mut().filter(|last| last.fate.frame == frame) {
             last.then = Fate::Late;
             last.fate.faults = faults;
@@ -103,7 +103,7 @@ impl DeliveryLog {
     }
 
     /// A connection took `n` more bytes, so many in all.
-    pub(super) fn taken(&mut self, id: ClientId, bytes_sent: u64, n: usize) {
+    pub(crate) fn taken(&mut self, id: ClientId, bytes_sent: u64, n: usize) {
         self.bytes_sent += n as u64;
         for entry in &mut self.open {
             match entry.waits_for {
@@ -120,7 +120,7 @@ impl DeliveryLog {
     }
 
     /// The system took a datagram of the frame with this number, or lost it.
-    pub(super) fn datagram_taken(&mut self, number: u64, bytes: Option<usize>) {
+    pub(crate) fn datagram_taken(&mut self, number: u64, bytes: Option<usize>) {
         self.bytes_sent += bytes.unwrap_or(0) as u64;
         // A copy may follow when the first one has settled the frame.
         let entry = self.open.iter_mut().find(|e| e.waits_for == Some(Way::Datagrams(number)));
@@ -131,19 +131,19 @@ impl DeliveryLog {
     }
 
     /// The copies of the last frame, which leave with it.
-    pub(super) fn again(&mut self, copies: u32) {
+    pub(crate) fn again(&mut self, copies: u32) {
         if let Some(last) = self.open.back_mut() {
             last.fate.again += copies;
         }
     }
 
     /// All datagrams were handed over.
-    pub(super) fn settle(&mut self) {
+    pub(crate) fn settle(&mut self) {
         self.close_decided();
     }
 
     /// What waits for a client does not reach it any more.
-    pub(super) fn abandon(&mut self, id: ClientId) {
+    pub(crate) fn abandon(&mut self, id: ClientId) {
         for entry in &mut self.open {
             if matches!(entry.waits_for, Some(Way::Stream(client, _)) if client == id) {
                 entry.waits_for = None;
@@ -154,7 +154,7 @@ impl DeliveryLog {
     }
 
     /// All connections were cut, and no datagram leaves any more.
-    pub(super) fn cut(&mut self, kind: Kind) {
+    pub(crate) fn cut(&mut self, kind: Kind) {
         for entry in self.open.iter_mut().filter(|entry| entry.waits_for.is_some()) {
             entry.waits_for = None;
             entry.fate.fate = Fate::Lost;
@@ -180,14 +180,14 @@ impl DeliveryLog {
     }
 
     /// Nothing is sent any more.
-    pub(super) fn close(&mut self) {
+    pub(crate) fn close(&mut self) {
         while !self.open.is_empty() {
             self.close_first();
         }
     }
 
     /// Fills in what was sent.
-    pub(super) fn complete(&self, log: &mut SentLog) {
+    pub(crate) fn complete(&self, log: &mut SentLog) {
         log.bytes_sent = self.bytes_sent;
         log.frames_sent = self.frames_sent;
         log.frames_waiting = self.open.iter().filter(|e| e.waits_for.is_some()).count() as u64;

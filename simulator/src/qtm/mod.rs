@@ -4,7 +4,7 @@
 //! Labelled markers are sent with their labels, all others as unlabelled markers with ids. The file is played from its first
 //! frame when the first client requests frames.
 
-mod fates;
+pub(crate) mod fates;
 mod serve;
 
 use std::{net::SocketAddr, sync::Arc};
@@ -57,7 +57,7 @@ impl Default for QtmSettings {
 pub enum QtmError {
     /// A fault that does not happen on a network.
     #[error(
-        "{kind} does not happen on a network, where the system repairs or discards damaged bytes: remove it from the script"
+        "{kind} does not happen to a QTM on a network, where the system repairs or discards damaged bytes: remove it from the script"
     )]
     Fault {
         /// Its name.
@@ -139,7 +139,9 @@ impl QtmDevice {
         }
         let no_faults = || Arc::new(Script { seed: 0, faults: Vec::new(), expect: None });
         let script = settings.faults.clone().unwrap_or_else(no_faults);
-        if let Some(kind) = script.faults.iter().map(|f| f.fault.kind()).find(|k| !happens(*k)) {
+        if let Some(kind) =
+            script.faults.iter().map(|f| f.fault.kind()).find(|k| !happens(*k) || k.is_of_natnet())
+        {
             return Err(QtmError::Fault { kind: kind.name() });
         }
         let (labelled, unlabelled): (Vec<_>, Vec<_>) =
@@ -532,7 +534,7 @@ impl QtmDevice {
 }
 
 /// Whether a fault can happen on a network: the system repairs a stream, and discards a damaged datagram.
-fn happens(kind: Kind) -> bool {
+pub(crate) fn happens(kind: Kind) -> bool {
     !matches!(
         kind,
         Kind::BitFlips | Kind::DroppedBytes | Kind::DoubledBytes | Kind::Bursts | Kind::Garbage

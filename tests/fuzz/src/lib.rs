@@ -11,6 +11,7 @@ mod input;
 mod link;
 mod mesh;
 mod motion;
+mod natnet;
 mod qtm;
 mod range;
 mod samples;
@@ -21,6 +22,6 @@ mod trips;
 pub use self::{
     blocks::decode_block, config::config, face::read_face, face::read_face_model,
     face::read_mapping, face::read_photo, file::read_file, input::Input, link::hear,
-    mesh::read_mesh, mesh::read_skeleton, qtm::read_qtm, range::range_coder,
+    mesh::read_mesh, mesh::read_skeleton, natnet::read_natnet, qtm::read_qtm, range::range_coder,
     samples::decode_samples, take::read_take, take::recover_take, trips::round_trip,
 };

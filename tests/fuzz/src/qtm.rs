@@ -70,8 +70,7 @@ fn host(wire: &[u8], piece: usize, is_started: bool) -> (Vec<String>, LinkCounte
 /// A host that waits for its greeting, or that has requested frames.
 fn new_host(is_started: bool, datagram_port: Option<u16>) -> (QtmHost, LineCommandReceiver) {
     let (sender, commands) = line_command_channel();
-    let address =
-        NetworkAddress { family: "qtm", host: "lab".to_owned(), port: 22_223, datagrams: false };
+    let address = NetworkAddress::new("qtm", "lab", 22_223);
     let mut host = QtmHost::new(&Location::Network(address), sender, datagram_port);
     let mut out = Vec::new();
     host.command(Command::Identify, &mut out);

@@ -2,6 +2,7 @@
 
 mod faces;
 mod meshes;
+mod natnet;
 mod network;
 
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
@@ -48,6 +49,7 @@ pub fn targets() -> Vec<Target> {
         target("read_file", crate::read_file, files()),
         target("hear", crate::hear, wires()),
         target("read_qtm", crate::read_qtm, network::packets()),
+        target("read_natnet", crate::read_natnet, natnet::messages()),
         target("config", crate::config, configs()),
         target("read_mesh", crate::read_mesh, meshes::files()),
         target("read_skeleton", crate::read_skeleton, meshes::skeletons()),

@@ -48,7 +48,7 @@ pub(super) fn connect(address: &NetworkAddress) -> Result<TcpStream, TransportEr
 }
 
 /// The addresses of a machine, at most [`ADDRESSES_MAX`]: the first of each version.
-fn resolve(address: &NetworkAddress) -> Result<Vec<SocketAddr>, String> {
+pub(super) fn resolve(address: &NetworkAddress) -> Result<Vec<SocketAddr>, String> {
     if let Ok(ip) = address.host.parse::<IpAddr>() {
         return Ok(vec![SocketAddr::new(ip, address.port)]);
     }
@@ -93,7 +93,7 @@ fn no_such_name(address: &NetworkAddress) -> String {
 }
 
 /// What to do about a failed connection attempt.
-fn remedy(error: &io::Error, ip: IpAddr, address: &NetworkAddress) -> String {
+pub(super) fn remedy(error: &io::Error, ip: IpAddr, address: &NetworkAddress) -> String {
     let NetworkAddress { family, port, .. } = address;
     let host = bracketed(&address.host);
     if matches!(Errno::from_io_error(error), Some(Errno::PERM | Errno::AFNOSUPPORT)) {

@@ -2,7 +2,7 @@
 
 use std::{
     io::{self, IoSliceMut},
-    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4, UdpSocket},
     os::fd::{AsFd, AsRawFd, BorrowedFd},
 };
 
@@ -10,7 +10,7 @@ use nix::{
     cmsg_space,
     sys::{
         socket::{
-            ControlMessageOwned, MsgFlags, SockaddrStorage, recvmsg, setsockopt,
+            ControlMessageOwned, MsgFlags, SockaddrStorage, getsockopt, recvmsg, setsockopt,
             sockopt::{RcvBuf, ReceiveTimestampns},
         },
         time::TimeSpec,
@@ -20,7 +20,7 @@ use rustix::time::{ClockId, clock_gettime};
 
 /// Bytes that the kernel may hold for the reader, if the system allows so many: a second of 200 markers at 1000 Hz. Linux
 /// grants `net.core.rmem_max` at most, 208 KiB by default.
-const RECEIVE_BUFFER_BYTES: usize = 4 << 20;
+pub(super) const RECEIVE_BUFFER_BYTES: usize = 4 << 20;
 
 /// A stamp further from now than this is of a clock that was set in between: a reader that does not read for so long is
 /// ended by its watchdog.
@@ -31,9 +31,17 @@ const STAMP_AGE_MAX_NS: i64 = 60_000_000_000;
 pub(super) struct DatagramSocket {
     socket: UdpSocket,
     port: u16,
+    /// Bytes that the kernel holds for the reader.
+    buffer_bytes: usize,
     /// Datagrams of other machines are not the device's.
     peer: IpAddr,
     control: Vec<u8>,
+    /// The device's port, if one of several programs on its machine is to be kept to: that of the first datagram, until it
+    /// has been silent for [`SENDER_SILENT_NS`].
+    pins_port: bool,
+    sender_port: Option<u16>,
+    /// The last sender of datagrams that are not the device's.
+    stranger: Option<SocketAddr>,
     /// Arrival of the last datagram: the next one did not arrive before it.
     last_ns: u64,
     /// The monotonic clock less the wall clock, at the last datagram.
@@ -50,18 +58,31 @@ impl DatagramSocket {
     pub(super) fn open(mut local: SocketAddr, peer: IpAddr) -> io::Result<Self> {
         // The rest of the address stays: an IPv6 address may have a scope.
         local.set_port(0);
-        let socket = UdpSocket::bind(local)?;
+        Self::new(UdpSocket::bind(local)?, peer)
+    }
+
+    /// Receives a device's datagrams at a socket.
+    ///
+    /// # Errors
+    /// The system's.
+    pub(super) fn new(socket: UdpSocket, peer: IpAddr) -> io::Result<Self> {
         socket.set_nonblocking(true)?;
         // What the system refuses here costs room or precision: arrival is then the time of the read.
         setsockopt(socket.as_raw_fd(), RcvBuf, &RECEIVE_BUFFER_BYTES).ok();
         setsockopt(socket.as_raw_fd(), ReceiveTimestampns, &true).ok();
         let port = socket.local_addr()?.port();
+        // Linux states twice the room, one half of it for its own accounts.
+        let buffer_bytes = getsockopt(socket.as_raw_fd(), RcvBuf).map_or(0, |bytes| bytes / 2);
         let control = cmsg_space!(TimeSpec);
         Ok(Self {
             socket,
             port,
+            buffer_bytes,
             peer: peer.to_canonical(),
             control,
+            pins_port: false,
+            sender_port: None,
+            stranger: None,
             last_ns: 0,
             offset_ns: None,
             distrusts_stamps: false,
@@ -71,6 +92,44 @@ impl DatagramSocket {
     /// The port to which the device sends.
     pub(super) fn port(&self) -> u16 {
         self.port
+    }
+
+    /// Keeps to the program that sends first.
+    pub(super) fn pin_port(mut self) -> Self {
+        self.pins_port = true;
+        self
+    }
+
+    /// The last sender of datagrams that are not the device's.
+    pub(super) fn stranger(&self) -> Option<SocketAddr> {
+        self.stranger
+    }
+
+    /// Whether a datagram is the device's.
+    fn is_own(&mut self, sender: Option<SocketAddr>) -> bool {
+        let Some(sender) = sender else { return false };
+        let now_ns = read(ClockId::Monotonic).map_or(0, i64::unsigned_abs);
+        let is_kept = self.sender_port.is_some_and(|port| port != sender.port())
+            && now_ns.saturating_sub(self.last_ns) < SENDER_SILENT_NS;
+        if sender.ip() != self.peer || (self.pins_port && is_kept) {
+            self.stranger = Some(sender);
+            return false;
+        }
+        self.sender_port = Some(sender.port());
+        true
+    }
+
+    /// Bytes that the kernel holds for the reader, at most [`RECEIVE_BUFFER_BYTES`].
+    pub(super) fn buffer_bytes(&self) -> usize {
+        self.buffer_bytes
+    }
+
+    /// Sends one datagram.
+    ///
+    /// # Errors
+    /// The system's.
+    pub(super) fn send_to(&self, bytes: &[u8], target: SocketAddrV4) -> io::Result<()> {
+        self.socket.send_to(bytes, target).map(|_| ())
     }
 
     /// Receives one datagram of the device. Returns its size, and when it arrived on the host's monotonic clock.
@@ -94,12 +153,12 @@ impl DatagramSocket {
             }
         };
         let n = message.bytes;
-        let sender = message.address.as_ref().and_then(ip_of);
+        let sender = message.address.as_ref().and_then(address_of);
         let stamp = message.cmsgs().find_map(|control| match control {
             ControlMessageOwned::ScmTimestampns(stamp) => Some(stamp),
             _ => None,
         });
-        if sender != Some(self.peer) {
+        if !self.is_own(sender) {
             return Err(io::ErrorKind::WouldBlock.into());
         }
         let host_ns = stamp.and_then(|stamp| self.monotonic_ns(stamp));
@@ -115,11 +174,21 @@ impl AsFd for DatagramSocket {
     }
 }
 
-fn ip_of(address: &SockaddrStorage) -> Option<IpAddr> {
-    let v4 = address.as_sockaddr_in().map(|v4| IpAddr::V4(Ipv4Addr::from(v4.ip())));
-    let v6 = || address.as_sockaddr_in6().map(|v6| IpAddr::V6(Ipv6Addr::from(v6.ip().octets())));
-    Some(v4.or_else(v6)?.to_canonical())
+fn address_of(address: &SockaddrStorage) -> Option<SocketAddr> {
+    let v4 = || {
+        let v4 = address.as_sockaddr_in()?;
+        Some((IpAddr::V4(Ipv4Addr::from(v4.ip())), v4.port()))
+    };
+    let v6 = || {
+        let v6 = address.as_sockaddr_in6()?;
+        Some((IpAddr::V6(Ipv6Addr::from(v6.ip().octets())), v6.port()))
+    };
+    let (ip, port) = v4().or_else(v6)?;
+    Some(SocketAddr::new(ip.to_canonical(), port))
 }
+
+/// Another program of the device's machine may take its place after this silence: it has been restarted.
+const SENDER_SILENT_NS: u64 = 1_000_000_000;
 
 /// Time within which the two clocks are read; a thread that was interrupted in between reads them again.
 const BOTH_CLOCKS_NS: i64 = 20_000;

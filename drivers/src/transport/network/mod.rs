@@ -1,10 +1,13 @@
-//! Devices on the network: a TCP connection for commands, and frames on it or in UDP datagrams.
+//! Devices on the network: a TCP connection for commands, and frames on it or in UDP datagrams; or datagrams for both.
 //!
 //! The transport knows no protocol. It connects with a time-out, says why it cannot, and hands bytes of the stream and
 //! whole datagrams to the caller, one kind per read ([`Transport::arrival`]).
 
 mod connect;
 mod datagrams;
+mod multicast;
+mod search;
+mod udp;
 
 use std::{
     io::{self, ErrorKind, Read, Write},
@@ -15,8 +18,24 @@ use std::{
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use self::datagrams::DatagramSocket;
+pub use self::{
+    multicast::{Interface, interfaces, multicast_sender},
+    search::search,
+    udp::UdpTransport,
+};
 use super::{Arrival, READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
-use crate::uri::NetworkAddress;
+use crate::uri::{NetworkAddress, is_datagram_family};
+
+/// Opens the transport to a device on the network.
+///
+/// # Errors
+/// `Unreachable` with a remedy; `Io`.
+pub fn open(address: &NetworkAddress) -> Result<Box<dyn Transport>, TransportError> {
+    if is_datagram_family(address.family) {
+        return Ok(Box::new(UdpTransport::open(address)?));
+    }
+    Ok(Box::new(NetworkTransport::open(address)?))
+}
 
 /// How long after the other end closed the connection its last datagrams are read: they may still wait, or be on their way.
 const LAST_DATAGRAMS: Duration = Duration::from_millis(500);

@@ -20,10 +20,12 @@ use mocapd_take::quantity::{duration, duration_above_zero, length_mm, rate_hz};
 use super::output::{notify, print, print_json_line};
 use super::{Failure, files};
 use line::LineArgs;
+use natnet::NatNetArgs;
 use report::{LineReport, SentReport};
 
 mod input;
 mod line;
+mod natnet;
 mod network;
 mod report;
 
@@ -33,7 +35,9 @@ Examples:
   mocapd-sim serve --generate jump --rate 240Hz --loop --pty /tmp/rig
   mocapd record --device serial:/tmp/rig --output jump.take     in another terminal
   mocapd-sim serve jump.c3d --protocol qtm --tcp=22223
-  mocapd record --device qtm:127.0.0.1 --output jump.take       in another terminal";
+  mocapd record --device qtm:127.0.0.1 --output jump.take       in another terminal
+  mocapd-sim serve jump.c3d --protocol natnet --udp 1510 --multicast
+  mocapd record --device natnet:127.0.0.1 --output jump.take    in another terminal";
 
 #[derive(Debug, Args)]
 pub(super) struct ServeArgs {
@@ -45,6 +49,8 @@ pub(super) struct ServeArgs {
     generate: Option<Generated>,
     #[command(flatten)]
     line: LineArgs,
+    #[command(flatten)]
+    natnet: NatNetArgs,
     /// Protocol of the device
     #[arg(long, value_enum, value_name = "NAME", default_value_t = DeviceProtocol::Dvmc)]
     protocol: DeviceProtocol,
@@ -199,6 +205,8 @@ enum DeviceProtocol {
     Ndi,
     /// The RT protocol of Qualisys Track Manager, with --tcp.
     Qtm,
+    /// The NatNet protocol of OptiTrack's Motive.
+    Natnet,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -215,6 +223,10 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     args.find_take()?;
     args.check_generated()?;
     let args = &args;
+    natnet::check_unused(args)?;
+    if args.protocol == DeviceProtocol::Natnet {
+        return natnet::run(args);
+    }
     if args.protocol == DeviceProtocol::Qtm || args.line.tcp.is_some() {
         return network::run(args);
     }
@@ -294,6 +306,13 @@ fn device(
             return usage("--faults applies to the link protocol only: remove --protocol ndi");
         }
         DeviceProtocol::Dvmc => {
+            let kinds = script.iter().flat_map(|script| &script.faults);
+            if let Some(kind) = kinds.map(|f| f.fault.kind()).find(|kind| kind.is_of_natnet()) {
+                let name = kind.name();
+                return usage(&format!(
+                    "{name} happens to a NatNet server only: add --protocol natnet"
+                ));
+            }
             let sampled = input::sampled(args)?;
             let bodies = input::bodies(args)?;
             let faults = script.clone();
@@ -312,7 +331,9 @@ fn device(
             );
         }
         // It is on no line.
-        DeviceProtocol::Qtm => return usage("a QTM is on the network, not on a line"),
+        DeviceProtocol::Qtm | DeviceProtocol::Natnet => {
+            return usage("it is on the network, not on a line");
+        }
         DeviceProtocol::Ndi => {
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));

@@ -1,33 +1,36 @@
-//! Channels of markers: labelled ones by their labels, unlabelled ones by QTM's ids.
+//! Channels of the markers of a system on the network: labelled ones by their labels, unlabelled ones by the vendor's ids.
 
 use std::collections::{HashMap, HashSet};
 
-use super::settings::LABELS_MAX;
 use crate::device::MarkerInfo;
 
+/// Largest number of labels. A system tracks some hundred markers; a marker's channel takes memory whether or not it is
+/// seen.
+pub const LABELS_MAX: usize = 4096;
+
 /// First channel id of an unlabelled marker: labelled ones are below.
-pub(super) const FIRST_UNLABELLED: u16 = LABELS_MAX as u16;
+pub(crate) const FIRST_UNLABELLED: u16 = LABELS_MAX as u16;
 
 /// Largest number of unlabelled markers at once: reflections in a bright room, several times the markers of a subject.
-pub(super) const UNLABELLED_MAX: usize = 1024;
+pub(crate) const UNLABELLED_MAX: usize = 1024;
 
 /// A channel is given to another unlabelled marker only when so many have been used: as many as a recording has room for
 /// beside the announced ones.
 const FRESH_CHANNELS: usize = 64;
 
-/// The labelled markers. A label keeps its channel for as long as the driver lives, also when QTM's list changes.
+/// The labelled markers. A label keeps its channel for as long as the driver lives, also when the vendor's list changes.
 #[derive(Debug, Default)]
-pub(super) struct LabelTable {
+pub(crate) struct LabelTable {
     /// Every label so far; a marker's id is its place.
     markers: Vec<MarkerInfo>,
-    /// The channel of each marker of a frame, in QTM's order.
+    /// The channel of each marker of a frame, in the vendor's order.
     ids: Vec<u16>,
 }
 
 impl LabelTable {
-    /// Takes over QTM's labels. Returns how many of them have no channel because there are too many; their markers are
+    /// Takes over the vendor's labels. Returns how many of them have no channel because there are too many; their markers are
     /// recorded like unlabelled ones.
-    pub(super) fn update(&mut self, labels: &[String]) -> usize {
+    pub(crate) fn update(&mut self, labels: &[String]) -> usize {
         self.ids.clear();
         let known: HashMap<String, u16> =
             self.markers.iter().map(|marker| (marker.label.clone(), marker.id)).collect();
@@ -65,17 +68,17 @@ impl LabelTable {
     }
 
     /// The channel of a frame's marker; `None` if it has none.
-    pub(super) fn id(&self, index: usize) -> Option<u16> {
+    pub(crate) fn id(&self, index: usize) -> Option<u16> {
         self.ids.get(index).copied().filter(|id| *id < FIRST_UNLABELLED)
     }
 
     /// Number of labelled markers of a frame.
-    pub(super) fn n_labels(&self) -> usize {
+    pub(crate) fn n_labels(&self) -> usize {
         self.ids.len()
     }
 
-    /// The labels in use now, in QTM's order.
-    pub(super) fn markers(&self) -> Vec<MarkerInfo> {
+    /// The labels in use now, in the vendor's order.
+    pub(crate) fn markers(&self) -> Vec<MarkerInfo> {
         let known = self.ids.iter().filter_map(|id| self.markers.get(usize::from(*id)));
         known.cloned().collect()
     }
@@ -91,7 +94,7 @@ struct TemporaryChannel {
 
 /// Temporary channels of unlabelled markers.
 #[derive(Debug, Default)]
-pub(super) struct UnlabelledIds {
+pub(crate) struct UnlabelledIds {
     channels: Vec<TemporaryChannel>,
     by_id: HashMap<u64, usize>,
     frame: u64,
@@ -99,12 +102,12 @@ pub(super) struct UnlabelledIds {
 
 impl UnlabelledIds {
     /// Begins a frame.
-    pub(super) fn begin_frame(&mut self) {
+    pub(crate) fn begin_frame(&mut self) {
         self.frame += 1;
     }
 
     /// The channel of a marker in this frame; `None` when all are taken, or this marker was in this frame already.
-    pub(super) fn channel(&mut self, vendor_id: u64) -> Option<u16> {
+    pub(crate) fn channel(&mut self, vendor_id: u64) -> Option<u16> {
         let known = self.by_id.get(&vendor_id).copied();
         let index = match known {
             Some(index) => index,

@@ -1,6 +1,6 @@
-//! The frame axis: one counter out of QTM's frame number and its time stamp.
+//! The frame axis: one counter out of a vendor's frame number and its time stamp.
 //!
-//! Live, QTM's number may stand still while its time goes on
+//! Live, the number may stand still while the time goes on, as QTM's does
 //! (<https://github.com/qualisys/qualisys_python_sdk/issues/37>). The time, in whole microseconds, then tells how many frames
 //! have passed. Where the number advances, it is what counts: a time stamp may be late.
 
@@ -18,7 +18,7 @@ struct LastFrame {
 
 /// Frames by their numbers or times, as a counter that wraps.
 #[derive(Debug, Default)]
-pub(super) struct FrameAxis {
+pub(crate) struct FrameAxis {
     /// Duration of a frame.
     period_us: f64,
     last: Option<LastFrame>,
@@ -33,12 +33,12 @@ const GRID_GAIN: f64 = 0.125;
 
 impl FrameAxis {
     /// An axis for frames at this rate.
-    pub(super) fn new(rate_millihertz: u32) -> Self {
+    pub(crate) fn new(rate_millihertz: u32) -> Self {
         Self { period_us: 1e9 / f64::from(rate_millihertz.max(1)), last: None }
     }
 
     /// The counter of a frame. Of two equal ones, the second is a duplicate, and one below the last is late.
-    pub(super) fn counter(&mut self, number: u32, time_us: u64) -> u32 {
+    pub(crate) fn counter(&mut self, number: u32, time_us: u64) -> u32 {
         let Some(last) = self.last else {
             let grid_us = time_us as f64;
             let first = LastFrame { number, time_us, counter: number, grid_us, stood_still: false };

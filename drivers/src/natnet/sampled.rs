@@ -1,0 +1,163 @@
+//! Force plates and other devices as groups of sampled channels: as many samples of each channel in every frame.
+
+use super::{
+    frame::{FrameOfData, SampledData},
+    model::SampledDescription,
+};
+use crate::{
+    device::{DeviceEvent, SampleBatch, SampleForm, SampledChannelInfo, SampledGroupInfo},
+    link::{GROUPS_MAX, SAMPLED_CHANNELS_MAX},
+};
+
+/// Most samples of a channel in one frame: Motive's analog devices have some tens at most.
+pub(super) const SAMPLES_PER_FRAME_MAX: u32 = 1000;
+
+/// A force plate or device.
+#[derive(Debug)]
+struct SampledGroup {
+    is_plate: bool,
+    /// Its number in frames.
+    wire_id: u32,
+    info: SampledGroupInfo,
+    samples_per_frame: u32,
+}
+
+/// All of them.
+#[derive(Debug, Default)]
+pub(super) struct SampledGroups {
+    groups: Vec<SampledGroup>,
+    /// Devices that were left out: too many, or too many channels.
+    n_left_out: usize,
+    /// Frames of a device that had another number of channels or samples, or was not announced.
+    pub(super) n_misfits: u64,
+    values: Vec<f32>,
+}
+
+/// The unit of a channel's values.
+fn unit(description: &SampledDescription) -> &'static str {
+    if description.data_type == 1 { "V" } else { "" }
+}
+
+impl SampledGroups {
+    /// The described devices, with as many samples in a frame as the server states, and those of a frame that are not described.
+    pub(super) fn new(
+        described: &[SampledDescription],
+        samples_per_frame: Option<u32>,
+        frame: Option<&FrameOfData<'_>>,
+        rate_millihertz: u32,
+    ) -> Self {
+        let mut groups = Self::default();
+        let seen = || frame.into_iter().flat_map(FrameOfData::sampled);
+        for description in described {
+            let of = |data: &SampledData<'_>| {
+                (data.is_plate, data.id) == (description.is_plate, description.id)
+            };
+            let seen = seen().find(of).and_then(samples_of);
+            let n_samples = seen.or(samples_per_frame).unwrap_or(1);
+            groups.add(description, n_samples, rate_millihertz);
+        }
+        for data in seen() {
+            let is_new =
+                |group: &SampledGroup| (group.is_plate, group.wire_id) != (data.is_plate, data.id);
+            if groups.groups.iter().all(is_new)
+                && let Some(n_samples) = samples_of(data)
+            {
+                groups.add(&unnamed(&data), n_samples, rate_millihertz);
+            }
+        }
+        groups
+    }
+
+    fn add(&mut self, description: &SampledDescription, samples_per_frame: u32, rate: u32) {
+        let n_channels = description.channels.len();
+        let rate_millihertz = rate.saturating_mul(samples_per_frame);
+        let fits = (1..=SAMPLED_CHANNELS_MAX).contains(&n_channels);
+        if !fits || self.groups.len() >= GROUPS_MAX {
+            self.n_left_out += usize::from(n_channels > 0);
+            return;
+        }
+        let SampledDescription { is_plate, id: wire_id, name, .. } = description;
+        let channels = description.channels.iter().map(|channel| SampledChannelInfo {
+            name: if name.is_empty() { channel.clone() } else { format!("{name}:{channel}") },
+            unit: unit(description).to_owned(),
+            scale: 1.0,
+            offset: 0.0,
+        });
+        let info = SampledGroupInfo {
+            id: self.groups.len() as u8,
+            form: SampleForm::Float32,
+            rate_millihertz,
+            channels: channels.collect(),
+        };
+        let (is_plate, wire_id) = (*is_plate, *wire_id);
+        self.groups.push(SampledGroup { is_plate, wire_id, info, samples_per_frame });
+    }
+
+    /// The groups.
+    pub(super) fn infos(&self) -> impl Iterator<Item = &SampledGroupInfo> {
+        self.groups.iter().map(|group| &group.info)
+    }
+
+    /// What is left out, for the take.
+    pub(super) fn remark(&self) -> Option<String> {
+        (self.n_left_out > 0).then(|| {
+            format!(
+                "{} force plates or devices are left out: at most {GROUPS_MAX} of at most {SAMPLED_CHANNELS_MAX} channels \
+                 are recorded",
+                self.n_left_out
+            )
+        })
+    }
+
+    /// Passes on the samples of a frame, which is the `index`th of the device and was exposed at `device_ticks`.
+    pub(super) fn pass_on(
+        &mut self,
+        frame: &FrameOfData<'_>,
+        index: u64,
+        device_ticks: u64,
+        on_event: &mut dyn FnMut(DeviceEvent<'_>),
+    ) {
+        for data in frame.sampled() {
+            let is_its =
+                |group: &&SampledGroup| (group.is_plate, group.wire_id) == (data.is_plate, data.id);
+            let found = self.groups.iter().find(is_its);
+            let Some(group) = found.filter(|group| fits(group, &data)) else {
+                self.n_misfits += u64::from(data.n_channels > 0);
+                continue;
+            };
+            self.values.clear();
+            for sample in 0..group.samples_per_frame as usize {
+                self.values.extend(data.channels().filter_map(|channel| channel.get(sample)));
+            }
+            on_event(DeviceEvent::Samples(SampleBatch {
+                group: group.info.id,
+                number: index as u32,
+                first: index.wrapping_mul(group.samples_per_frame.into()),
+                device_ticks,
+                form: SampleForm::Float32,
+                n_channels: group.info.channels.len() as u8,
+                samples: &self.values,
+            }));
+        }
+    }
+}
+
+fn fits(group: &SampledGroup, data: &SampledData<'_>) -> bool {
+    data.n_channels as usize == group.info.channels.len()
+        && data.channels().all(|channel| channel.count() == group.samples_per_frame as usize)
+}
+
+/// Samples of its channels, if they all have as many.
+fn samples_of(data: SampledData<'_>) -> Option<u32> {
+    let n_samples = data.channels().next()?.count();
+    let n_samples = data.channels().all(|c| c.count() == n_samples).then_some(n_samples)?;
+    u32::try_from(n_samples).ok().filter(|n| (1..=SAMPLES_PER_FRAME_MAX).contains(n))
+}
+
+/// The description of a device that the server does not describe.
+fn unnamed(data: &SampledData<'_>) -> SampledDescription {
+    let SampledData { is_plate, id, .. } = *data;
+    let name = format!("{} {id}", if is_plate { "plate" } else { "device" });
+    let channels = (1..=data.channels().count()).map(|n| format!("channel {n}")).collect();
+    SampledDescription { is_plate, id, name, data_type: 0, channels }
+}

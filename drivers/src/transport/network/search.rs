@@ -1,0 +1,61 @@
+//! A search: one datagram to all machines of the networks of this one, and what they reply.
+
+use std::{
+    io::{self, ErrorKind},
+    net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket},
+    time::{Duration, Instant},
+};
+
+use super::multicast::interfaces;
+
+/// Most replies that are kept: several times the systems of a building.
+const REPLIES_MAX: usize = 64;
+
+/// Sends a message to a port of all machines on the networks of this one, and of this machine. Returns the replies that
+/// arrive within this time, at most one of each address.
+///
+/// # Errors
+/// The system's, when no socket can be opened. A network that cannot be reached has no replies.
+pub fn search(
+    message: &[u8],
+    port: u16,
+    wait: Duration,
+) -> io::Result<Vec<(SocketAddrV4, Vec<u8>)>> {
+    let mut sockets = Vec::new();
+    for interface in interfaces()? {
+        let loopback = interface.address.is_loopback().then_some(Ipv4Addr::LOCALHOST);
+        let Some(target) = loopback.or(interface.broadcast) else { continue };
+        let socket = UdpSocket::bind((interface.address, 0)).and_then(|socket| {
+            socket.set_broadcast(true)?;
+            socket.set_nonblocking(true)?;
+            socket.send_to(message, (target, port))?;
+            Ok(socket)
+        });
+        // An interface that sends no broadcast has nobody to find.
+        sockets.extend(socket);
+    }
+    let mut replies: Vec<(SocketAddrV4, Vec<u8>)> = Vec::new();
+    let mut buffer = vec![0; 1 << 16];
+    let began = Instant::now();
+    while began.elapsed() < wait && replies.len() < REPLIES_MAX {
+        let mut is_idle = true;
+        for socket in &sockets {
+            match socket.recv_from(&mut buffer) {
+                Ok((n, SocketAddr::V4(from))) => {
+                    is_idle = false;
+                    if replies.iter().all(|(known, _)| *known != from) {
+                        replies.push((from, buffer.get(..n).unwrap_or_default().to_vec()));
+                    }
+                }
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                // Nobody listens at that port of this machine.
+                Err(_) => {}
+            }
+        }
+        if is_idle {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+    Ok(replies)
+}

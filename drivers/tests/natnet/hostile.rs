@@ -1,0 +1,194 @@
+//! Mutated packets in both directions: no panic, bounded memory, and back in step.
+
+use mocapd_drivers::natnet::{
+    Bitstream, HEADER_BYTES, MessageKind, NatNetServer, ServedStream, put_echo, put_message,
+    put_text,
+};
+use mocapd_testkit::random::Random;
+
+use crate::{
+    model::VERSIONS,
+    pair::{GROUP, MS, Pair, client, frame_bytes, model, settings, time_ns},
+};
+
+const N_MUTATIONS: u64 = 10_000;
+
+/// A seed per mutation, so that a failure can be repeated.
+const SEED: u64 = 0x6E61_746E_6574;
+
+const MULTICAST: ServedStream = ServedStream::Multicast(GROUP);
+
+/// Changes some bytes, or the length.
+fn mutate(bytes: &mut Vec<u8>, from: usize, random: &mut Random) {
+    for _ in 0..1 + random.below(4) {
+        let at = from + random.below(bytes.len().saturating_sub(from).max(1));
+        match random.below(4) {
+            0 => bytes.truncate(at.max(from)),
+            1 => bytes.insert(at.min(bytes.len()), random.below(256) as u8),
+            2 => {
+                let value = [0, 1, 0x7FFF_FFFF, u32::MAX, 4 << 20][random.below(5)];
+                for (k, byte) in value.to_le_bytes().into_iter().enumerate() {
+                    if let Some(target) = bytes.get_mut(at + k) {
+                        *target = byte;
+                    }
+                }
+            }
+            _ => {
+                if let Some(byte) = bytes.get_mut(at) {
+                    *byte ^= 1 << random.below(8);
+                }
+            }
+        }
+    }
+}
+
+fn frame(number: u32, version: Bitstream) -> Vec<u8> {
+    let mut server = NatNetServer::new(settings(version, MULTICAST));
+    frame_bytes(number, &[50_007, 50_008], 0, &mut server);
+    server.take_datagrams().remove(0).bytes
+}
+
+/// What a server sends.
+fn packets(version: Bitstream) -> Vec<Vec<u8>> {
+    let mut server = NatNetServer::new(settings(version, MULTICAST));
+    let mut connect = Vec::new();
+    put_text(MessageKind::Connect, "Ping", &mut connect);
+    server.receive(client(), &connect, 0, 0);
+    let mut packets = vec![server.take_datagrams().remove(0).bytes];
+    let mut definitions = Vec::new();
+    model().put(version, &mut definitions);
+    let mut echo = Vec::new();
+    put_echo(5, Some(6), &mut echo);
+    let mut response = Vec::new();
+    put_message(MessageKind::Response, &mut response, |out| out.extend(100_f32.to_le_bytes()));
+    let mut text = Vec::new();
+    put_text(MessageKind::Text, "hello", &mut text);
+    packets.extend([frame(1, version), definitions, echo, response, text]);
+    packets
+}
+
+/// A stream goes on behind a mutated datagram.
+#[test]
+fn the_driver_is_back_in_step_after_mutated_datagrams() {
+    for seed in 0..N_MUTATIONS {
+        let mut random = Random::new(SEED + seed);
+        let version = VERSIONS[random.below(VERSIONS.len())];
+        let packets = packets(version);
+        let mut bytes = packets[random.below(packets.len())].clone();
+        mutate(&mut bytes, if seed % 2 == 0 { HEADER_BYTES } else { 0 }, &mut random);
+        if seed % 2 == 0 {
+            let size = (bytes.len() - HEADER_BYTES) as u16;
+            bytes[2..4].copy_from_slice(&size.to_le_bytes());
+        }
+        let mut pair = Pair::new(version, MULTICAST);
+        pair.driver.command(mocapd_drivers::device::Command::Identify);
+        if seed % 3 == 0 {
+            // During the bring-up, it costs a repetition.
+            pair.step();
+            pair.driver.push(&bytes);
+        }
+        pair.steps(60);
+        if pair.driver.is_over() {
+            continue;
+        }
+        pair.driver.command(mocapd_drivers::device::Command::Start { line_bytes_per_s: 0 });
+        pair.steps(60);
+        pair.driver.push(&bytes);
+        pair.driver.now_ns += 300 * MS;
+        pair.steps(2);
+        if pair.driver.is_over() {
+            // A forged version, or a change of the clock: that is reported.
+            continue;
+        }
+        let before = pair.driver.reported.frames.len();
+        pair.frame(900, &[50_007]);
+        pair.driver.now_ns += 300 * MS;
+        pair.steps(2);
+        let found = pair.driver.reported.frames.get(before..).unwrap();
+        let time = if version.has_ticks() { time_ns(900) } else { 9_000_000_000 };
+        assert!(found.iter().any(|frame| frame.1 == time), "seed {seed}: {bytes:?}");
+        let finite = |frame: &(u32, u64, Vec<mocapd_drivers::device::MarkerSample>)| {
+            frame.2.iter().all(|s| s.occluded || s.position_mm.iter().all(|v| v.is_finite()))
+        };
+        assert!(pair.driver.reported.frames.iter().all(finite), "seed {seed}");
+        assert!(pair.driver.reported.notes.len() < 70, "seed {seed}");
+    }
+}
+
+#[test]
+fn the_server_survives_mutated_commands() {
+    let text = |kind, text: &str| {
+        let mut bytes = Vec::new();
+        put_text(kind, text, &mut bytes);
+        bytes
+    };
+    let empty = |kind| {
+        let mut bytes = Vec::new();
+        put_message(kind, &mut bytes, |_| {});
+        bytes
+    };
+    let mut echo = Vec::new();
+    put_echo(7, None, &mut echo);
+    let commands = [
+        text(MessageKind::Connect, "Ping"),
+        empty(MessageKind::Connect),
+        empty(MessageKind::RequestModel),
+        empty(MessageKind::KeepAlive),
+        empty(MessageKind::Disconnect),
+        empty(MessageKind::Discovery),
+        text(MessageKind::Request, "FrameRate"),
+        text(MessageKind::Request, "Bitstream,3.1"),
+        text(MessageKind::Request, "Bitstream"),
+        text(MessageKind::Request, "AnalogSamplesPerMocapFrame"),
+        echo,
+    ];
+    for seed in 0..N_MUTATIONS {
+        let mut random = Random::new(SEED.rotate_left(8) ^ seed);
+        let stream = if seed % 2 == 0 { MULTICAST } else { ServedStream::Unicast(1511) };
+        let mut server = NatNetServer::new(settings(Bitstream::NEWEST, stream));
+        for _ in 0..4 {
+            let mut bytes = commands[random.below(commands.len())].clone();
+            mutate(&mut bytes, if seed % 3 == 0 { 4 } else { 0 }, &mut random);
+            if seed % 3 == 0 {
+                let size = (bytes.len() - 4) as u16;
+                bytes[2..4].copy_from_slice(&size.to_le_bytes());
+            }
+            server.receive(client(), &bytes, 0, 0);
+        }
+        // At most one reply a datagram.
+        let replies = server.take_datagrams();
+        assert!(replies.len() <= 4, "seed {seed}");
+        server.receive(client(), &commands[0], 0, 0);
+        server.receive(client(), &commands[6], 0, 0);
+        let replies = server.take_datagrams();
+        assert_eq!(replies.len(), 2);
+        assert_eq!(replies[1].bytes[4..], 100_f32.to_le_bytes(), "seed {seed}");
+    }
+}
+
+#[test]
+fn clients_that_are_gone_or_too_many_cost_nothing() {
+    let stream = ServedStream::Unicast(1511);
+    let mut server = NatNetServer::new(settings(Bitstream::NEWEST, stream));
+    let mut connect = Vec::new();
+    put_text(MessageKind::Connect, "Ping", &mut connect);
+    for port in 0..2000 {
+        let address = std::net::SocketAddr::from(([10, 0, (port % 50) as u8, 1], 20_000 + port));
+        server.receive(address, &connect, 0, 0);
+    }
+    server.take_datagrams();
+    frame_bytes(0, &[], 0, &mut server);
+    let n = server.take_datagrams().len();
+    assert_eq!(
+        n,
+        2 * mocapd_drivers::natnet::CLIENTS_MAX,
+        "its own socket, and the port of its machine"
+    );
+    let keep_alive = [10, 0, 0, 0];
+    let one = std::net::SocketAddr::from(([10, 0, 49, 1], 21_999));
+    server.receive(one, &keep_alive, 0, 9_000 * MS);
+    let frame = mocapd_drivers::natnet::FrameToSend::default();
+    assert_eq!(server.frame(&frame, 15_000 * MS), Some(2));
+    assert_eq!(server.frame(&frame, 30_000 * MS), Some(0));
+    assert!(!server.has_listeners());
+}
