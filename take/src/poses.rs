@@ -11,11 +11,8 @@ use mocapd_codec::poses::{
 use crate::{
     TakeError,
     record::SampledGroup,
-    sampled::{GroupSamples, LostSamples},
+    sampled::{GroupSamples, LostSamples, POSES},
 };
-
-/// The kind of groups of poses.
-pub const POSES: &str = "poses";
 
 /// What is behind a body's name, and a point, in the names of its channels.
 pub const CHANNEL_NAMES: [&str; POSE_CHANNELS] =

@@ -16,7 +16,7 @@ pub use self::{
     times::{SampleAnchor, SampleClock, SampleTime, SampleTimes},
 };
 
-use crate::{TakeError, poses::POSES, record::SampledGroup, timeline::LossCauses, varint};
+use crate::{TakeError, record::SampledGroup, timeline::LossCauses, varint};
 
 /// Maximum number of samples of a channel in a block: those of ten seconds at 13 kHz.
 pub const BLOCK_ROWS_MAX: u64 = 1 << 17;
@@ -27,6 +27,9 @@ pub const BLOCK_SAMPLES_MAX: u64 = 1 << 20;
 
 /// The kind of the parts that are scalar channels of a recording, which belong to no file. Each group is a part of its own.
 pub const RECORDED: &str = "";
+
+/// The kind of the parts that are poses of rigid bodies in a recording ([`poses`](crate::poses)).
+pub const POSES: &str = "poses";
 
 /// Whether the parts of this kind are channels of a recording: scalar ones, or the poses of rigid bodies.
 #[must_use]

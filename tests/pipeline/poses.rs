@@ -461,3 +461,30 @@ fn a_take_of_all_kinds_that_is_cut_off_anywhere_is_true_and_can_be_recovered() {
     }
     assert!(n_known > take.len() / 3 && longest == 60 && n_unmeasured > 10, "{n_known} {longest}");
 }
+
+/// The numbers of frames and messages wrap, and more poses come than the rings can hold: all groups lose the same frames.
+#[test]
+fn numbers_wrap_and_a_full_ring_costs_all_bodies_the_same_frames() {
+    let motion = jump(7, 200.0, 1.0);
+    let (mut intake, pipeline) = start(&with_bodies(&motion, lossless()), Vec::new());
+    let first = u32::MAX - 99;
+    let infos = bodies();
+    for frame in 0..8_000_u32 {
+        if frame < 200 {
+            feed_all(&mut intake, &motion, [frame as usize]);
+        }
+        let poses: Vec<Pose> = infos.iter().filter_map(|body| pose(body, frame)).collect();
+        let number = first.wrapping_add(frame);
+        let device_ticks = ticks(frame);
+        intake.poses(&PoseFrame { seq: number, number, device_ticks, poses: &poses });
+    }
+    intake.finish();
+    let (_, take) = pipeline.finish().unwrap();
+    let ledgers = assert_clean(&take);
+    let counts = |ledger: &GroupLedger| GroupLedger { group: 0, ..*ledger };
+    assert_eq!(counts(&ledgers[0]), counts(&ledgers[1]));
+    let ledger = &ledgers[0];
+    assert_eq!((ledger.taken, ledger.jumps, ledger.duplicates), (8_000, 0, 0));
+    assert_eq!(ledger.lost(), ledger.lost_ring_full);
+    assert_eq!(assert_true(&take, 0, None) as u64, ledger.stored * u64::from(BODIES));
+}

@@ -142,7 +142,7 @@ impl Pipeline {
         let progress = Arc::new(PipelineProgress::new(&config.channels));
         let writer_heartbeat = config.heartbeat.register(ThreadRole::Writer)?;
 
-        let sampled_groups = config.sample_groups();
+        let sampled_groups = sampled::groups(config);
         let n_parts = plan.parts_max() + sampled::parts_max(&sampled_groups);
         let (parts_in, parts) = bounded(n_parts);
         let (to_writer, from_reader) = messages::reader_to_writer();

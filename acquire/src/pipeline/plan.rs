@@ -13,7 +13,7 @@ use mocapd_take::{
     stretch::SAMPLES_MAX,
 };
 
-use super::{ring::Sample, sampled};
+use super::ring::Sample;
 use crate::heartbeat::Heartbeat;
 
 /// Default length of a stretch and default time between syncs: their sum is what a power cut may cost.
@@ -99,13 +99,6 @@ impl PipelineConfig {
     /// The bodies that are recorded. Poses of others are refused, which is counted and reported.
     pub(super) fn recorded_bodies(&self) -> &[BodyInfo] {
         self.bodies.get(..BODIES_MAX).unwrap_or(&self.bodies)
-    }
-
-    /// The groups of sampled channels, and those of the poses.
-    pub(super) fn sample_groups(&self) -> Vec<SampledGroupInfo> {
-        let rate_millihertz = (self.rate_hz * 1000.0).round() as u32;
-        let poses = sampled::pose_groups(self.recorded_bodies(), rate_millihertz);
-        self.sampled.iter().cloned().chain(poses).collect()
     }
 
     /// Rows of a full stretch.

@@ -6,7 +6,7 @@ mod reconnect;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail, ensure};
-use mocapd_codec::Settings;
+use mocapd_codec::{Settings, poses::PoseBounds};
 use mocapd_drivers::{
     device::{
         BodyInfo, Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol, SampledGroupInfo,
@@ -64,6 +64,8 @@ pub struct Rig {
     replug_timeout: Duration,
     /// Length of a stretch and time between syncs, if the user chose them.
     loss_limits: Option<(Duration, Duration)>,
+    /// The largest error of rotations in degrees, if the user chose it.
+    angle_degrees: Option<f64>,
     /// Also receives every byte, when a raw log is written.
     raw_log: Option<RawLogTap>,
 }
@@ -127,6 +129,11 @@ impl Rig {
         self.loss_limits = Some((stretch, sync_every));
     }
 
+    /// Bounds the errors of rotations, in degrees, where poses are not recorded exactly; `None` for the default.
+    pub fn limit_angles(&mut self, degrees: Option<f64>) {
+        self.angle_degrees = degrees;
+    }
+
     /// How the device identified itself.
     #[must_use]
     pub fn hello(&self) -> &Hello {
@@ -175,6 +182,10 @@ impl Rig {
             bodies: self.channels.bodies.clone(),
             ..new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect())
         };
+        let angle = self.angle_degrees.filter(|_| config.pose_bounds.is_some());
+        let chosen = angle.and_then(|angle| PoseBounds::new(codec.tolerance, angle).ok());
+        let pose_bounds = chosen.or(config.pose_bounds);
+        let config = PipelineConfig { pose_bounds, ..config };
         match self.loss_limits {
             Some((stretch, sync_every)) => PipelineConfig { stretch, sync_every, ..config },
             None => config,
@@ -323,6 +334,7 @@ impl Rig {
             identity,
             replug_timeout: Duration::ZERO,
             loss_limits: None,
+            angle_degrees: None,
             raw_log,
         };
         rig.query_identity(&|| false)?;

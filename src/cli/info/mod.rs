@@ -1,5 +1,6 @@
 //! `info`: shows what is in takes and motion files.
 
+mod poses;
 mod sampled;
 mod subject;
 mod text;
@@ -25,11 +26,13 @@ use mocapd_take::{
     reader::TakeBytes,
     record::{Device, Header, ImportSource},
     recovery::RECOVERED,
+    sampled::is_recorded,
     traversal::Decode,
 };
 use serde::Serialize;
 
 use self::{
+    poses::PosesReport,
     sampled::SampledGroupReport,
     subject::SubjectReport,
     text::{line, text},
@@ -130,6 +133,7 @@ struct InfoReport {
     subject: Option<SubjectReport>,
     foreign_parts: Vec<ForeignReport>,
     sampled_groups: Vec<SampledGroupReport>,
+    poses: Option<PosesReport>,
     frames: u64,
     seconds: f64,
     markers: usize,
@@ -249,7 +253,7 @@ impl InfoReport {
         });
         let parts = summary.take.foreign.iter();
         // Channels of a recording are no part of a file.
-        let parts = parts.filter(|part| !part.kind.is_empty());
+        let parts = parts.filter(|part| !is_recorded(&part.kind));
         let foreign_parts = parts.map(|part| ForeignReport {
             kind: part.kind.clone(),
             bytes: part.data_bytes(),
@@ -283,6 +287,7 @@ impl InfoReport {
             subject: summary.take.subject.as_ref().map(SubjectReport::new),
             foreign_parts: foreign_parts.collect(),
             sampled_groups: SampledGroupReport::all(&summary.take.foreign),
+            poses: PosesReport::new(&summary.take),
             frames: summary.take.n_rows,
             seconds: summary.take.n_rows as f64 / header.rate_hz,
             markers: summary.take.channels.len(),

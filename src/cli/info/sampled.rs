@@ -39,10 +39,11 @@ struct SampledChannelReport {
 }
 
 impl SampledGroupReport {
-    /// The groups of all parts.
+    /// The groups of all parts, except those of poses.
     pub(super) fn all(parts: &[ForeignPart]) -> Vec<Self> {
         let sampled = parts.iter().filter_map(ForeignPart::sampled);
-        sampled.flat_map(|part| part.groups().iter().map(Self::new)).collect()
+        let groups = sampled.flat_map(|part| part.groups());
+        groups.filter(|group| !group.group.has_poses()).map(Self::new).collect()
     }
 
     fn new(found: &GroupSamples) -> Self {

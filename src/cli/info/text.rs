@@ -135,6 +135,9 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
         let shape = sampled::shape(&[group]);
         line("sampled", shape.trim_start_matches(": "));
     }
+    if let Some(poses) = &report.poses {
+        line("poses", &poses.text());
+    }
     for part in &report.foreign_parts {
         let groups = report.sampled_groups.iter().filter(|group| group.kind == part.kind);
         let shape = sampled::shape(&groups.collect::<Vec<_>>());

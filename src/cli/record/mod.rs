@@ -15,6 +15,7 @@ use mocapd_acquire::{
     rig::Rig,
     series::{RecordedSeries, SeriesTake},
 };
+use mocapd_codec::poses::ANGLE_DEGREES;
 use mocapd_drivers::{
     registry::OpenError,
     uri::{DeviceUri, Location},
@@ -73,6 +74,10 @@ pub(crate) struct Args {
     /// Also log every byte to and from the device to this file; `mocapd-sim serve` replays it as the device, if that speaks the link protocol (dvmc)
     #[arg(long, value_name = "LOG")]
     raw: Option<PathBuf>,
+    /// Largest error of the rotations of rigid bodies: 0.05deg, 0.0001 to 10 degrees [default: the angle by which a point
+    /// 200 mm away moves by the tolerance]
+    #[arg(long, value_name = "ANGLE", value_parser = angle_degrees, conflicts_with = "lossless", allow_hyphen_values = true)]
+    angle_tolerance: Option<f64>,
     #[command(flatten)]
     codec: CodecArgs,
     #[command(flatten)]
@@ -80,6 +85,19 @@ pub(crate) struct Args {
     /// Print one JSON document
     #[arg(long)]
     json: bool,
+}
+
+/// Parses an angle in degrees that the codec can keep.
+fn angle_degrees(text: &str) -> Result<f64, String> {
+    let number = text.trim().trim_end_matches("deg").trim_end();
+    let degrees = number.parse().ok().filter(|degrees| ANGLE_DEGREES.contains(degrees));
+    degrees.ok_or_else(|| {
+        format!(
+            "'{text}' is no angle from {} to {} degrees: give one such as 0.05deg",
+            ANGLE_DEGREES.start(),
+            ANGLE_DEGREES.end()
+        )
+    })
 }
 
 /// Parses the device. Unlike the service, `record` has no default: the user names the device.
@@ -128,6 +146,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         rig.wait_for_replug(args.reconnect);
         rig.limit_loss(args.stretch, args.sync);
+        rig.limit_angles(args.angle_tolerance);
         let same_disk = log.filter(|log| paths::are_on_one_disk(log.path(), &first));
         let limits = Limits {
             length: args.seconds,

@@ -73,7 +73,7 @@ pub struct SampledGroup {
     /// Its number, by which SAMPLES refer to it. No two groups of a take have the same.
     pub number: u32,
     /// The kind of the foreign part that the group belongs to, such as `c3d/analog`; empty for channels of a
-    /// recording, and [`POSES`](crate::poses::POSES) for those of rigid bodies.
+    /// recording, and [`POSES`](crate::sampled::POSES) for those of rigid bodies.
     pub kind: String,
     /// The form of the samples in the source.
     pub form: SampleForm,

@@ -532,6 +532,32 @@ fn bounds_of_parts_round_trip() {
     assert_eq!((joined.bounds[0], joined.bounds[66]), (0.5, 0.25));
 }
 
+/// Readers of versions 1 and 2 skip groups of poses, with bounds or without.
+fn poses_have_a_version_of_their_own(group: &SampledGroup, bounded: &[u8]) {
+    let channels = group.channels.iter().cycle().take(8).cloned().collect();
+    let poses = SampledGroup {
+        kind: POSES.to_owned(),
+        form: SampleForm::Float32,
+        channels,
+        part_channels: 72,
+        ..group.clone()
+    };
+    for bounds in [Vec::new(), vec![0.25; 8]] {
+        let poses = SampledGroup { bounds: SampleBounds(bounds), ..poses.clone() };
+        let stored = poses.to_chunk_payload().unwrap();
+        assert_eq!(stored[..2], [3, 0]);
+        assert_eq!(SampledGroup::from_chunk_payload(&stored, 0).unwrap(), poses);
+        for version in [1, 2] {
+            let other = [&[version, 0], &stored[2..]].concat();
+            assert!(SampledGroup::from_chunk_payload(&other, 0).is_err(), "{version}");
+        }
+    }
+    let other = [&[3, 0], &bounded[2..]].concat();
+    assert!(SampledGroup::from_chunk_payload(&other, 0).is_err(), "no poses");
+    let half = SampledGroup { channels: poses.channels[..7].to_vec(), ..poses };
+    assert!(half.to_chunk_payload().is_err());
+}
+
 #[test]
 fn descriptions_round_trip_and_impossible_ones_are_refused() {
     let channel = |i: u32| SampledChannel {
@@ -567,9 +593,10 @@ fn descriptions_round_trip_and_impossible_ones_are_refused() {
     for cut in 0..stored.len() {
         assert!(SampledGroup::from_chunk_payload(&stored[..cut], 0).is_err(), "{cut}");
     }
-    let later = [&[3, 0], &stored[2..]].concat();
+    let later = [&[4, 0], &stored[2..]].concat();
     let error = SampledGroup::from_chunk_payload(&later, 0).unwrap_err();
-    assert!(matches!(error, TakeError::Unsupported { found: 3, .. }), "{error}");
+    assert!(matches!(error, TakeError::Unsupported { found: 4, .. }), "{error}");
+    poses_have_a_version_of_their_own(&group, &stored);
     for bounds in [vec![1.0; 5], vec![0.5; 6], vec![-1.0; 6], vec![f64::NAN; 6]] {
         let refused = SampledGroup { bounds: SampleBounds(bounds), ..group.clone() };
         assert!(refused.to_chunk_payload().is_err(), "{refused:?}");

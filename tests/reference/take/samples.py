@@ -50,7 +50,7 @@ def read_group(payload):
     if not inflated.eof or inflated.unused_data:
         raise Corrupt("a description that does not inflate")
     version = int.from_bytes(payload[:2], "little")
-    r = Record(payload[:2] + body, 2 if version == 2 else 1)
+    r = Record(payload[:2] + body, version if version in (2, 3) else 1)
     group = Group(
         r.unsigned(), r.unsigned(), r.string(), r.unsigned(), r.unsigned(), r.unsigned(), r.unsigned(),
         r.double(), r.unsigned(), r.optional(r.unsigned),
@@ -58,6 +58,10 @@ def read_group(payload):
     )  # fmt: skip
     if version == 2:
         group.bounds = [r.double() for _ in group.channels]
+        check_bounds(group)
+    elif version == 3:
+        # Poses: those of rigid bodies; without bounds they are exact.
+        group.bounds = [r.double() for _ in group.channels] if r.left() else []
         check_bounds(group)
     r.finish()
     return group

@@ -33,15 +33,14 @@ use mocapd_codec::{
 };
 use mocapd_drivers::{device::SampledGroupInfo, link::SAMPLE_VALUES_MAX};
 use mocapd_take::{
-    poses::POSES,
     record::{SampleForm, SampledChannel, SampledGroup},
-    sampled::{BLOCK_ROWS_MAX, RECORDED, block_rows_max},
+    sampled::{BLOCK_ROWS_MAX, POSES, RECORDED, block_rows_max},
     timeline::LossCauses,
 };
 
 use self::coder::SampledGroupCoder;
 pub(super) use self::intake::{BatchOutcome, SampledIntake};
-pub(super) use self::poses::{PosesOutcome, groups as pose_groups};
+pub(super) use self::poses::PosesOutcome;
 use super::{
     PipelineConfig,
     messages::{BlockTime, WriterInput},
@@ -259,6 +258,13 @@ impl SamplingThreads {
     }
 }
 
+/// The device's groups, and those of the poses of its bodies.
+pub(super) fn groups(config: &PipelineConfig) -> Vec<SampledGroupInfo> {
+    let rate_millihertz = (config.rate_hz * 1000.0).round() as u32;
+    let poses = poses::groups(config.recorded_bodies(), rate_millihertz);
+    config.sampled.iter().cloned().chain(poses).collect()
+}
+
 /// One for each body of a group of poses; none if all bits are kept, or for a group of the device.
 fn quantisers(group: &SampledGroupInfo, bounds: Option<PoseBounds>) -> Vec<PoseQuantiser> {
     let bounds = bounds.filter(|_| group.id >= poses::FIRST_GROUP);
@@ -291,7 +297,7 @@ pub(super) fn records(config: &PipelineConfig) -> Vec<SampledGroup> {
             .collect(),
         ..SampledGroup::default()
     };
-    let mut records: Vec<SampledGroup> = config.sample_groups().iter().map(record).collect();
+    let mut records: Vec<SampledGroup> = groups(config).iter().map(record).collect();
     let are_poses = |group: &&mut SampledGroup| group.number >= poses::FIRST_GROUP.into();
     for group in records.iter_mut().filter(are_poses) {
         group.kind = POSES.to_owned();

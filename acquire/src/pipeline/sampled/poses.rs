@@ -17,10 +17,7 @@ use mocapd_take::poses::{CHANNEL_NAMES, CHANNEL_UNITS, REFUSED, UNLISTED};
 pub(super) const FIRST_GROUP: u8 = GROUPS_MAX as u8;
 
 /// The bodies as groups of sampled channels.
-pub(in crate::pipeline) fn groups(
-    bodies: &[BodyInfo],
-    rate_millihertz: u32,
-) -> Vec<SampledGroupInfo> {
+pub(super) fn groups(bodies: &[BodyInfo], rate_millihertz: u32) -> Vec<SampledGroupInfo> {
     let group = |(id, bodies): (u8, &[BodyInfo])| SampledGroupInfo {
         id,
         form: SampleForm::Float32,
