@@ -1,0 +1,279 @@
+"""Talks to `mocapd-sim serve --protocol natnet` with clients that are not ours: natnet and motioncapture (libmotioncapture).
+
+    python check_natnet.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
+
+natnet reads names, numbers, positions and poses; motioncapture reads names and poses of rigid bodies, of the newest frame where
+several wait. One line a pair; the last line is `N passed, N failed`; exit code 1 when one failed.
+"""
+
+import argparse
+import concurrent.futures
+import contextlib
+import csv
+import itertools
+import json
+import math
+import os
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+RATE_HZ = 240
+N_FRAMES = 480
+CLOCK_HZ = 10_000_000
+N_LABELLED = 64
+# Half of them belong to a rigid body, the others to no asset with a name.
+LABELS = tuple(f"Body:m{k:02}" if k < 32 else f"marker {k:02} <&>" for k in range(N_LABELLED))
+UNLABELLED = (f"u{N_LABELLED + 1:03}", f"u{N_LABELLED + 2:03}")
+FIRST_ID = 1000
+COLUMNS = N_LABELLED + len(UNLABELLED)
+VERSIONS = ("2.10", "3.1", "4.1")
+TURN_PER_FRAME = 0.01
+
+# It names its port as soon as it has opened it; a machine under load may take seconds to start it.
+FIRST_WORD_WITHIN_S = 30.0
+
+
+def float32(value):
+    return struct.unpack("<f", struct.pack("<f", value))[0]
+
+
+def position(column, frame):
+    """Where a marker is in metres, exactly as float32 has it; None while it is hidden."""
+    if (column == 40 and 100 <= frame < 150) or (column == N_LABELLED and 50 <= frame < 120):
+        return None
+    places = (10.1 * column + 0.5 * frame, -20.7 * column + 0.25 * frame, 1000.3 + 5.0 * column)
+    return tuple(float32(float32(v) / 1000.0) for v in places)
+
+
+def write_motion(path):
+    names = [f"{label}.{axis}" for label in LABELS + UNLABELLED for axis in "xyz"]
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "time_s", *names])
+        for frame in range(N_FRAMES):
+            cells = [frame, f"{frame / RATE_HZ:.9f}"]
+            for column in range(COLUMNS):
+                is_hidden = position(column, frame) is None
+                places = (10.1 * column + 0.5 * frame, -20.7 * column + 0.25 * frame, 1000.3 + 5.0 * column)
+                cells += ["", "", ""] if is_hidden else [repr(float32(v)) for v in places]
+            writer.writerow(cells)
+
+
+def expect(holds, complaint):
+    if not holds:
+        raise AssertionError(complaint)
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+@contextlib.contextmanager
+def simulator(program, motion, version, is_multicast, *more):
+    """A simulated Motive in a process of its own: the port of its commands, and that of its frames."""
+    data_port = free_port()
+    stream = f"--multicast=239.255.42.99:{data_port}" if is_multicast else f"--data-port={data_port}"
+    command = [program, "serve", motion, "--protocol", "natnet", "--loop", "--bitstream", version, stream, *more]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE,
+                               stderr=subprocess.DEVNULL, text=True)
+    silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
+    silent.start()
+    try:
+        uri = process.stdout.readline().strip()
+        silent.cancel()
+        expect(uri.startswith("natnet:127.0.0.1:"), f"the simulator names no port: {uri!r}")
+        yield int(uri.rpartition(":")[2]), data_port
+    finally:
+        silent.cancel()
+        process.terminate()
+        process.wait(10)
+
+
+def datagrams_dropped():
+    """Datagrams that the system dropped because this process did not read them in time."""
+    inodes = set()
+    for fd in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):
+            target = os.readlink(f"/proc/self/fd/{fd}")
+            if target.startswith("socket:["):
+                inodes.add(target[8:-1])
+    lines = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
+    return sum(int(line[12]) for line in lines if line[9] in inodes)
+
+
+def check_natnet_frame(frame, version):
+    """One frame as natnet reads it: every marker by its id, and those of the sets."""
+    number = frame.prefix.frame_number
+    row = number % N_FRAMES
+    by_id = {marker.id_num: marker for marker in frame.labeled_markers}
+    places = {}
+    for member, column in enumerate(range(32)):
+        places[1 << 16 | member + 1] = column
+    for member, column in enumerate(range(32, N_LABELLED)):
+        places[2 << 16 | member + 1] = column
+    for marker_id, column in places.items():
+        expected = position(column, row)
+        marker = by_id.pop(marker_id)
+        expect(marker.occluded == (expected is None), f"frame {number} marker {column}: {marker}")
+        expect(expected is None or marker.pos == expected, f"frame {number} marker {column}: {marker}, not {expected}")
+    seen = {FIRST_ID + column: position(column, row) for column in range(N_LABELLED, COLUMNS)}
+    seen = {marker_id: place for marker_id, place in seen.items() if place is not None}
+    if version == "2.10":
+        expect(not by_id and sorted(frame.unlabeled_marker_pos) == sorted(seen.values()), f"frame {number}")
+    else:
+        expect({marker_id: marker.pos for marker_id, marker in by_id.items()} == seen, f"frame {number}: {by_id}")
+        expect(all(marker.unlabeled for marker in by_id.values()), f"frame {number}")
+    sets = {one.model_name: one.marker_pos_list for one in frame.marker_sets}
+    expect(set(sets) == {"Body", ""} and sets["Body"][5] == position(5, row), f"frame {number}: {set(sets)}")
+    (body,) = frame.rigid_bodies
+    turn = number * TURN_PER_FRAME / 2
+    expect(body.id_num == 1 and body.tracking_valid, f"frame {number}: {body}")
+    rotation = (0.0, math.sin(turn), 0.0, math.cos(turn))
+    expect(all(abs(got - wanted) < 1e-6 for got, wanted in zip(body.rot, rotation)), f"frame {number}: {body}")
+    return number
+
+
+def check_natnet(port, data_port, version, is_multicast, seconds):
+    """Every frame is there, or was dropped by the system in front of this client."""
+    from natnet import NatNetClient
+
+    frames, descriptions = [], []
+    client = NatNetClient(server_ip_address="127.0.0.1", local_ip_address="127.0.0.1", command_port=port,
+                          data_port=data_port, use_multicast=is_multicast)
+    client.on_data_frame_received_event.handlers.append(frames.append)
+    client.on_data_description_received_event.handlers.append(descriptions.append)
+    with client:
+        info = client.server_info
+        expect(info.application_name == "mocapd-sim", info)
+        expect(str(info.nat_net_protocol_version) == f"{version}.0.0", info)
+        client.request_modeldef()
+        client.run_async()
+        time.sleep(seconds)
+        client.stop_async()
+        dropped = datagrams_dropped()
+    expect(descriptions, "no definitions")
+    sets = {one.name: one.marker_names for one in descriptions[-1].marker_sets}
+    names = tuple(f"{name}:{marker}" if name else marker for name in sets for marker in sets[name])
+    expect(names == LABELS, f"names {names}")
+    bodies = [(body.name, body.id_num) for body in descriptions[-1].rigid_bodies]
+    expect(bodies == [("Body", 1)], bodies)
+    numbers = [check_natnet_frame(frame, version) for frame in frames]
+    missing = numbers[-1] - numbers[0] + 1 - len(numbers)
+    expect(numbers == sorted(set(numbers)), "frames are repeated or out of order")
+    expect(missing <= dropped, f"{missing} frames are missing, {dropped} datagrams were dropped by the system")
+    expect(len(numbers) + missing > 0.8 * RATE_HZ * seconds, f"{len(numbers)} frames")
+    if version != "2.10":
+        # Not the number in front, nor the seconds: the stamp of the exposure.
+        steps = {b.suffix.stamp_camera_mid_exposure - a.suffix.stamp_camera_mid_exposure
+                 for a, b in zip(frames, frames[1:]) if b.prefix.frame_number == a.prefix.frame_number + 1}
+        expect(steps <= {CLOCK_HZ // RATE_HZ, CLOCK_HZ // RATE_HZ + 1}, f"steps of {steps} ticks")
+    return f"{len(numbers)} frames, {missing} missing"
+
+
+def body_position(row):
+    """Where the rigid body is: at the mean of its markers, as the simulator computes it."""
+    places = [position(column, row) for column in range(32)]
+    return tuple(float32(sum(place[axis] for place in places) / len(places)) for axis in range(3))
+
+
+def check_motioncapture(port, _, version, is_multicast, seconds):
+    """Names and poses of rigid bodies in the newest frames. Those of 2.10 have markers, which this client does not skip: there
+    it only reads frames without bodies to their end."""
+    import motioncapture
+
+    client = motioncapture.connect("optitrack", {"hostname": "127.0.0.1", "interface_ip": "127.0.0.1",
+                                                 "port_command": str(port)})
+    rows = {body_position(row): row for row in range(N_FRAMES)}
+    expect(len(rows) == N_FRAMES, "two frames have the body at one place")
+    count, seen, ends_at = 0, [], time.monotonic() + seconds
+    while time.monotonic() < ends_at:
+        client.waitForNextFrame()
+        bodies = client.rigidBodies
+        count += 1
+        if version == "2.10":
+            expect(not bodies, bodies)
+            continue
+        # By unicast frames race with the definitions, and this client takes the next datagram for them: its names are empty.
+        expect(set(bodies) == {"Body"} or not is_multicast and set(bodies) == {""}, f"bodies {set(bodies)}")
+        (body,) = bodies.values()
+        place = tuple(float(value) for value in body.position)
+        expect(place in rows, f"no frame has the body at {place}")
+        seen.append(rows[place])
+        rotation = body.rotation
+        length = math.sqrt(rotation.w ** 2 + rotation.x ** 2 + rotation.y ** 2 + rotation.z ** 2)
+        expect(abs(length - 1) < 1e-6 and rotation.x == rotation.z == 0, f"rotation {rotation}")
+    # Those that wait behind the newest are left out by this client.
+    expect(count > 10 * seconds, f"{count} frames")
+    steps = {(later - earlier) % N_FRAMES for earlier, later in zip(seen, seen[1:])}
+    expect(all(step < 0.5 * N_FRAMES for step in steps), f"frames go back: {steps}")
+    return f"{count} frames"
+
+
+def check_recorder_beside(port, data_port, version, is_multicast, seconds, mocapd):
+    """The recorder and natnet read the same frames at the same time."""
+    with tempfile.TemporaryDirectory() as folder:
+        record = [mocapd, "record", "-d", f"natnet:127.0.0.1:{port}", "-o", f"{folder}/t.take",
+                  "--seconds", f"{seconds}s", "--json"]
+        process = subprocess.Popen([str(word) for word in record], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        result = check_natnet(port, data_port, version, is_multicast, seconds)
+        output, errors = process.communicate(timeout=60)
+        expect(process.returncode == 0, errors.decode())
+        report = json.loads(output)
+        expect(report["ledger"]["closes"] and report["ledger"]["lost_on_link"] == 0, output.decode())
+        expect(report["frames"] >= 0.9 * RATE_HZ * seconds, output.decode())
+        info = subprocess.run([str(mocapd), "info", f"{folder}/t.take", "--json"], capture_output=True, check=True)
+        labels = [channel["label"] for channel in json.loads(info.stdout)["channels"]]
+        expect(labels[:N_LABELLED] == list(LABELS), labels)
+    return result
+
+
+def run_pair(job):
+    name, version, is_multicast, program, mocapd, motion, seconds = job
+    label = f"{name} {version} {'multicast' if is_multicast else 'unicast'}"
+    # This client does not read the markers that rigid bodies have before 3.0.
+    more = () if (name, version) == ("motioncapture", "2.10") else ("--rigid-body", "Body")
+    try:
+        with simulator(program, motion, version, is_multicast, *more) as (port, data_port):
+            if name == "recorder beside natnet":
+                result = check_recorder_beside(port, data_port, version, is_multicast, seconds, mocapd)
+            else:
+                check = check_natnet if name == "natnet" else check_motioncapture
+                result = check(port, data_port, version, is_multicast, seconds)
+        return True, f"ok   {label}: {result}"
+    except Exception as problem:  # any failure is this pair's, the others still count
+        return False, f"FAIL {label}: {type(problem).__name__}: {problem}"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mocapd-sim", required=True, type=Path)
+    parser.add_argument("--mocapd", required=True, type=Path)
+    parser.add_argument("--seconds", type=int, default=2, help="how long each stream is read")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        motion = Path(folder) / "motion.csv"
+        write_motion(motion)
+        programs = (options.mocapd_sim.resolve(), options.mocapd.resolve(), motion, options.seconds)
+        pairs = itertools.product(("natnet", "motioncapture"), VERSIONS, (True, False))
+        jobs = [(*pair, *programs) for pair in pairs]
+        jobs += [("recorder beside natnet", "4.1", is_multicast, *programs) for is_multicast in (True, False)]
+        passed = 0
+        # Side by side: each client has a server of its own. A process for each, because one client has one version.
+        with concurrent.futures.ProcessPoolExecutor(max_workers=3, max_tasks_per_child=1) as pool:
+            for is_passed, line in pool.map(run_pair, jobs):
+                passed += is_passed
+                print(line, flush=True)
+    print(f"{passed} passed, {len(jobs) - passed} failed")
+    sys.exit(passed != len(jobs))
+
+
+if __name__ == "__main__":
+    main()
