@@ -175,8 +175,8 @@ pub enum ClientCommand {
     Stop,
     /// Start a capture that waits for a trigger.
     Trig,
-    /// Put an event into the capture.
-    SetEvent,
+    /// Put an event with this label into the capture.
+    SetEvent(String),
     /// Open a measurement.
     Load(String),
     /// Save the measurement.
@@ -228,7 +228,7 @@ impl ClientCommand {
             "start" if rest.eq_ignore_ascii_case("rtfromfile") => Self::Start { from_file: true },
             "stop" if is_bare => Self::Stop,
             "trig" if is_bare => Self::Trig,
-            "setqtmevent" | "event" => Self::SetEvent,
+            "setqtmevent" | "event" => Self::SetEvent(rest.to_owned()),
             "load" => Self::Load(rest.to_owned()),
             "save" => Self::Save(rest.to_owned()),
             "loadproject" => Self::LoadProject(rest.to_owned()),
@@ -338,7 +338,7 @@ mod tests {
             ("TakeControl x364k6Gt", ClientCommand::TakeControl("x364k6Gt".to_owned())),
             ("takecontrol ", ClientCommand::TakeControl(String::new())),
             ("start rtfromfile", ClientCommand::Start { from_file: true }),
-            ("Event test_event", ClientCommand::SetEvent),
+            ("Event test_event", ClientCommand::SetEvent("test_event".to_owned())),
             ("Load \"a b.qtm\"", ClientCommand::Load("\"a b.qtm\"".to_owned())),
         ] {
             assert_eq!(ClientCommand::parse(text), command, "{text}");

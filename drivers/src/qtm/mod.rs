@@ -29,7 +29,10 @@ pub use self::{
         Event, HEADER_BYTES, OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader,
         put_event, put_packet, put_text,
     },
-    server::{CLIENTS_MAX, ClientId, Datagram, Delivery, QtmServer, ServedFrame},
+    server::{
+        CLIENTS_MAX, ClientId, ClientReport, Datagram, Delivery, OwnerCommand, OwnerRequest,
+        QtmServer, ServedFrame,
+    },
     settings::{LABELS_MAX, ServedSettings, Settings},
 };
 use crate::{

@@ -5,5 +5,6 @@
 mod bring_up;
 mod hostile;
 mod pair;
+mod recorder;
 mod settings;
 mod stream;

@@ -126,8 +126,7 @@ impl Pair {
     pub(crate) fn step(&mut self) {
         let to_server = self.driver.written();
         self.server.receive(self.client, &to_server);
-        let bytes = self.server.pending(self.client).to_vec();
-        self.server.sent(self.client, bytes.len());
+        let bytes = self.server.take_pending(self.client);
         for datagram in self.server.take_datagrams() {
             self.driver.push(&datagram.bytes, true);
         }

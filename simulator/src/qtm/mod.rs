@@ -238,6 +238,12 @@ impl QtmDevice {
         if self.state.flows { self.server.pending(id) } else { &[] }
     }
 
+    /// Whether no client has bytes pending.
+    #[must_use]
+    pub fn is_all_sent(&self) -> bool {
+        !self.state.flows || self.server.is_all_sent()
+    }
+
     /// The connection took the first `n` pending bytes.
     pub fn sent(&mut self, id: ClientId, n: usize) {
         self.server.sent(id, n);

@@ -82,8 +82,7 @@ fn new_host(is_started: bool, datagram_port: Option<u16>) -> (QtmHost, LineComma
         let client = client.expect("the first client");
         // Greeting, ten replies, and those to the request for frames.
         for _ in 0..16 {
-            let bytes = server.pending(client).to_vec();
-            server.sent(client, bytes.len());
+            let bytes = server.take_pending(client);
             host.push(&bytes, &mut |_| {});
             while let Some(command) = commands.try_recv() {
                 if let LineCommand::Write { request, .. } = command {
@@ -124,9 +123,7 @@ fn server(wire: &[u8], piece: usize) -> Vec<u8> {
     let mut replies = Vec::new();
     for bytes in wire.chunks(piece) {
         server.receive(client, bytes);
-        let pending = server.pending(client).to_vec();
-        server.sent(client, pending.len());
-        replies.extend_from_slice(&pending);
+        replies.extend_from_slice(&server.take_pending(client));
         server.take_datagrams();
     }
     replies

@@ -5,6 +5,7 @@
 
 mod connect;
 mod datagrams;
+pub mod server;
 
 use std::{
     io::{self, ErrorKind, Read, Write},
