@@ -11,7 +11,7 @@ use std::{
 
 use nix::sys::socket::{
     setsockopt,
-    sockopt::{KeepAlive, SndBuf, TcpKeepIdle, TcpUserTimeout},
+    sockopt::{KeepAlive, SndBuf, TcpKeepIdle},
 };
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
@@ -22,10 +22,9 @@ const READ_BYTES: usize = 4096;
 /// of 200 markers at 1000 Hz; the kernel itself would take up to 4 MiB, and frames would be seconds old.
 const SEND_BUFFER_BYTES: usize = 128 << 10;
 
-/// A client that is silent for this long is asked for a sign of life, and one that acknowledges nothing for
-/// [`ACKNOWLEDGED_WITHIN_MS`] is given up: a machine that was switched off must not occupy a place for ever.
+/// A client to which nothing is sent is asked for a sign of life after this time: a machine that was switched off must not
+/// occupy a place for ever. The system gives one up that acknowledges nothing for a quarter of an hour.
 const KEEP_ALIVE_AFTER_S: u32 = 30;
-const ACKNOWLEDGED_WITHIN_MS: u32 = 60_000;
 
 /// Time until a server accepts again after the system refused, mostly for want of file descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
@@ -146,7 +145,6 @@ impl<Id: Copy> TcpServer<Id> {
             setsockopt(fd, SndBuf, &SEND_BUFFER_BYTES).ok();
             setsockopt(fd, KeepAlive, &true).ok();
             setsockopt(fd, TcpKeepIdle, &KEEP_ALIVE_AFTER_S).ok();
-            setsockopt(fd, TcpUserTimeout, &ACKNOWLEDGED_WITHIN_MS).ok();
             match server.connect(peer) {
                 Ok(id) => self.connections.push(Connection { id, stream, is_over: false }),
                 // A fresh connection has room for a message. If it is gone, nobody reads it.
