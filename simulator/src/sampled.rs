@@ -146,6 +146,15 @@ impl SampledSource {
         &self.info
     }
 
+    /// Number of force plates; 0 for electrodes.
+    #[must_use]
+    pub fn n_plates(&self) -> usize {
+        match self.signal {
+            Signal::Plates(_) => self.info.channels.len() / PLATE_COMPONENTS.len(),
+            Signal::Electrodes { .. } => 0,
+        }
+    }
+
     /// Samples of a batch.
     pub(crate) fn batch_samples(&self) -> u64 {
         let n = u64::from(self.info.rate_millihertz) * BATCH_MS / 1_000_000;

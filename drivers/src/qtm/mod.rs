@@ -7,10 +7,12 @@ mod axis;
 mod bring_up;
 mod command;
 mod frame;
+mod groups;
 mod host;
 mod labels;
 mod packet;
 mod run;
+mod sampled;
 mod server;
 mod settings;
 mod stream_run;
@@ -21,19 +23,20 @@ pub use self::{
         VERSIONS, WELCOME,
     },
     frame::{
-        ComponentToSend, FrameHeader, MISSING, MarkerComponent, MarkerComponentKind, WireMarker,
-        put_frame, read_frame,
+        ComponentToSend, FrameComponent, FrameHeader, MISSING, MarkerComponent,
+        MarkerComponentKind, WireMarker, put_frame, read_components, read_frame,
     },
     host::QtmHost,
     packet::{
         Event, HEADER_BYTES, OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader,
         put_event, put_packet, put_text,
     },
+    sampled::{DeviceSamples, FORCE_VALUES, SampledComponentKind, SamplesToSend},
     server::{
         CLIENTS_MAX, ClientId, ClientReport, Datagram, Delivery, OwnerCommand, OwnerRequest,
         QtmServer, ServedFrame,
     },
-    settings::{LABELS_MAX, ServedSettings, Settings},
+    settings::{AnalogDevice, ForcePlate, ForceUnits, LABELS_MAX, ServedSettings, Settings},
 };
 use crate::{
     device::{Claim, Family},

@@ -77,6 +77,8 @@ pub(super) struct StreamRun {
     pub(super) partial: u64,
     /// Unlabelled markers without a channel.
     pub(super) excess: u64,
+    /// Samples of devices that are not recorded.
+    pub(super) samples_left_out: u64,
 }
 
 /// How long a frame waits for its other datagram, which was sent at the same time.

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use mocapd_drivers::qtm::{
     ComponentToSend, FrameHeader, MarkerComponentKind, PacketKind, QtmServer, ServedSettings,
-    WireMarker, put_frame, put_text,
+    SettingsRequest, WireMarker, put_frame, put_text,
 };
 use mocapd_testkit::random::Random;
 
@@ -57,6 +57,7 @@ fn packets() -> Vec<Vec<u8>> {
         frequency_hz: 100.0,
         up_axis: "+Y",
         labels: LABELS.map(str::to_owned).to_vec(),
+        ..ServedSettings::default()
     };
     let text = |kind, text: &str| {
         let mut bytes = Vec::new();
@@ -65,7 +66,15 @@ fn packets() -> Vec<Vec<u8>> {
     };
     vec![
         frame(1),
-        text(PacketKind::Xml, &settings.to_xml(28, true, true)),
+        text(
+            PacketKind::Xml,
+            &settings
+                .to_xml(
+                    28,
+                    SettingsRequest { general: true, markers: true, ..SettingsRequest::default() },
+                )
+                .unwrap(),
+        ),
         text(PacketKind::Error, "Parse error"),
         text(PacketKind::Command, "Byte order is little endian"),
         vec![9, 0, 0, 0, 6, 0, 0, 0, 3],
@@ -148,7 +157,10 @@ fn the_driver_survives_mutated_packets_in_any_pieces() {
 
 fn server() -> QtmServer {
     let labels = LABELS.map(str::to_owned).to_vec();
-    QtmServer::new(ServedSettings { frequency_hz: 100.0, up_axis: "+Y", labels }, "1".to_owned())
+    QtmServer::new(
+        ServedSettings { frequency_hz: 100.0, up_axis: "+Y", labels, ..ServedSettings::default() },
+        "1".to_owned(),
+    )
 }
 
 #[test]

@@ -6,5 +6,6 @@ mod bring_up;
 mod hostile;
 mod pair;
 mod recorder;
+mod samples;
 mod settings;
 mod stream;

@@ -11,7 +11,7 @@ const PASSWORD: &str = "correct horse battery";
 
 fn settings(labels: &[&str]) -> ServedSettings {
     let labels = labels.iter().map(|label| (*label).to_owned()).collect();
-    ServedSettings { frequency_hz: 100.0, up_axis: "+Y", labels }
+    ServedSettings { frequency_hz: 100.0, up_axis: "+Y", labels, ..ServedSettings::default() }
 }
 
 /// A server and one client that reads what it gets.

@@ -48,6 +48,7 @@ impl MarkerMap {
                 UpAxis::Z | UpAxis::Unknown => "+Z",
             },
             labels: self.labels.clone(),
+            ..ServedSettings::default()
         }
     }
 

@@ -5,6 +5,7 @@
 //! frame when the first client requests frames.
 
 mod fates;
+mod samples;
 mod serve;
 
 use std::{net::SocketAddr, sync::Arc};
@@ -23,7 +24,10 @@ use crate::faults::{
     ConnectionFaults, ConnectionState, Fault, Kind, Kinds, Script, SourceFaults, stream,
 };
 use crate::replay::Replay;
+use crate::sampled::SampledSource;
 use fates::DeliveryLog;
+use samples::FileSamples;
+pub use samples::force_of;
 pub use serve::{NetworkOptions, QtmListener, ServeError};
 
 /// Residual of every marker, which motions do not have.
@@ -43,11 +47,13 @@ pub struct QtmSettings {
     pub looping: bool,
     /// Faults of frames, time and connection.
     pub faults: Option<Arc<Script>>,
+    /// Analog devices and force plates.
+    pub sampled: Vec<SampledSource>,
 }
 
 impl Default for QtmSettings {
     fn default() -> Self {
-        Self { rate_hz: None, speed: 1.0, looping: false, faults: None }
+        Self { rate_hz: None, speed: 1.0, looping: false, faults: None, sampled: Vec::new() }
     }
 }
 
@@ -73,6 +79,7 @@ pub enum QtmError {
 pub struct QtmDevice {
     settings: QtmSettings,
     server: QtmServer,
+    samples: FileSamples,
     replay: Replay,
     rates: Rates,
     /// The columns of the labelled markers, and those of the others.
@@ -145,6 +152,8 @@ impl QtmDevice {
         let (labelled, unlabelled): (Vec<_>, Vec<_>) =
             (0..markers.len()).partition(|column| markers.get(*column).is_some_and(|m| m.labelled));
         let rates = Rates::new(&motion, settings.rate_hz, settings.speed)?;
+        let samples = FileSamples::new(&settings.sampled);
+        let (analog, plates) = samples.devices();
         let served = ServedSettings {
             frequency_hz: f64::from(rates.rate_millihertz) / 1000.0,
             up_axis: match motion.info.up {
@@ -154,12 +163,15 @@ impl QtmDevice {
                 UpAxis::Z | UpAxis::Unknown => "+Z",
             },
             labels: labelled.iter().filter_map(|c| Some(markers.get(*c)?.label.clone())).collect(),
+            analog,
+            plates,
         };
         let version = format!("mocapd-sim {}", env!("CARGO_PKG_VERSION"));
         let n_columns = markers.len();
         let replay = rates.replay(motion, rates.rate_millihertz);
         Ok(Self {
             server: QtmServer::new(served, version),
+            samples,
             replay,
             rates,
             labelled,
@@ -292,6 +304,7 @@ impl QtmDevice {
             self.server.restart();
             self.log.cut(Kind::PowerLoss);
             (self.start_ns, self.played, self.number) = (None, 0, 0);
+            self.samples.reset();
             if let Some(faults) = &mut self.faults {
                 faults.reset();
             }
@@ -316,6 +329,9 @@ impl QtmDevice {
             return u64::MAX;
         }
         let n_frames = self.replay.n_frames().max(1);
+        if self.start_ns.is_none() {
+            self.samples.start();
+        }
         let start_ns = *self.start_ns.get_or_insert(now_ns);
         loop {
             let next_ns =
@@ -327,6 +343,7 @@ impl QtmDevice {
                 self.end();
                 return u64::MAX;
             }
+            self.samples.add_until(next_ns - start_ns, &mut self.server);
             self.play(self.played % n_frames, next_ns);
         }
     }

@@ -4,7 +4,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 
 use mocapd_drivers::{
     device::{Command, DeviceEvent, LinkCounters, Protocol},
-    qtm::{LABELS_MAX, QtmHost, QtmServer, ServedSettings, Settings},
+    qtm::{LABELS_MAX, QtmHost, QtmServer, ServedSettings, Settings, SettingsRequest},
     transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
     uri::{Location, NetworkAddress},
 };
@@ -29,7 +29,7 @@ pub fn read_qtm(bytes: &[u8]) {
 
 fn served() -> ServedSettings {
     let labels = vec!["head".to_owned(), "hand".to_owned()];
-    ServedSettings { frequency_hz: 100.0, up_axis: "+Z", labels }
+    ServedSettings { frequency_hz: 100.0, up_axis: "+Z", labels, ..ServedSettings::default() }
 }
 
 /// The events of a host, and its counters. With `is_started` frames were requested of a server before.
@@ -133,6 +133,8 @@ fn server(wire: &[u8], piece: usize) -> Vec<u8> {
 fn settings(xml: &str) {
     let Ok(Settings { labels: Some(labels), .. }) = Settings::parse(xml) else { return };
     assert!(labels.len() <= LABELS_MAX);
-    let again = ServedSettings { labels: labels.clone(), ..served() }.to_xml(28, true, true);
+    let request = SettingsRequest { markers: true, ..SettingsRequest::default() };
+    let again = ServedSettings { labels: labels.clone(), ..served() }.to_xml(28, request);
+    let again = again.unwrap_or_default();
     assert_eq!(Settings::parse(&again).map(|settings| settings.labels), Ok(Some(labels)));
 }

@@ -5,7 +5,10 @@ use std::{net::SocketAddr, sync::Arc};
 use super::{Client, ClientId, QtmServer, Role, Stream};
 use crate::qtm::{
     command::{Components, StreamRate},
-    frame::{ComponentToSend, FrameHeader, MarkerComponentKind, WireMarker, put_frame},
+    frame::{
+        ComponentToSend, FrameHeader, MarkerComponentKind, SampledComponent, WireMarker,
+        put_sampled_frame,
+    },
 };
 
 /// Largest datagram of UDP over IPv4.
@@ -75,8 +78,10 @@ impl QtmServer {
         let mut encoded = Encoded::new();
         for client in &mut clients {
             if let Some(components) = client.one_frame.take() {
-                let components = components_of(frame, components);
-                client.outbox.put(|out| put_frame(frame.header, &components, out));
+                let samples = self.sampled_components(components, None);
+                let markers = components_of(frame, components);
+                let content = (&markers[..], &samples[..]);
+                client.outbox.put(|out| put_sampled_frame(frame.header, content, out));
             }
             let Some(stream) = &mut client.stream else { continue };
             stream.frames += 1;
@@ -86,12 +91,16 @@ impl QtmServer {
             } else {
                 Delivery::NotRequested
             };
+            if outcome != Delivery::NotRequested {
+                client.samples_from = self.sample_ends_now();
+            }
             client.frames_missed += u64::from(outcome == Delivery::Dropped);
             if Some(stream.number) == first {
                 delivery = outcome;
             }
         }
         self.clients = clients;
+        self.end_frame();
         delivery
     }
 
@@ -101,21 +110,28 @@ impl QtmServer {
         stream: &Stream,
         (frame, encoded): (&ServedFrame<'_>, &mut Encoded),
     ) -> Delivery {
+        let samples = self.sampled_components(stream.components, Some(&client.samples_from));
         if let Some(to) = stream.target {
-            let components = components_of(frame, stream.components);
-            let Some(parts) = divided(frame.header, &components) else { return Delivery::Dropped };
+            let markers = components_of(frame, stream.components);
+            let parts = divided(frame.header, &markers, &samples);
+            let Some(parts) = parts else { return Delivery::Dropped };
             let n = parts.len();
             let datagram =
                 |(at, bytes)| Datagram { client: client.id, to, bytes, ends_frame: at + 1 == n };
             self.datagrams.extend(parts.into_iter().enumerate().map(datagram));
             return Delivery::Datagrams(n);
         }
-        let known = encoded.iter().find(|(components, _)| *components == stream.components);
+        // The samples of a stream depend on its last frame.
+        let is_shared = |(components, _): &&(Components, Arc<[u8]>)| {
+            *components == stream.components && samples.is_empty()
+        };
+        let known = encoded.iter().find(is_shared);
         let bytes = match known {
             Some((_, bytes)) => Arc::clone(bytes),
             None => {
                 let mut bytes = Vec::new();
-                put_frame(frame.header, &components_of(frame, stream.components), &mut bytes);
+                let markers = components_of(frame, stream.components);
+                put_sampled_frame(frame.header, (&markers, &samples), &mut bytes);
                 let bytes: Arc<[u8]> = bytes.into();
                 encoded.push((stream.components, Arc::clone(&bytes)));
                 bytes
@@ -193,7 +209,11 @@ fn components_of<'a>(frame: &ServedFrame<'a>, wanted: Components) -> Vec<Compone
 }
 
 /// The datagrams of a frame: as many components in each as fit. `None` when one does not fit into any.
-fn divided(header: FrameHeader, components: &[ComponentToSend<'_>]) -> Option<Vec<Vec<u8>>> {
+fn divided(
+    header: FrameHeader,
+    components: &[ComponentToSend<'_>],
+    samples: &[SampledComponent<'_>],
+) -> Option<Vec<Vec<u8>>> {
     /// Packet header, time, number and count.
     const FRAME_HEADER_BYTES: usize = 24;
     let mut parts = Vec::new();
@@ -209,9 +229,19 @@ fn divided(header: FrameHeader, components: &[ComponentToSend<'_>]) -> Option<Ve
             return None;
         }
         let (now, later) = rest.split_at(n);
+        let sampled_bytes: usize = samples.iter().map(SampledComponent::bytes).sum();
+        let now_bytes: usize = now.iter().map(ComponentToSend::bytes).sum();
+        // The samples go with the last markers, or in a datagram of their own.
+        let fits = later.is_empty()
+            && FRAME_HEADER_BYTES + now_bytes + sampled_bytes <= DATAGRAM_BYTES_MAX;
         let mut part = Vec::new();
-        put_frame(header, now, &mut part);
+        put_sampled_frame(header, (now, if fits { samples } else { &[] }), &mut part);
         parts.push(part);
+        if later.is_empty() && !fits {
+            let mut part = Vec::new();
+            put_sampled_frame(header, (&[], samples), &mut part);
+            (part.len() <= DATAGRAM_BYTES_MAX).then(|| parts.push(part))?;
+        }
         if later.is_empty() {
             return Some(parts);
         }

@@ -7,18 +7,18 @@ mod control;
 mod delivery;
 mod outbox;
 mod recorder;
+mod samples;
 
 use std::net::SocketAddr;
 
-use self::outbox::Outbox;
 pub use self::{
     delivery::{Datagram, Delivery, ServedFrame},
     recorder::{ClientReport, OwnerCommand, OwnerRequest},
 };
+use self::{outbox::Outbox, samples::SampleHistory};
 use super::{
     command::{
-        ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate, StreamRequest,
-        VERSIONS, WELCOME,
+        ClientCommand, Components, DatagramTarget, StreamRate, StreamRequest, VERSIONS, WELCOME,
     },
     packet::{Event, Packet, PacketKind, PacketReader, put_event, put_packet, put_text},
     settings::ServedSettings,
@@ -64,6 +64,8 @@ struct Client {
     minor: u32,
     stream: Option<Stream>,
     one_frame: Option<Components>,
+    /// Where the samples of its next frame begin, by device.
+    samples_from: Vec<u64>,
     outbox: Outbox,
     is_out_of_step: bool,
     /// Whether the owner executes a command of it; later ones wait.
@@ -90,6 +92,7 @@ struct Stream {
 #[derive(Debug)]
 pub struct QtmServer {
     settings: ServedSettings,
+    histories: Vec<SampleHistory>,
     /// What it replies to `QTMVersion`.
     version: String,
     clients: Vec<Client>,
@@ -111,6 +114,7 @@ impl QtmServer {
     #[must_use]
     pub fn new(settings: ServedSettings, version: String) -> Self {
         Self {
+            histories: SampleHistory::of(&settings),
             settings,
             version,
             clients: Vec::new(),
@@ -150,6 +154,7 @@ impl QtmServer {
             minor: 1,
             stream: None,
             one_frame: None,
+            samples_from: Vec::new(),
             outbox: Outbox::default(),
             is_out_of_step: false,
             awaits_owner: false,
@@ -391,18 +396,17 @@ impl QtmServer {
                     client.outbox.put(|out| put_event(state, out));
                 }
             }
-            ClientCommand::GetParameters(SettingsRequest { general: false, markers: false }) => {
-                self.reply(id, Err("Parameters not available"));
-            }
             ClientCommand::GetParameters(_) if has_no_settings => {
                 self.reply(id, Err("Parameters not available"));
             }
-            ClientCommand::GetParameters(SettingsRequest { general, markers }) => {
-                let xml = self.settings.to_xml(minor, *general, *markers);
-                if let Some(client) = self.client(id) {
-                    client.outbox.put(|out| put_text(PacketKind::Xml, &xml, out));
+            ClientCommand::GetParameters(request) => match self.settings.to_xml(minor, *request) {
+                Some(xml) => {
+                    if let Some(client) = self.client(id) {
+                        client.outbox.put(|out| put_text(PacketKind::Xml, &xml, out));
+                    }
                 }
-            }
+                None => self.reply(id, Err("Parameters not available")),
+            },
             // Frames of earlier versions have another layout.
             ClientCommand::GetCurrentFrame(_) | ClientCommand::StreamFrames(_)
                 if !VERSIONS.contains(&minor) =>
@@ -438,6 +442,10 @@ impl QtmServer {
         };
         let StreamRequest { rate, components, .. } = *request;
         client.stream = Some(Stream { rate, components, target, number, frames: 0 });
+        let starts = self.sample_starts();
+        if let Some(client) = self.client(id) {
+            client.samples_from = starts;
+        }
         self.n_streams = number;
         self.play_for(id);
     }

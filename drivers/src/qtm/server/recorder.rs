@@ -55,7 +55,7 @@ impl QtmServer {
     /// control with `password`, or from nobody.
     #[must_use]
     pub fn of_recorder(version: String, clients_max: usize, password: Option<String>) -> Self {
-        let nothing = ServedSettings { frequency_hz: 1.0, up_axis: "+Z", labels: Vec::new() };
+        let nothing = ServedSettings { frequency_hz: 1.0, ..ServedSettings::default() };
         let mut server = Self::new(nothing, version);
         server.clients_max = clients_max;
         server.role = Role::Recorder { password };
@@ -74,6 +74,9 @@ impl QtmServer {
             return;
         };
         let has_changed = self.settings != settings;
+        if has_changed {
+            self.histories = super::SampleHistory::of(&settings);
+        }
         self.settings = settings;
         if self.measurement == Measurement::Closed {
             self.measurement = Measurement::Live;

@@ -22,6 +22,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         speed: args.speed,
         looping: args.looping,
         faults: input::script(args)?,
+        sampled: input::sampled(args)?,
     };
     let mut device = QtmDevice::new(motion, settings).map_err(|error| match error {
         QtmError::Device(error) => refused(error),
@@ -75,6 +76,7 @@ fn check(args: &ServeArgs) -> Result<u16, Failure> {
         ("--no-bx2", args.no_bx2),
         ("--batch", args.batch().is_some()),
         ("--drift-ppm", args.drift_ppm != 0.0),
+        ("--batch-log", args.batch_log.is_some()),
     ];
     match options.iter().find(|(_, is_set)| *is_set) {
         Some((option, _)) => usage(format!("{option} does not apply to a QTM: remove it")),
