@@ -1,8 +1,12 @@
 //! Attached devices, for `devices --json` and the API.
 
+use std::{net::IpAddr, time::Duration};
+
 use mocapd_drivers::{
+    qtm::{DISCOVERY_BYTES_MAX, DISCOVERY_PORT, discovery_request, read_discovery_reply},
     registry::{self, AttachedDevice, Claim},
-    transport::{Access, TransportError},
+    transport::{Access, TransportError, network::discovery::ask},
+    uri::{Location, NetworkAddress},
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -41,6 +45,38 @@ impl From<AttachedDevice> for ListedDevice {
             },
         }
     }
+}
+
+/// How long servers have to answer a search: on a local network they need some milliseconds.
+const SEARCH_TIME: Duration = Duration::from_millis(300);
+
+/// Searches the networks of this machine for QTM servers, by the broadcast that QTM documents. It connects to none of
+/// them. Where the network cannot be asked, there are none.
+#[must_use]
+pub fn servers() -> Vec<ListedDevice> {
+    let answers = ask(discovery_request, DISCOVERY_PORT, DISCOVERY_BYTES_MAX, SEARCH_TIME);
+    let server = |(ip, answer): (IpAddr, Vec<u8>)| {
+        let found = read_discovery_reply(&answer)?;
+        let address = NetworkAddress {
+            family: "qtm",
+            host: ip.to_canonical().to_string(),
+            port: found.port,
+            datagrams: false,
+        };
+        Some(ListedDevice {
+            device: Location::Network(address).to_string(),
+            manufacturer: None,
+            product: Some(found.info),
+            serial: None,
+            driver: Some("qtm".to_owned()),
+            certain: true,
+            problem: None,
+        })
+    };
+    let mut servers: Vec<_> = answers.unwrap_or_default().into_iter().filter_map(server).collect();
+    servers.sort_by(|a, b| a.device.cmp(&b.device));
+    servers.dedup();
+    servers
 }
 
 /// Lists the attached devices. It opens none of them.

@@ -319,10 +319,11 @@ fn what_cannot_be_opened_is_explained_in_one_line() {
     assert_mentions(&line, &["100 Hz", "240 Hz", "--rate"]);
 }
 
-/// The samples that a take has of each group, one after another, and the numbers of the first and the last.
+/// How many samples a take has of each group, without gaps, and the samples one after another.
 fn recorded_samples(take: &[u8]) -> Vec<(u64, Vec<f32>)> {
     let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
-    let read = |group: mocapd_take::RecordedGroup<'_>| {
+    let mut found = Vec::new();
+    for group in map.recorded_groups() {
         let n_channels = group.group.channels.len();
         let (mut rows, mut n_numbers) = (Vec::new(), 0);
         group
@@ -336,9 +337,9 @@ fn recorded_samples(take: &[u8]) -> Vec<(u64, Vec<f32>)> {
                 Ok(())
             })
             .unwrap();
-        (n_numbers, rows)
-    };
-    map.recorded_groups().map(read).collect()
+        found.push((n_numbers, rows));
+    }
+    found
 }
 
 #[test]

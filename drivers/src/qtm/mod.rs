@@ -6,6 +6,7 @@
 mod axis;
 mod bring_up;
 mod command;
+mod discovery;
 mod frame;
 mod groups;
 mod host;
@@ -21,6 +22,10 @@ pub use self::{
     command::{
         ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate, StreamRequest,
         VERSIONS, WELCOME,
+    },
+    discovery::{
+        DISCOVERY_BYTES_MAX, DISCOVERY_PORT, DiscoveredServer, discovery_reply, discovery_request,
+        read_discovery_reply, read_discovery_request,
     },
     frame::{
         ComponentToSend, FrameComponent, FrameHeader, MISSING, MarkerComponent,

@@ -102,6 +102,10 @@ impl QtmHost {
                 FrameComponent::Markers(markers) => self.on_component(header, &markers, on_event),
                 FrameComponent::Samples(samples) => {
                     let way = (header.time_us, is_lossy);
+                    // Not requested, and without numbers.
+                    if samples.kind.is_single() {
+                        return;
+                    }
                     let fits = self.sampled.samples(&samples, way, on_event);
                     self.run.samples_left_out += u64::from(!fits) * samples.n_samples as u64;
                 }
@@ -208,6 +212,8 @@ impl QtmHost {
         if seq.wrapping_sub(run.last).cast_signed() > 0 || run.frames == 0 {
             run.last = seq;
         }
+        let stated_hz = f64::from(self.hello.rate_millihertz) / 1000.0;
+        let measured_hz = run.rate.follow(header.number, header.time_us, stated_hz);
         self.had_frames = true;
         run.last_us = header.time_us;
         run.frames += 1;
@@ -217,6 +223,15 @@ impl QtmHost {
             timecode: None,
             markers: &self.samples,
         }));
+        if let Some(hz) = measured_hz {
+            self.note(
+                &format!(
+                    "QTM's frame rate is {hz:.1} Hz by its clock, and was stated as {stated_hz} Hz: lengths and times that \
+                     follow from the rate are wrong; stop, and record again"
+                ),
+                on_event,
+            );
+        }
     }
 
     /// The labels that were requested because frames have another number of markers.

@@ -11,8 +11,14 @@ use anyhow::{Context, anyhow};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use mocapd_acquire::threads::{self, StopReceiver, StopSender};
 use mocapd_drivers::{
-    qtm::{CLIENTS_MAX, ClientId, OwnerCommand, OwnerRequest, QtmServer, ServedFrame},
-    transport::network::server::{StreamServer, TcpServer},
+    qtm::{
+        CLIENTS_MAX, ClientId, DISCOVERY_PORT, OwnerCommand, OwnerRequest, QtmServer, ServedFrame,
+        discovery_reply, read_discovery_request,
+    },
+    transport::network::{
+        discovery::Responder,
+        server::{StreamServer, TcpServer},
+    },
 };
 
 use super::{
@@ -35,6 +41,9 @@ const POLL_IDLE: Duration = Duration::from_millis(20);
 
 /// Time between two reports of the clients to the status.
 const REPORT_INTERVAL: Duration = Duration::from_millis(200);
+
+/// What the server says to be.
+const VERSION: &str = concat!("mocapd ", env!("CARGO_PKG_VERSION"));
 
 /// How long clients have to take what is pending when the service stops.
 const DRAIN: Duration = Duration::from_millis(500);
@@ -79,13 +88,13 @@ impl QtmPublisher {
         let (requests, requested) = bounded(CLIENTS_MAX);
         let (replies, replied) = bounded(CLIENTS_MAX);
         let (stopper, stopped) = threads::stop_channel();
-        let version = concat!("mocapd ", env!("CARGO_PKG_VERSION")).to_owned();
         let has_control = password.is_some();
         let worker = PublishWorker {
             clients,
             datagrams,
+            responder: Responder::open(DISCOVERY_PORT).ok(),
             server: AllowedServer {
-                server: QtmServer::of_recorder(version, config.clients_max, password),
+                server: QtmServer::of_recorder(VERSION.to_owned(), config.clients_max, password),
                 allow_from: config.allow_from.clone(),
                 refused: 0,
                 news: Vec::new(),
@@ -205,6 +214,8 @@ impl StreamServer for AllowedServer {
 struct PublishWorker {
     clients: TcpServer<ClientId>,
     datagrams: UdpSocket,
+    /// Answers searches, unless another program uses their port alone.
+    responder: Option<Responder>,
     server: AllowedServer,
     config: QtmPublishConfig,
     feed: PublishedFeed,
@@ -234,6 +245,7 @@ impl PublishWorker {
             self.follow_takes();
             self.publish_frames();
             self.send_datagrams();
+            self.answer_searches();
             self.clients.exchange(&mut self.server);
             self.report();
             let is_streaming = self.server.server.wants_frames() && self.source.is_some();
@@ -290,6 +302,18 @@ impl PublishWorker {
             let MarkerMap { labelled, unlabelled, .. } = &self.map;
             server.frame(&ServedFrame { header, rates: [0; 2], labelled, unlabelled });
         }
+    }
+
+    /// Answers those who may connect, with the name of the rig.
+    fn answer_searches(&self) {
+        let Some(responder) = &self.responder else { return };
+        let port = self.clients.address().port();
+        responder.serve(|from, question| {
+            let reply_port = read_discovery_request(question)?;
+            let is_allowed = self.server.is_allowed((from, reply_port).into());
+            is_allowed
+                .then(|| (reply_port, discovery_reply(&self.control.status().rig, VERSION, port)))
+        });
     }
 
     fn send_datagrams(&mut self) {

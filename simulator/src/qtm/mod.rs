@@ -36,6 +36,9 @@ const RESIDUAL_MM: f32 = 0.25;
 /// Id of the first unlabelled marker: unlike a marker's place, so that nobody can take one for the other.
 const FIRST_ID: u32 = 1000;
 
+/// What it says to be.
+const VERSION: &str = concat!("mocapd-sim ", env!("CARGO_PKG_VERSION"));
+
 /// How a QTM plays its motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct QtmSettings {
@@ -166,11 +169,10 @@ impl QtmDevice {
             analog,
             plates,
         };
-        let version = format!("mocapd-sim {}", env!("CARGO_PKG_VERSION"));
         let n_columns = markers.len();
         let replay = rates.replay(motion, rates.rate_millihertz);
         Ok(Self {
-            server: QtmServer::new(served, version),
+            server: QtmServer::new(served, VERSION.to_owned()),
             samples,
             replay,
             rates,

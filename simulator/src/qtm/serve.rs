@@ -6,10 +6,13 @@ use std::num::NonZeroU64;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use mocapd_drivers::qtm::{ClientId, QtmServer};
+use mocapd_drivers::qtm::{
+    ClientId, DISCOVERY_PORT, QtmServer, discovery_reply, read_discovery_request,
+};
+use mocapd_drivers::transport::network::discovery::Responder;
 use mocapd_drivers::transport::network::server::{StreamServer, TcpServer};
 
-use super::QtmDevice;
+use super::{QtmDevice, VERSION};
 use crate::device::{FrameFate, SentLog};
 use crate::line::host_ns;
 
@@ -65,6 +68,7 @@ impl std::fmt::Debug for NetworkOptions {
 pub struct QtmListener {
     clients: TcpServer<ClientId>,
     datagrams: UdpSocket,
+    responder: Option<Responder>,
 }
 
 impl QtmListener {
@@ -79,7 +83,14 @@ impl QtmListener {
         let datagrams = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))
             .and_then(|socket| socket.set_nonblocking(true).map(|()| socket))
             .map_err(|source| ServeError::Network { action: "opening a UDP socket", source })?;
-        Ok(Self { clients, datagrams })
+        Ok(Self { clients, datagrams, responder: None })
+    }
+
+    /// Answers searches of this machine's programs from now on. Returns `false` where another program keeps others from
+    /// answering.
+    pub fn answer_searches(&mut self) -> bool {
+        self.responder = Responder::open(DISCOVERY_PORT).ok();
+        self.responder.is_some()
     }
 
     /// Where clients connect.
@@ -115,6 +126,14 @@ impl QtmListener {
             let wake_ns = device.poll(host_ns());
             self.follow_cable(device)?;
             self.send_datagrams(device);
+            if let Some(responder) = self.responder.as_ref().filter(|_| device.is_reachable()) {
+                let port = self.clients.address().port();
+                responder.serve(|from, question| {
+                    let reply_port = read_discovery_request(question)?;
+                    let reply = || discovery_reply("localhost", VERSION, port);
+                    from.is_loopback().then(|| (reply_port, reply()))
+                });
+            }
             let mut clients = Clients(device);
             self.clients.exchange(&mut clients);
             write_fates(device, log.as_mut())?;

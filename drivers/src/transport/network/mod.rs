@@ -5,6 +5,7 @@
 
 mod connect;
 mod datagrams;
+pub mod discovery;
 pub mod server;
 
 use std::{

@@ -29,7 +29,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         _ => Failure::usage(error),
     })?;
     let stop = stop_on_signal()?;
-    let listener = QtmListener::open(port).map_err(|error| match error {
+    let mut listener = QtmListener::open(port).map_err(|error| match error {
         ServeError::Listen { .. } => Failure::usage(error),
         _ => Failure::from(error),
     })?;
@@ -40,6 +40,9 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     }
     let hz = f64::from(device.rate_millihertz()) / 1000.0;
     notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
+    if !listener.answer_searches() {
+        notify("`mocapd devices` does not find it: another program uses UDP port 22226 alone");
+    }
     let uri = listener.uri();
     if args.json {
         print_json_line(&LineReport { path: &uri })?;
