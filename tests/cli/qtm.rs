@@ -43,7 +43,8 @@ struct Served {
 impl Served {
     fn new(motion: Motion, settings: QtmSettings) -> Self {
         let mut device = QtmDevice::new(motion, settings).unwrap();
-        let listener = QtmListener::open(0).unwrap();
+        let mut listener = QtmListener::open(0).unwrap();
+        listener.answer_searches();
         let uri = listener.uri();
         let stop = Arc::new(AtomicBool::new(false));
         let (stopped, log) = (Arc::clone(&stop), SharedLog::default());
@@ -390,5 +391,23 @@ fn force_plates_and_electrodes_are_recorded_bit_for_bit() {
         assert!(expected[1].1.iter().any(|value| *value != 0.0), "somebody stands on it");
         let info = folder.run(&["info", &take, "--json"]).json();
         assert_eq!(info["sample_ledger"], *document);
+    }
+}
+
+/// Each by a line, with what it says to be.
+#[test]
+fn devices_lists_every_qtm_that_answers() {
+    let folder = Folder::new();
+    let served = [1, 2]
+        .map(|_| Served::new(motion(), QtmSettings { looping: true, ..QtmSettings::default() }));
+    let listed = folder.run(&["devices", "--json"]).with_code(0).json();
+    let text = folder.run(&["devices"]).with_code(0).stdout;
+    for Served { uri, .. } in &served {
+        let of_uri = |device: &&Value| device["device"] == Value::from(uri.as_str());
+        let device = listed.as_array().unwrap().iter().find(of_uri);
+        let device = device.unwrap_or_else(|| panic!("{uri} is not in {listed:#}"));
+        assert_eq!((&device["driver"], &device["certain"]), (&"qtm".into(), &true.into()));
+        assert!(device["product"].as_str().unwrap().starts_with("localhost, mocapd-sim "));
+        assert!(text.lines().any(|line| line.starts_with(uri.as_str())), "{text}");
     }
 }

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use nix::{ifaddrs::getifaddrs, net::if_::InterfaceFlags};
+use nix::{ifaddrs::getifaddrs, net::if_::InterfaceFlags, sys::socket::SockaddrStorage};
 use socket2::{Domain, Socket, Type};
 
 /// Answers that are read: more servers than a network has, and a bound on what others can send.
@@ -63,15 +63,45 @@ fn is_retry(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted)
 }
 
-/// The broadcast address of every IPv4 network of this machine, the loopback among them.
+/// An IPv4 network that an interface of this machine is in.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Ipv4Network {
+    /// Name of the interface.
+    pub interface: String,
+    /// The address of this machine.
+    pub address: Ipv4Addr,
+    /// The address of all machines.
+    pub broadcast: Ipv4Addr,
+    /// Whether it carries multicast.
+    pub has_multicast: bool,
+}
+
+/// The networks of the interfaces that are up, without the loopback.
+#[must_use]
+pub fn networks() -> Vec<Ipv4Network> {
+    let Ok(interfaces) = getifaddrs() else { return Vec::new() };
+    let is_wanted = InterfaceFlags::IFF_UP | InterfaceFlags::IFF_BROADCAST;
+    let interfaces = interfaces.filter(|interface| interface.flags.contains(is_wanted));
+    let ip =
+        |address: Option<&SockaddrStorage>| Some(Ipv4Addr::from(address?.as_sockaddr_in()?.ip()));
+    let network = |interface: nix::ifaddrs::InterfaceAddress| {
+        Some(Ipv4Network {
+            address: ip(interface.address.as_ref())?,
+            broadcast: ip(interface.broadcast.as_ref())?,
+            has_multicast: interface.flags.contains(InterfaceFlags::IFF_MULTICAST),
+            interface: interface.interface_name,
+        })
+    };
+    interfaces.filter_map(network).collect()
+}
+
+/// The broadcast address of every network, the loopback among them.
 fn broadcast_addresses() -> Vec<Ipv4Addr> {
     let mut found = vec![Ipv4Addr::new(127, 255, 255, 255)];
-    let Ok(interfaces) = getifaddrs() else { return found };
-    let is_wanted = InterfaceFlags::IFF_UP | InterfaceFlags::IFF_BROADCAST;
-    for interface in interfaces.filter(|interface| interface.flags.contains(is_wanted)) {
-        let address = interface.broadcast.as_ref().and_then(|b| b.as_sockaddr_in());
-        let address = address.map(|address| Ipv4Addr::from(address.ip()));
-        found.extend(address.filter(|address| !found.contains(address)));
+    for Ipv4Network { broadcast, .. } in networks() {
+        if !found.contains(&broadcast) {
+            found.push(broadcast);
+        }
     }
     found
 }
