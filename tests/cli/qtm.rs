@@ -403,7 +403,7 @@ fn devices_lists_every_qtm_that_answers() {
     let listed = folder.run(&["devices", "--json"]).with_code(0).json();
     let text = folder.run(&["devices"]).with_code(0).stdout;
     for Served { uri, .. } in &served {
-        let of_uri = |device: &&Value| device["device"] == Value::from(uri.as_str());
+        let of_uri = |device: &&Value| device["device"] == uri.as_str();
         let device = listed.as_array().unwrap().iter().find(of_uri);
         let device = device.unwrap_or_else(|| panic!("{uri} is not in {listed:#}"));
         assert_eq!((&device["driver"], &device["certain"]), (&"qtm".into(), &true.into()));

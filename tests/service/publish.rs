@@ -7,7 +7,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
-    thread::{self, JoinHandle},
+    thread::{self, Builder, JoinHandle},
     time::Duration,
 };
 
@@ -45,7 +45,7 @@ impl Source {
         let (uri, stop) = (listener.uri(), Arc::new(AtomicBool::new(false)));
         let stopped = Arc::clone(&stop);
         let serve = move || drop(listener.serve(&mut device, NetworkOptions::default(), &stopped));
-        thread::Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
+        Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
         Self { uri, stop }
     }
 }
@@ -170,6 +170,9 @@ impl Client {
     }
 }
 
+/// A thread that reads frames: the client, and the numbers of its frames.
+type Reading = JoinHandle<(Client, Vec<u32>)>;
+
 /// Reads frames until `stop`, and for as long as some wait; returns their numbers.
 fn read_frames(
     mut client: Client,
@@ -237,7 +240,7 @@ fn eight_clients_of_which_two_hardly_read_cost_the_recording_no_frame() {
     let published = Published::new((*motion).clone(), |_| {});
     let address = published.address();
     let (stop, n_read) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicUsize::new(0)));
-    let good: Vec<(SocketAddr, JoinHandle<(Client, Vec<u32>)>)> = (0..6)
+    let good: Vec<(SocketAddr, Reading)> = (0..6)
         .map(|index| {
             let client = Client::ready(address);
             let (stop, n_read) = (Arc::clone(&stop), Arc::clone(&n_read));
@@ -247,7 +250,8 @@ fn eight_clients_of_which_two_hardly_read_cost_the_recording_no_frame() {
                     assert_is_source(&motion, number, body);
                 }
             };
-            (local, thread::spawn(move || read_frames(client, &stop, &n_read, check)))
+            let read = move || read_frames(client, &stop, &n_read, check);
+            (local, Builder::new().name("client".to_owned()).spawn(read).unwrap())
         })
         .collect();
     let [mut stuck, mut slow] = [(); 2].map(|()| Client::ready(address));

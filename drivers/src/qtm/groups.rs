@@ -1,7 +1,6 @@
 //! Groups of sampled channels: one for each analog device and force plate of QTM.
 
 use super::{
-    host::EventSink,
     sampled::DeviceSamples,
     settings::{AnalogDevice, ForcePlate, ForceUnits},
 };
@@ -54,7 +53,7 @@ impl SampledGroups {
                 offset: 0.0,
             };
             let channels: Vec<_> = device.channels.iter().map(channel).collect();
-            self.add(false, (device.id, device.rate_hz), channels);
+            self.add(false, (device.id, device.rate_hz), &channels);
         }
     }
 
@@ -69,11 +68,11 @@ impl SampledGroups {
                 offset: 0.0,
             };
             // The documents do not state the unit of moments.
-            let channels = [("F", force), ("M", ""), ("COP", length)]
+            let channels: Vec<_> = [("F", force), ("M", ""), ("COP", length)]
                 .into_iter()
                 .flat_map(|(what, unit)| ["x", "y", "z"].map(|axis| channel(what, axis, unit)))
                 .collect();
-            self.add(true, (plate.id, plate.rate_hz), channels);
+            self.add(true, (plate.id, plate.rate_hz), &channels);
         }
     }
 
@@ -81,7 +80,7 @@ impl SampledGroups {
         &mut self,
         is_force: bool,
         (device, rate_hz): (u32, f64),
-        channels: Vec<SampledChannelInfo>,
+        channels: &[SampledChannelInfo],
     ) {
         let device_channels = channels.len();
         let per_s = rate_hz * device_channels.min(SAMPLED_CHANNELS_MAX) as f64;
@@ -137,7 +136,7 @@ impl SampledGroups {
         &mut self,
         device: &DeviceSamples<'_>,
         (time_us, is_lossy): (u64, bool),
-        on_event: EventSink<'_>,
+        on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) -> bool {
         let mut fits = false;
         let key = (device.kind.is_force(), device.id);
@@ -158,7 +157,7 @@ impl SampledGroup {
         device: &DeviceSamples<'_>,
         (time_us, is_lossy): (u64, bool),
         values: &mut Vec<f32>,
-        on_event: EventSink<'_>,
+        on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) {
         let n_channels = self.info.channels.len();
         let (start, is_behind) = self.number(device.first, is_lossy);

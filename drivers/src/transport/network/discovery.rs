@@ -157,7 +157,9 @@ mod tests {
         let port = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap().port();
         let servers = [1_u8, 2].map(|name| (name, Responder::open(port).unwrap()));
         let question = |reply_port: u16| reply_port.to_be_bytes().to_vec();
-        let asking = std::thread::spawn(move || ask(question, port, 64, Duration::from_secs(2)));
+        let asking = std::thread::Builder::new().name("asking".to_owned());
+        let ask_all = move || ask(question, port, 64, Duration::from_secs(2));
+        let asking = asking.spawn(ask_all).unwrap();
         while !asking.is_finished() {
             for (name, server) in &servers {
                 server.serve(|from, question| {
