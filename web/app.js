@@ -14,6 +14,7 @@ import { Markers } from "./markers.js";
 import { Motion } from "./motion.js";
 import { Hero } from "./state.js";
 import { Takes } from "./takes.js";
+import { showPublished } from "./published.js";
 import { Tiles } from "./tiles.js";
 import { View } from "./view.js";
 
@@ -69,6 +70,7 @@ async function fetchStatus() {
     [connectionError, failures] = [null, 0];
     hero.show(status);
     tiles.show(status);
+    showPublished(status);
     actions.show(status, false);
     if (wasDisconnected) showTakes();
   } catch (error) {

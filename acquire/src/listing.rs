@@ -43,11 +43,17 @@ impl From<AttachedDevice> for ListedDevice {
     }
 }
 
-/// Lists the attached devices, and those that answer a search on the network. It opens none of them.
+/// Lists the attached devices. It opens none of them.
 ///
 /// # Errors
 /// When the system cannot list its devices.
 pub fn devices() -> Result<Vec<ListedDevice>, TransportError> {
-    let attached = registry::devices()?.into_iter().chain(registry::network_devices());
-    Ok(attached.map(ListedDevice::from).collect())
+    Ok(registry::devices()?.into_iter().map(ListedDevice::from).collect())
+}
+
+/// Searches the networks of this machine for servers of motion-capture systems. It connects to none of them. Where the
+/// network cannot be asked, there are none.
+#[must_use]
+pub fn servers() -> Vec<ListedDevice> {
+    registry::network_devices().into_iter().map(ListedDevice::from).collect()
 }

@@ -81,6 +81,51 @@ impl FrameAxis {
     }
 }
 
+/// Time over which the rate is measured, in microseconds: a stamp that is late by a frame changes it by little.
+const RATE_WINDOW_US: u64 = 1_000_000;
+
+/// Part by which the measured rate may differ from the stated one: clocks differ by a ten-thousandth.
+const RATE_DEVIATION_MAX: f64 = 0.02;
+
+/// Windows in a row that must show it: a clock or a number that jumps spoils one.
+const RATE_WINDOWS: u32 = 2;
+
+/// Compares the rate of frames by their numbers and times with the stated one.
+#[derive(Debug, Default)]
+pub(super) struct RateCheck {
+    /// The first frame of the window, and the last one: number and time.
+    window: Option<[(u32, u64); 2]>,
+    n_deviating: u32,
+    is_reported: bool,
+}
+
+impl RateCheck {
+    /// Follows a frame. Returns the rate in Hz, once, when it is another than the stated one.
+    pub(super) fn follow(&mut self, number: u32, time_us: u64, rate_hz: f64) -> Option<f64> {
+        let here = (number, time_us);
+        let [first, last] = self.window.get_or_insert([here; 2]);
+        let is_next = number.wrapping_sub(last.0).cast_signed() > 0 && time_us > last.1;
+        if here != *last && !is_next {
+            // A number that stands still counts nothing, and one that began again nothing with those before.
+            self.window = Some([here; 2]);
+            self.n_deviating = 0;
+            return None;
+        }
+        *last = here;
+        let elapsed_us = time_us - first.1;
+        if elapsed_us < RATE_WINDOW_US {
+            return None;
+        }
+        let measured_hz = f64::from(number.wrapping_sub(first.0)) * 1e6 / elapsed_us as f64;
+        self.window = Some([here; 2]);
+        let deviates = (measured_hz / rate_hz - 1.0).abs() > RATE_DEVIATION_MAX;
+        self.n_deviating = if deviates { self.n_deviating + 1 } else { 0 };
+        let is_new = self.n_deviating >= RATE_WINDOWS && !self.is_reported;
+        self.is_reported |= is_new;
+        is_new.then_some(measured_hz)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -88,6 +133,29 @@ mod tests {
     fn counters(frames: &[(u32, u64)]) -> Vec<u32> {
         let mut axis = FrameAxis::new(100_000);
         frames.iter().map(|(number, time_us)| axis.counter(*number, *time_us)).collect()
+    }
+
+    #[test]
+    fn another_rate_is_noticed_once_and_jumps_are_not() {
+        const NONE: [u64; 0] = [];
+        let run = |frame: &dyn Fn(u32) -> (u32, u64)| -> Vec<u64> {
+            let mut check = RateCheck::default();
+            let frames = (0..1000).map(frame);
+            let follow = |(number, time_us)| check.follow(number, time_us, 100.0);
+            frames.filter_map(follow).map(|hz| hz.round() as u64).collect()
+        };
+        let at = |number: u32, period_us: u64| (number, u64::from(number) * period_us);
+        assert_eq!(run(&|n| at(n, 10_000)), NONE);
+        assert_eq!(run(&|n| at(n, 10_050)), NONE, "a clock that is half a percent off");
+        let changes = |n: u32| {
+            let (slow, fast) = (n.min(500), n.saturating_sub(500));
+            (n, u64::from(slow) * 10_000 + u64::from(fast) * 5_000)
+        };
+        assert_eq!(run(&changes), [200]);
+        // Every second number, as from a QTM that processes half of the frames.
+        assert_eq!(run(&|n| at(2 * n, 10_000)), NONE);
+        assert_eq!(run(&|n| (1, u64::from(n) * 5_000)), NONE, "it stands still");
+        assert_eq!(run(&|n| (n + 400 * (n / 300), u64::from(n) * 10_000)), NONE, "it jumps");
     }
 
     #[test]

@@ -206,7 +206,8 @@ fn a_search_finds_who_answers() {
             }
         })
         .unwrap();
-    let found = search(b"who is there", address.port(), Duration::from_millis(500)).unwrap();
+    let found =
+        search(|_| b"who is there".to_vec(), address.port(), Duration::from_millis(500)).unwrap();
     answer.join().unwrap();
     assert_eq!(found.len(), 1, "{found:?}");
     assert_eq!((found[0].0.port(), &*found[0].1), (address.port(), &b"who is there"[..]));

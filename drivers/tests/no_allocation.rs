@@ -268,7 +268,12 @@ mod no_allocation {
         let uri: DeviceUri = "qtm:lab".parse().unwrap();
         let mut host = QtmHost::new(&uri.location, sender, None);
         let labels = (0..100).map(|k| format!("m{k}")).collect();
-        let settings = ServedSettings { frequency_hz: 1000.0, up_axis: "+Z", labels };
+        let settings = ServedSettings {
+            frequency_hz: 1000.0,
+            up_axis: "+Z",
+            labels,
+            ..ServedSettings::default()
+        };
         let mut server = QtmServer::new(settings, "1".to_owned());
         let client = server.connect(([127, 0, 0, 1], 1).into()).unwrap();
         host.command(Command::Identify, &mut Vec::new());

@@ -14,7 +14,7 @@ mod tests;
 
 use std::{
     fmt::{self, Write},
-    net::SocketAddr,
+    net::{Ipv4Addr, SocketAddr},
     path::{self, Path, PathBuf},
     time::Duration,
 };
@@ -61,6 +61,8 @@ pub struct Config {
     pub http: HttpConfig,
     /// Capture triggers.
     pub trigger: TriggerConfig,
+    /// What is published live as QTM does.
+    pub publish_qtm: QtmPublishConfig,
     /// How much is logged.
     pub log_level: Level,
 }
@@ -159,6 +161,72 @@ pub struct TriggerConfig {
     pub allow_from: Vec<Network>,
     /// Longest delay that a trigger may ask for.
     pub delay_max: Duration,
+}
+
+/// The section `[publish.qtm]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct QtmPublishConfig {
+    /// Whether it is published.
+    pub enabled: bool,
+    /// The TCP address.
+    pub listen: SocketAddr,
+    /// The other machines that may connect.
+    pub allow_from: Vec<Network>,
+    /// Limit on simultaneous clients.
+    pub clients_max: usize,
+    /// Whether a client may take control.
+    pub control: bool,
+    /// The file with the password for it.
+    pub password_file: Option<PathBuf>,
+}
+
+impl Default for QtmPublishConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            listen: (Ipv4Addr::LOCALHOST, 0).into(),
+            allow_from: Vec::new(),
+            clients_max: 0,
+            control: false,
+            password_file: None,
+        }
+    }
+}
+
+impl QtmPublishConfig {
+    /// Remarks on the section, one line each.
+    fn notes(&self) -> Vec<String> {
+        let Self { enabled: true, listen, allow_from, control, password_file, .. } = self else {
+            return Vec::new();
+        };
+        let mut notes = Vec::new();
+        let is_local = listen.ip().to_canonical().is_loopback();
+        if is_local && !allow_from.is_empty() {
+            notes.push(format!(
+                "publish.qtm.allow_from has no effect: only this machine can reach publish.qtm.listen = {listen}; \
+                 listen on 0.0.0.0:{} for others",
+                listen.port()
+            ));
+        }
+        if !is_local && allow_from.is_empty() {
+            notes.push(format!(
+                "publish.qtm.listen is {listen}, but no other machine may connect: list those that may in \
+                 publish.qtm.allow_from, such as allow_from = [\"192.168.10.0/24\"]"
+            ));
+        }
+        if !is_local && *control {
+            notes.push(
+                "publish.qtm.control is on: the password is sent over the network unencrypted; use a network that you trust"
+                    .to_owned(),
+            );
+        }
+        if !control && password_file.is_some() {
+            notes.push(
+                "publish.qtm.password_file has no effect: publish.qtm.control is false".to_owned(),
+            );
+        }
+        notes
+    }
 }
 
 impl fmt::Display for DeviceChoice {
@@ -319,6 +387,7 @@ impl Config {
                     .to_owned(),
             );
         }
+        notes.extend(self.publish_qtm.notes());
         if self.device.raw_log {
             notes.push(
                 "device.raw_log is on: every byte received while armed is logged, many times the size of the takes"

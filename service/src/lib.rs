@@ -22,6 +22,7 @@ pub mod notify;
 pub mod page;
 pub mod playback;
 pub mod process;
+pub mod publish;
 pub mod status;
 pub mod subject;
 pub mod take_files;

@@ -86,6 +86,45 @@ pub struct Status {
     /// The upload of finished takes; null without `archive.url`.
     #[serde(default)]
     pub archive: Option<ArchiveStatus>,
+    /// What is published live; null if nothing is.
+    #[serde(default)]
+    pub publish: Option<PublishStatus>,
+}
+
+/// A server that publishes frames live.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct PublishStatus {
+    /// Its protocol: `qtm`.
+    pub protocol: String,
+    /// The address at which it listens.
+    pub listen: String,
+    /// Limit on simultaneous clients.
+    pub clients_max: usize,
+    /// Connections that were refused: too many, or from an address that is not allowed.
+    pub clients_refused: u64,
+    /// Frames that clients missed since the service was started, also those that have left.
+    pub frames_missed: u64,
+    /// The clients.
+    pub clients: Vec<PublishedClient>,
+}
+
+/// A client of such a server.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct PublishedClient {
+    /// Its address.
+    pub address: String,
+    /// The version of the protocol that it chose; empty until it has.
+    pub version: String,
+    /// How it gets frames: `tcp` or `udp`.
+    pub transport: String,
+    /// Whether it requests frames.
+    pub is_streaming: bool,
+    /// Whether it may start and stop takes.
+    pub is_in_control: bool,
+    /// Frames that it was sent.
+    pub frames_sent: u64,
+    /// Frames that it requested and missed, because it read too slowly or the network took no more.
+    pub frames_missed: u64,
 }
 
 /// A start that waits for its time. A restart of the service forgets it.

@@ -146,10 +146,13 @@ impl SampledSource {
         &self.info
     }
 
-    /// Whether these are force plates.
+    /// Number of force plates; 0 for electrodes.
     #[must_use]
-    pub fn is_plates(&self) -> bool {
-        matches!(self.signal, Signal::Plates(_))
+    pub fn n_plates(&self) -> usize {
+        match self.signal {
+            Signal::Plates(_) => self.info.channels.len() / PLATE_COMPONENTS.len(),
+            Signal::Electrodes { .. } => 0,
+        }
     }
 
     /// Samples of a batch.

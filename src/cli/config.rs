@@ -135,13 +135,18 @@ fn report_invalid(args: &CheckArgs, error: &ConfigError) -> anyhow::Result<Outco
     Err(UsageError(format!("{} is invalid: {n}, see above", args.file.display())).into())
 }
 
-/// Every key that has a value, as an object of sections.
+/// Every key that has a value, as an object of sections; `publish.qtm` is a section within a section.
 fn by_section(config: &Config) -> Value {
     let mut sections = Map::new();
     for (path, value) in config.values() {
-        let (Some((section, name)), Some(value)) = (path.split_once('.'), value) else { continue };
-        let section = sections.entry(section).or_insert_with(|| Value::Object(Map::new()));
-        if let Value::Object(keys) = section {
+        let (Some((section, name)), Some(value)) = (path.rsplit_once('.'), value) else { continue };
+        let mut keys = Some(&mut sections);
+        for part in section.split('.') {
+            let section =
+                keys.map(|keys| keys.entry(part).or_insert_with(|| Value::Object(Map::new())));
+            keys = section.and_then(Value::as_object_mut);
+        }
+        if let Some(keys) = keys {
             keys.insert(name.to_owned(), value);
         }
     }

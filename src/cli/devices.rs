@@ -1,4 +1,4 @@
-//! `devices`: lists attached devices with their drivers, or why they cannot be opened.
+//! `devices`: lists attached devices with their drivers, or why they cannot be opened, and QTM servers on the network.
 
 use mocapd::outcome::Outcome;
 use mocapd_acquire::listing::{self, ListedDevice};
@@ -32,14 +32,15 @@ fn line(listed: &ListedDevice) -> String {
 /// The list as text.
 pub(super) fn text(listed: &[ListedDevice]) -> String {
     if listed.is_empty() {
-        return "no devices found: plug one in, or try `mocapd demo`, which needs none\n"
+        return "no devices found: plug one in, give a QTM its address as in `--device qtm:HOST`, or try `mocapd demo`, which needs none\n"
             .to_owned();
     }
     listed.iter().map(line).collect()
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let listed = listing::devices()?;
+    let mut listed = listing::devices()?;
+    listed.extend(listing::servers());
     if args.json {
         print_json(&listed)?;
     } else {

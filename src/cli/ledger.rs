@@ -47,7 +47,9 @@ pub(crate) fn text(ledger: &LedgerDocument) -> String {
     let mut line = |n: u64, what: &str| {
         writeln!(out, "  {:>15} {what}", thousands(n)).ok();
     };
-    line(ledger.frames_sent, "frames sent");
+    // Of a device that was away only the frames that were due are known.
+    let is_known = ledger.unknown_after_disconnect == 0;
+    line(ledger.frames_sent, if is_known { "frames sent" } else { "frames sent or due" });
     line(ledger.recorded, "recorded");
     line(ledger.lost_on_link, "lost on the link");
     line(ledger.dropped_by_device, "dropped by the device");

@@ -13,6 +13,7 @@ use mocapd_service::{
     http::{HttpOptions, HttpServer, Token},
     log::Log,
     notify::Notifier,
+    publish::QtmPublisher,
     status::ServiceEventKind,
     triggered::Triggers,
 };
@@ -76,7 +77,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     for warning in config.warnings() {
         control.notify(ServiceEventKind::Warning, &warning);
     }
-    let servers = Servers::open(&config, &control)?;
+    let servers = Servers::open(&config, &engine, &control)?;
     let mut notifier = Notifier::default();
     notifier.ready(&engine.status().summary());
     let pings = Notifier::watch(&heartbeat)?;
@@ -105,14 +106,15 @@ fn signals() -> anyhow::Result<Receiver<i32>> {
     Ok(receiver)
 }
 
-/// The servers that requests arrive on: HTTP and capture triggers.
+/// The servers that requests arrive on: HTTP, capture triggers, and clients of QTM.
 struct Servers {
     http: Option<HttpServer>,
     triggers: Option<Triggers>,
+    publisher: Option<QtmPublisher>,
 }
 
 impl Servers {
-    fn open(config: &Config, control: &Arc<dyn Control>) -> anyhow::Result<Self> {
+    fn open(config: &Config, engine: &Engine, control: &Arc<dyn Control>) -> anyhow::Result<Self> {
         let mut options = http_options(&config.http)?;
         if config.missing_socket_folder().is_some() {
             options.unix_socket = None;
@@ -124,7 +126,8 @@ impl Servers {
                 .notify(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
         }
         let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
-        Ok(Self { http, triggers })
+        let publisher = QtmPublisher::open(&config.publish_qtm, engine.published(), control)?;
+        Ok(Self { http, triggers, publisher })
     }
 
     /// Applies those changes of a new configuration that take effect immediately.
@@ -147,6 +150,9 @@ impl Servers {
     }
 
     fn close(self) {
+        if let Some(publisher) = self.publisher {
+            publisher.close();
+        }
         if let Some(triggers) = self.triggers {
             triggers.close();
         }

@@ -1,7 +1,7 @@
 //! A QTM on the network: recorded by TCP and UDP, with and without faults, and compared with what it sent.
 
 use std::{
-    io::Write,
+    io::{Cursor, Write},
     net::{Ipv4Addr, TcpListener},
     sync::{
         Arc,
@@ -13,9 +13,14 @@ use std::{
 use mocapd_simulator::{
     device::SentLog,
     faults::{Fate, FrameFate, Script},
-    qtm::{NetworkOptions, QtmDevice, QtmListener, QtmSettings},
+    generator::{ForcePlates, JumpSpec},
+    qtm::{NetworkOptions, QtmDevice, QtmListener, QtmSettings, force_of},
+    sampled::SampledSource,
 };
-use mocapd_take::motion::{Motion, Position, is_gap};
+use mocapd_take::{
+    TakeMap,
+    motion::{Motion, Position, is_gap},
+};
 use serde_json::Value;
 
 use super::{
@@ -38,7 +43,8 @@ struct Served {
 impl Served {
     fn new(motion: Motion, settings: QtmSettings) -> Self {
         let mut device = QtmDevice::new(motion, settings).unwrap();
-        let listener = QtmListener::open(0).unwrap();
+        let mut listener = QtmListener::open(0).unwrap();
+        listener.answer_searches();
         let uri = listener.uri();
         let stop = Arc::new(AtomicBool::new(false));
         let (stopped, log) = (Arc::clone(&stop), SharedLog::default());
@@ -312,4 +318,96 @@ fn what_cannot_be_opened_is_explained_in_one_line() {
     let served = Served::new(motion(), QtmSettings::default());
     let line = folder.refuses(&["record", "-d", &served.uri, "-o", "a.take", "--rate", "100"], 1);
     assert_mentions(&line, &["100 Hz", "240 Hz", "--rate"]);
+}
+
+/// How many samples a take has of each group, without gaps, and the samples one after another.
+fn recorded_samples(take: &[u8]) -> Vec<(u64, Vec<f32>)> {
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let mut found = Vec::new();
+    for group in map.recorded_groups() {
+        let n_channels = group.group.channels.len();
+        let (mut rows, mut n_numbers) = (Vec::new(), 0);
+        group
+            .read(&mut Cursor::new(take), |first, n, decoded| {
+                let Some(decoded) = decoded else { return Ok(()) };
+                assert_eq!(first, n_numbers, "no gap");
+                n_numbers += n;
+                for row in 0..n as usize {
+                    rows.extend((0..n_channels).map(|c| decoded[c * n as usize + row]));
+                }
+                Ok(())
+            })
+            .unwrap();
+        found.push((n_numbers, rows));
+    }
+    found
+}
+
+#[test]
+fn force_plates_and_electrodes_are_recorded_bit_for_bit() {
+    let folder = Folder::new();
+    let spec = JumpSpec { seconds: Some(SECONDS), ..JumpSpec::new(4, RATE_HZ) };
+    let plates = Arc::new(ForcePlates::new(&spec).unwrap());
+    let sampled = vec![
+        SampledSource::plates(0, plates, 1000.0).unwrap(),
+        SampledSource::electrodes(1, "5@2kHz".parse().unwrap(), 9).unwrap(),
+    ];
+    let settings = QtmSettings { sampled: sampled.clone(), ..QtmSettings::default() };
+    let served = Served::new(spec.generate().unwrap().motion, settings);
+    // The last of 480 frames is 479/240 s behind the first.
+    let n_samples = [1996_u64, 3992];
+    let counts = [0, 1].map(|index| {
+        let mut counts = Vec::new();
+        sampled[index].samples(0, n_samples[index], &mut counts);
+        counts
+    });
+    let scaled = |index: usize, sample: &[f32]| -> Vec<f64> {
+        let channels = &sampled[index].info().channels;
+        sample.iter().zip(channels).map(|(count, c)| f64::from(*count) * c.scale).collect()
+    };
+    let of_plate = |plate: usize| {
+        let samples = counts[0].chunks(12).map(|sample| scaled(0, sample));
+        samples.flat_map(|felt| force_of(&felt[6 * plate..6 * plate + 6])).collect::<Vec<_>>()
+    };
+    let electrodes: Vec<f32> = counts[1]
+        .chunks(5)
+        .flat_map(|sample| scaled(1, sample).into_iter().map(|value| value as f32))
+        .collect();
+    for (index, uri) in transports(&served.uri).iter().enumerate() {
+        let take = format!("{index}.take");
+        let ran = record(&folder, uri, &take, &[]).with_code(0);
+        let report = ran.json();
+        assert_eq!(report["ledger"]["recorded"], 480, "{}", ran.stderr);
+        let document = &report["sample_ledger"];
+        assert_eq!(document["closes"], true, "{document:#}");
+        let groups = document["groups"].as_array().unwrap();
+        let stored: Vec<_> = groups.iter().map(|group| group["stored"].as_u64().unwrap()).collect();
+        assert_eq!(stored, [3992, 1996, 1996], "{document:#}");
+        let found = recorded_samples(&folder.read(&take));
+        let expected = [(3992, electrodes.clone()), (1996, of_plate(0)), (1996, of_plate(1))];
+        for (group, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            assert!(found == expected, "{uri}: group {group}");
+        }
+        assert!(expected[1].1.iter().any(|value| *value != 0.0), "somebody stands on it");
+        let info = folder.run(&["info", &take, "--json"]).json();
+        assert_eq!(info["sample_ledger"], *document);
+    }
+}
+
+/// Each by a line, with what it says to be.
+#[test]
+fn devices_lists_every_qtm_that_answers() {
+    let folder = Folder::new();
+    let served = [1, 2]
+        .map(|_| Served::new(motion(), QtmSettings { looping: true, ..QtmSettings::default() }));
+    let listed = folder.run(&["devices", "--json"]).with_code(0).json();
+    let text = folder.run(&["devices"]).with_code(0).stdout;
+    for Served { uri, .. } in &served {
+        let of_uri = |device: &&Value| device["device"] == uri.as_str();
+        let device = listed.as_array().unwrap().iter().find(of_uri);
+        let device = device.unwrap_or_else(|| panic!("{uri} is not in {listed:#}"));
+        assert_eq!((&device["driver"], &device["certain"]), (&"qtm".into(), &true.into()));
+        assert!(device["product"].as_str().unwrap().starts_with("localhost, mocapd-sim "));
+        assert!(text.lines().any(|line| line.starts_with(uri.as_str())), "{text}");
+    }
 }

@@ -7,5 +7,6 @@ pub(crate) mod fake;
 mod finished;
 pub(crate) mod http;
 mod idle;
+mod publish;
 mod timed;
 mod triggers;

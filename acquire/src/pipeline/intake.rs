@@ -25,6 +25,7 @@ use self::{
 use super::{
     Counts, PipelineConfig, PipelineProgress, SplitAt,
     commands::{CommandReceiver, TAKE_COMMANDS_MAX, TakeCommand},
+    frame_tap::{FrameTapSender, TappedFrame},
     messages::{Control, FrameTimes, ToWriter},
     plan::Plan,
     pool::Feed,
@@ -103,6 +104,8 @@ pub struct Intake {
     finished: bool,
     commands: CommandReceiver,
     tap: PreviewSender,
+    /// Every frame, for a publisher.
+    frames: Option<FrameTapSender>,
     samples: SampledIntake,
     pose_step: PoseStep,
     /// Announcements of sampled channels that were reported.
@@ -124,6 +127,7 @@ pub(super) struct ReaderEndpoints {
     pub(super) to_writer: ToWriter,
     pub(super) commands: CommandReceiver,
     pub(super) tap: PreviewSender,
+    pub(super) frames: Option<FrameTapSender>,
     pub(super) samples: SampledIntake,
     pub(super) progress: Arc<PipelineProgress>,
 }
@@ -134,8 +138,17 @@ impl Intake {
         plan: &Plan,
         ends: ReaderEndpoints,
     ) -> anyhow::Result<Self> {
-        let ReaderEndpoints { rings, timeline, feed, to_writer, commands, tap, samples, progress } =
-            ends;
+        let ReaderEndpoints {
+            rings,
+            timeline,
+            feed,
+            to_writer,
+            commands,
+            tap,
+            frames,
+            samples,
+            progress,
+        } = ends;
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
             slot_of_id[usize::from(channel.marker_id)] = slot as u32;
@@ -187,6 +200,7 @@ impl Intake {
             finished: false,
             commands,
             tap,
+            frames,
             samples,
             pose_step: PoseStep::default(),
             groups_reported: 0,
@@ -226,6 +240,10 @@ impl Intake {
         let (row, n_channels) = (self.next_row + self.pending.rows(), self.n_channels);
         let head = PreviewFrame { row, device_ticks, arrival_ns, n_channels, is_displayed: false };
         self.tap.offer(head, &self.row[..n_channels]);
+        if let Some(frames) = &mut self.frames {
+            let head = TappedFrame { row, device_ticks, arrival_ns, n_channels, left_out: 0 };
+            frames.offer(head, &self.row[..n_channels]);
+        }
         self.make_room();
         if !self.has_room() {
             self.counts.ring_full += 1;

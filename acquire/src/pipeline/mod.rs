@@ -13,6 +13,7 @@
 mod commands;
 mod counts;
 mod disk;
+mod frame_tap;
 mod group;
 mod intake;
 mod messages;
@@ -37,6 +38,7 @@ pub use commands::{
 };
 pub use counts::{Counts, PendingRows};
 pub use disk::{DiskSpace, RESERVE_MIN_BYTES, check_disk_space};
+pub use frame_tap::{FrameTap, TappedFrame, TappedMarker};
 pub use group::{Visibility, VisibilityCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
@@ -73,6 +75,8 @@ pub struct ArmedHandles {
     pub takes: CommandSender,
     /// Frames to preview.
     pub tap: PreviewReceiver,
+    /// Every frame, if the configuration wants it.
+    pub frames: Option<FrameTap>,
     /// The visibility of each marker.
     pub seen: VisibilityCounters,
 }
@@ -162,6 +166,8 @@ impl Pipeline {
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
         let (takes, commands) = commands::command_channel();
         let (tap_in, tap) = ring::tap(plan.n_slots);
+        let frames = config.tap_frames.then(|| frame_tap::frame_tap(config.rate_hz, plan.n_slots));
+        let (frames_in, frames) = frames.unzip();
         let ends = ReaderEndpoints {
             rings,
             timeline,
@@ -169,6 +175,7 @@ impl Pipeline {
             to_writer,
             commands,
             tap: tap_in,
+            frames: frames_in,
             samples,
             progress: Arc::clone(&progress),
         };
@@ -186,7 +193,7 @@ impl Pipeline {
             drop(guard);
             written
         })?;
-        let armed = ArmedHandles { takes, tap, seen: visibility.unwrap_or_default() };
+        let armed = ArmedHandles { takes, tap, frames, seen: visibility.unwrap_or_default() };
         Ok((intake, Self { pool, sampling, writer, progress, take: None }, armed))
     }
 

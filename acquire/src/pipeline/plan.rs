@@ -59,6 +59,8 @@ pub struct PipelineConfig {
     pub sync_every: Duration,
     /// Length and memory of the pre-roll, if there is one.
     pub pre_roll: Option<PreRollConfig>,
+    /// Whether every frame is copied for a publisher: see [`ArmedHandles::frames`](super::ArmedHandles::frames).
+    pub tap_frames: bool,
     /// Where its threads send their heartbeats.
     pub heartbeat: Heartbeat,
 }
@@ -92,6 +94,7 @@ impl PipelineConfig {
             key_every: Duration::from_secs(10),
             sync_every: SYNC_EVERY,
             pre_roll: None,
+            tap_frames: false,
             heartbeat: Heartbeat::default(),
         }
     }

@@ -22,6 +22,7 @@ use ringbuf::{
 pub(super) struct Sample {
     pub(super) position_mm: [f32; 3],
     pub(super) present: bool,
+    pub(super) residual_10um: u8,
 }
 
 const _: () = assert!(size_of::<Sample>() == 16);

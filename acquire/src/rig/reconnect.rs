@@ -3,18 +3,23 @@
 use std::time::Duration;
 
 use anyhow::ensure;
+use crossbeam_channel::{RecvTimeoutError, bounded};
 use mocapd_drivers::{
     device::Hello,
     registry,
     transport::{Transport, TransportError, usb::UsbWatch},
+    uri::Location,
 };
 
 use super::{ReadOptions, Rig, reader::Reader};
-use crate::{host_clock::monotonic_ns, setting};
+use crate::{host_clock::monotonic_ns, setting, threads};
 
 /// Polling interval where udev does not notify: twenty attempts in the two seconds within which a device that is back
 /// has to be recording again.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Time between two looks whether a connection attempt is still wanted: a stop is answered within 0.3 s.
+const CONNECT_POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Time to wait after a device that is present could not be started: it may be starting up, or be another one.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
@@ -111,7 +116,10 @@ impl Rig {
         options: &ReadOptions<'_>,
         cancel: &dyn Fn(&Reader<'_>) -> bool,
     ) -> ReconnectAttempt {
-        match registry::reopen(&self.uri, &self.identity) {
+        let Some(opened) = self.reopen_line(&|| cancel(reader)) else {
+            return ReconnectAttempt::Absent("no answer yet".to_owned());
+        };
+        match opened {
             Ok(line) => {
                 let line = match &self.raw_log {
                     Some(tap) => tap.wrap(self.family, line),
@@ -126,6 +134,35 @@ impl Rig {
             Err(error) => {
                 self.transport = Box::new(UnpluggedTransport);
                 ReconnectAttempt::Failed(setting::message(&error, options.how_to_set))
+            }
+        }
+    }
+
+    /// Opens the line again; `None` if cancelled. To look up a name and to connect takes up to seven seconds, in which
+    /// neither a stop nor the watchdog waits: another thread does it, which ends by itself.
+    fn reopen_line(
+        &self,
+        cancel: &dyn Fn() -> bool,
+    ) -> Option<Result<Box<dyn Transport>, TransportError>> {
+        let (uri, identity) = (self.uri.clone(), self.identity.clone());
+        if !matches!(uri.location, Location::Network(_)) {
+            return Some(registry::reopen(&uri, &identity));
+        }
+        let (sender, receiver) = bounded(1);
+        let open = move || {
+            // Where nobody waits any more, the connection is closed again.
+            sender.try_send(registry::reopen(&uri, &identity)).ok();
+        };
+        if let Err(source) = threads::spawn("mocapd-connect", open) {
+            let (device, action) = (self.uri.to_string(), "starting a thread to connect");
+            let source = std::io::Error::other(source.to_string());
+            return Some(Err(TransportError::Io { device, action, source }));
+        }
+        loop {
+            match receiver.recv_timeout(CONNECT_POLL_INTERVAL) {
+                Ok(opened) => return Some(opened),
+                Err(RecvTimeoutError::Timeout) if !cancel() => {}
+                Err(_) => return None,
             }
         }
     }

@@ -22,7 +22,7 @@ const WAIT: Duration = Duration::from_millis(300);
 pub fn find_servers(port: u16) -> io::Result<Vec<(SocketAddrV4, ServerInfo)>> {
     let mut message = Vec::new();
     put_discovery("mocapd", [0, 1, 0, 0], Bitstream::NEWEST, &mut message);
-    let replies = search(&message, port, WAIT)?;
+    let replies = search(|_| message.clone(), port, WAIT)?;
     let server = |(from, bytes): &(SocketAddrV4, Vec<u8>)| {
         let message = Message::of(bytes)?;
         let info = (message.kind == Some(MessageKind::ServerInfo))

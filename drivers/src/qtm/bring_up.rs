@@ -173,18 +173,31 @@ impl QtmHost {
     }
 
     fn on_other_settings(&mut self, step: Step, settings: &Settings) {
-        let found = [
-            (settings.n_bodies, "rigid bodies"),
-            (settings.n_analog_channels, "analog channels"),
-            (settings.n_force_plates, "force plates"),
-        ];
-        for (n, what) in found.into_iter().filter(|(n, _)| *n > 0) {
-            self.remarks.push(format!("QTM has {n} {what}, which mocapd does not record"));
-        }
         match step {
-            Step::Bodies => self.ask(Step::Analog),
-            Step::Analog => self.ask(Step::Force),
-            _ => self.set_ready(),
+            Step::Bodies => {
+                if settings.n_bodies > 0 {
+                    let n = settings.n_bodies;
+                    self.remarks
+                        .push(format!("QTM has {n} rigid bodies, which mocapd does not record"));
+                }
+                self.sampled.clear();
+                self.ask(Step::Analog);
+            }
+            Step::Analog => {
+                self.sampled.add_analog(&settings.analog);
+                self.ask(Step::Force);
+            }
+            _ => {
+                self.sampled.add_plates(&settings.plates, &settings.force_units);
+                if self.sampled.left_out() > 0 {
+                    self.remarks.push(format!(
+                        "{} analog devices or force plates of QTM are not recorded: there are more than 16, or their \
+                         rates are out of range",
+                        self.sampled.left_out()
+                    ));
+                }
+                self.set_ready();
+            }
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::{fmt, net::IpAddr, str::SplitAsciiWhitespace};
 
-use super::frame::MarkerComponentKind;
+use super::{frame::MarkerComponentKind, sampled::SampledComponentKind};
 
 /// Versions of the protocol that both ends speak, as the number after `1.`.
 pub const VERSIONS: std::ops::RangeInclusive<u32> = 8..=28;
@@ -18,6 +18,8 @@ const UDP_PORT_MIN: u16 = 1023;
 pub struct Components {
     /// Which of [`MarkerComponentKind::ALL`].
     markers: [bool; 4],
+    /// Which of [`SampledComponentKind::ALL`].
+    samples: [bool; 4],
     /// How many others, which a server without them leaves out.
     pub others: usize,
 }
@@ -32,19 +34,36 @@ impl Components {
     /// The components of `kinds`.
     #[must_use]
     pub fn of(kinds: &[MarkerComponentKind]) -> Self {
-        Self { markers: MarkerComponentKind::ALL.map(|kind| kinds.contains(&kind)), others: 0 }
+        let markers = MarkerComponentKind::ALL.map(|kind| kinds.contains(&kind));
+        Self { markers, ..Self::default() }
+    }
+
+    /// The components of samples, in the order of their numbers.
+    pub fn samples(&self) -> impl Iterator<Item = SampledComponentKind> + use<> {
+        let named = self.samples;
+        let all = SampledComponentKind::ALL.into_iter().zip(named);
+        all.filter(|(_, named)| *named).map(|(kind, _)| kind)
+    }
+
+    /// The same with components of samples, if there are any.
+    #[must_use]
+    pub fn with_samples(
+        mut self,
+        analog: Option<SampledComponentKind>,
+        force: Option<SampledComponentKind>,
+    ) -> Self {
+        for (named, kind) in self.samples.iter_mut().zip(SampledComponentKind::ALL) {
+            *named |= analog == Some(kind) || force == Some(kind);
+        }
+        self
     }
 
     /// Reads names; `None` for one that the protocol does not have, or when there is none.
     fn parse(names: SplitAsciiWhitespace<'_>) -> Option<Self> {
         // Of these a channel list or a frame of reference may follow after ':'.
-        const OTHERS: [&str; 16] = [
+        const OTHERS: [&str; 12] = [
             "2d",
             "2dlin",
-            "analog",
-            "analogsingle",
-            "force",
-            "forcesingle",
             "6d",
             "6dres",
             "6deuler",
@@ -60,9 +79,15 @@ impl Components {
         for name in names {
             let marker =
                 MarkerComponentKind::ALL.iter().position(|k| k.name().eq_ignore_ascii_case(name));
+            let sampled =
+                SampledComponentKind::ALL.iter().position(|k| k.name().eq_ignore_ascii_case(name));
+            let named = marker.and_then(|at| found.markers.get_mut(at));
             let base = name.split(':').next().unwrap_or(name);
-            match marker.and_then(|at| found.markers.get_mut(at)) {
+            let has_list =
+                ["analog", "analogsingle"].map(|analog| base.eq_ignore_ascii_case(analog));
+            match named.or(sampled.and_then(|at| found.samples.get_mut(at))) {
                 Some(named) => *named = true,
+                None if has_list.contains(&true) => found.others += 1,
                 None if OTHERS.iter().any(|other| other.eq_ignore_ascii_case(base)) => {
                     found.others += 1;
                 }
@@ -75,7 +100,8 @@ impl Components {
 
 impl fmt::Display for Components {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names: Vec<_> = self.markers().map(MarkerComponentKind::name).collect();
+        let markers = self.markers().map(MarkerComponentKind::name);
+        let names: Vec<_> = markers.chain(self.samples().map(SampledComponentKind::name)).collect();
         f.write_str(&names.join(" "))
     }
 }
@@ -135,6 +161,10 @@ pub struct SettingsRequest {
     pub general: bool,
     /// Of 3D markers.
     pub markers: bool,
+    /// Of analog devices.
+    pub analog: bool,
+    /// Of force plates.
+    pub force: bool,
 }
 
 /// A command, as a server understands it.
@@ -175,8 +205,8 @@ pub enum ClientCommand {
     Stop,
     /// Start a capture that waits for a trigger.
     Trig,
-    /// Put an event into the capture.
-    SetEvent,
+    /// Put an event with this label into the capture.
+    SetEvent(String),
     /// Open a measurement.
     Load(String),
     /// Save the measurement.
@@ -228,7 +258,7 @@ impl ClientCommand {
             "start" if rest.eq_ignore_ascii_case("rtfromfile") => Self::Start { from_file: true },
             "stop" if is_bare => Self::Stop,
             "trig" if is_bare => Self::Trig,
-            "setqtmevent" | "event" => Self::SetEvent,
+            "setqtmevent" | "event" => Self::SetEvent(rest.to_owned()),
             "load" => Self::Load(rest.to_owned()),
             "save" => Self::Save(rest.to_owned()),
             "loadproject" => Self::LoadProject(rest.to_owned()),
@@ -241,17 +271,21 @@ impl ClientCommand {
 }
 
 fn settings(names: SplitAsciiWhitespace<'_>) -> Option<SettingsRequest> {
-    const OTHERS: [&str; 8] =
-        ["6d", "analog", "force", "image", "gazevector", "eyetracker", "skeleton", "calibration"];
+    const OTHERS: [&str; 6] =
+        ["6d", "image", "gazevector", "eyetracker", "skeleton", "calibration"];
     let mut found = SettingsRequest::default();
     let mut n = 0;
     for name in names {
         n += 1;
         let base = name.split(':').next().unwrap_or(name).to_ascii_lowercase();
         match base.as_str() {
-            "all" => found = SettingsRequest { general: true, markers: true },
+            "all" => {
+                found = SettingsRequest { general: true, markers: true, analog: true, force: true };
+            }
             "general" => found.general = true,
             "3d" => found.markers = true,
+            "analog" => found.analog = true,
+            "force" => found.force = true,
             other if OTHERS.contains(&other) => {}
             _ => return None,
         }
@@ -321,7 +355,7 @@ mod tests {
     /// The documents' own examples, and those of the vendor's clients.
     #[test]
     fn documented_commands_are_understood() {
-        let markers = SettingsRequest { markers: true, ..SettingsRequest::default() };
+        let markers = SettingsRequest { markers: true, force: true, ..SettingsRequest::default() };
         for (text, command) in [
             ("Version", ClientCommand::Version(None)),
             ("version 1.25", ClientCommand::Version(Some(25))),
@@ -338,7 +372,7 @@ mod tests {
             ("TakeControl x364k6Gt", ClientCommand::TakeControl("x364k6Gt".to_owned())),
             ("takecontrol ", ClientCommand::TakeControl(String::new())),
             ("start rtfromfile", ClientCommand::Start { from_file: true }),
-            ("Event test_event", ClientCommand::SetEvent),
+            ("Event test_event", ClientCommand::SetEvent("test_event".to_owned())),
             ("Load \"a b.qtm\"", ClientCommand::Load("\"a b.qtm\"".to_owned())),
         ] {
             assert_eq!(ClientCommand::parse(text), command, "{text}");
@@ -348,7 +382,10 @@ mod tests {
         else {
             panic!("the documents' example of a stream");
         };
-        assert_eq!((stream.components.to_string(), stream.components.others), ("3D".to_owned(), 1));
+        assert_eq!(
+            (stream.components.to_string(), stream.components.others),
+            ("3D Analog".to_owned(), 0)
+        );
         let ClientCommand::GetCurrentFrame(one) =
             ClientCommand::parse("getcurrentframe 3dnolabels analog:1,2,3-6,16 6d")
         else {

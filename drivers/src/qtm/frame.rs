@@ -1,6 +1,9 @@
 //! Data packets in both directions: the header of a frame, and its four components of 3D markers.
 
-use super::packet::{PacketKind, put_packet};
+use super::{
+    packet::{PacketKind, put_packet},
+    sampled::{self, DeviceSamples, SampledComponentKind, SamplesToSend},
+};
 use crate::bytes::{Cursor, WireValue};
 
 /// Bytes of a component before its markers: size, type, count and two rates.
@@ -126,11 +129,32 @@ pub struct FrameHeader {
     pub number: u32,
 }
 
+/// A part of a frame.
+#[derive(Debug, Clone, Copy)]
+pub enum FrameComponent<'a> {
+    /// Markers.
+    Markers(MarkerComponent<'a>),
+    /// Samples of an analog device, or of a force plate.
+    Samples(DeviceSamples<'a>),
+}
+
 /// Reads a data packet, and calls `on_component` for each of its components of 3D markers. `None`, and no more calls, at
 /// the first component that does not fit.
 pub fn read_frame<'a>(
     body: &'a [u8],
     on_component: &mut dyn FnMut(FrameHeader, MarkerComponent<'a>),
+) -> Option<FrameHeader> {
+    read_components(body, &mut |header, component| {
+        if let FrameComponent::Markers(markers) = component {
+            on_component(header, markers);
+        }
+    })
+}
+
+/// Reads a data packet as [`read_frame`] does, with its samples.
+pub fn read_components<'a>(
+    body: &'a [u8],
+    on_component: &mut dyn FnMut(FrameHeader, FrameComponent<'a>),
 ) -> Option<FrameHeader> {
     let mut body = Cursor::new(body);
     let header = FrameHeader { time_us: body.get()?, number: body.get()? };
@@ -140,7 +164,10 @@ pub fn read_frame<'a>(
         let kind = body.get::<u32>()?;
         let content = body.bytes(size.checked_sub(8)?)?;
         if let Some(kind) = MarkerComponentKind::of(kind) {
-            on_component(header, MarkerComponent::read(kind, content)?);
+            on_component(header, FrameComponent::Markers(MarkerComponent::read(kind, content)?));
+        } else if let Some(kind) = SampledComponentKind::of(kind) {
+            let on_device = &mut |device| on_component(header, FrameComponent::Samples(device));
+            sampled::read(kind, content, on_device)?;
         }
     }
     body.end(header)
@@ -182,13 +209,40 @@ impl ComponentToSend<'_> {
     }
 }
 
+/// What a server sends of one component of samples.
+#[derive(Debug, Clone)]
+pub(super) struct SampledComponent<'a> {
+    /// Its type.
+    pub(super) kind: SampledComponentKind,
+    /// Its devices or plates.
+    pub(super) devices: Vec<SamplesToSend<'a>>,
+}
+
+impl SampledComponent<'_> {
+    /// Its bytes in a packet.
+    pub(super) fn bytes(&self) -> usize {
+        let device = |device: &SamplesToSend<'_>| 16 + 4 * device.samples.len();
+        12 + self.devices.iter().map(device).sum::<usize>()
+    }
+}
+
 /// Appends a data packet.
 pub fn put_frame(header: FrameHeader, components: &[ComponentToSend<'_>], out: &mut Vec<u8>) {
+    put_sampled_frame(header, (components, &[]), out);
+}
+
+/// Appends a data packet with components of markers and of samples.
+pub(super) fn put_sampled_frame(
+    header: FrameHeader,
+    (markers, samples): (&[ComponentToSend<'_>], &[SampledComponent<'_>]),
+    out: &mut Vec<u8>,
+) {
     put_packet(PacketKind::Data, out, |out| {
         header.time_us.put(out);
         header.number.put(out);
-        (components.len() as u32).put(out);
-        components.iter().for_each(|component| component.put(out));
+        ((markers.len() + samples.len()) as u32).put(out);
+        markers.iter().for_each(|component| component.put(out));
+        samples.iter().for_each(|component| sampled::put(component.kind, &component.devices, out));
     });
 }
 

@@ -3,6 +3,7 @@
 use super::{
     axis::FrameAxis,
     command::VERSIONS,
+    groups::SampledGroups,
     labels::{LabelTable, UnlabelledIds},
     packet::{OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader, printable, put_text},
     stream_run::StreamRun,
@@ -108,6 +109,7 @@ pub struct QtmHost {
     pub(super) minor: u32,
     pub(super) labels: LabelTable,
     pub(super) unlabelled: UnlabelledIds,
+    pub(super) sampled: SampledGroups,
     /// Whether the labels were requested again, because frames have another number of them.
     pub(super) awaits_labels: bool,
     /// When they were requested last.
@@ -149,6 +151,7 @@ impl QtmHost {
             minor: *VERSIONS.end(),
             labels: LabelTable::default(),
             unlabelled: UnlabelledIds::default(),
+            sampled: SampledGroups::default(),
             awaits_labels: false,
             labels_request_ns: 0,
             had_frames: false,
@@ -366,6 +369,7 @@ impl QtmHost {
         if std::mem::take(&mut self.todo.hello) {
             on_event(DeviceEvent::Hello(&self.hello));
             on_event(DeviceEvent::Markers(&self.labels.markers()));
+            self.sampled.infos().for_each(|group| on_event(DeviceEvent::SampledGroup(group)));
         }
         if std::mem::take(&mut self.todo.stop) {
             on_event(DeviceEvent::EndOfStream(self.run.status()));

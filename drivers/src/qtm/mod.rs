@@ -5,10 +5,13 @@
 
 mod bring_up;
 mod command;
+pub(crate) mod discovery;
 mod frame;
+mod groups;
 mod host;
 mod packet;
 mod run;
+mod sampled;
 mod server;
 mod settings;
 mod stream_run;
@@ -18,17 +21,25 @@ pub use self::{
         ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate, StreamRequest,
         VERSIONS, WELCOME,
     },
+    discovery::{
+        DISCOVERY_PORT, DiscoveredServer, discovery_reply, discovery_request, read_discovery_reply,
+        read_discovery_request,
+    },
     frame::{
-        ComponentToSend, FrameHeader, MISSING, MarkerComponent, MarkerComponentKind, WireMarker,
-        put_frame, read_frame,
+        ComponentToSend, FrameComponent, FrameHeader, MISSING, MarkerComponent,
+        MarkerComponentKind, WireMarker, put_frame, read_components, read_frame,
     },
     host::QtmHost,
     packet::{
         Event, HEADER_BYTES, OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader,
         put_event, put_packet, put_text,
     },
-    server::{CLIENTS_MAX, ClientId, Datagram, Delivery, QtmServer, ServedFrame},
-    settings::{LABELS_MAX, ServedSettings, Settings},
+    sampled::{DeviceSamples, FORCE_VALUES, SampledComponentKind, SamplesToSend},
+    server::{
+        CLIENTS_MAX, ClientId, ClientReport, Datagram, Delivery, OwnerCommand, OwnerRequest,
+        QtmServer, ServedFrame,
+    },
+    settings::{AnalogDevice, ForcePlate, ForceUnits, LABELS_MAX, ServedSettings, Settings},
 };
 use crate::{
     device::{Claim, Family},

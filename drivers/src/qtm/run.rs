@@ -2,9 +2,10 @@
 
 use super::{
     command::{Components, DatagramTarget, StreamRate, StreamRequest},
-    frame::{FrameHeader, MarkerComponent, MarkerComponentKind, read_frame},
+    frame::{FrameComponent, FrameHeader, MarkerComponent, MarkerComponentKind, read_components},
     host::{EventSink, Fence, MS, QtmHost, SessionState},
     packet::{Event, Packet, printable},
+    sampled::SampledComponentKind,
     settings::Settings,
     stream_run::{FrameParts, OpenFrame, StreamRun, VendorLoss},
 };
@@ -32,7 +33,10 @@ impl QtmHost {
         let request = StreamRequest {
             rate: StreamRate::All,
             datagrams: self.datagram_port.map(|port| DatagramTarget { address: None, port }),
-            components: Components::of(&REQUESTED),
+            components: Components::of(&REQUESTED).with_samples(
+                self.sampled.has(false).then_some(SampledComponentKind::Analog),
+                self.sampled.has(true).then_some(SampledComponentKind::Force),
+            ),
         };
         self.run = StreamRun::default();
         self.state = SessionState::Streaming;
@@ -91,9 +95,21 @@ impl QtmHost {
 
     fn decode(&mut self, body: &[u8], on_event: EventSink<'_>) {
         let mut n_components = 0;
-        let header = read_frame(body, &mut |header, component| {
+        let is_lossy = self.datagram_port.is_some();
+        let header = read_components(body, &mut |header, component| {
             n_components += 1;
-            self.on_component(header, &component, on_event);
+            match component {
+                FrameComponent::Markers(markers) => self.on_component(header, &markers, on_event),
+                FrameComponent::Samples(samples) => {
+                    let way = (header.time_us, is_lossy);
+                    // Not requested, and without numbers.
+                    if samples.kind.is_single() {
+                        return;
+                    }
+                    let fits = self.sampled.samples(&samples, way, on_event);
+                    self.run.samples_left_out += u64::from(!fits) * samples.n_samples as u64;
+                }
+            }
         });
         // A frame without markers is a frame.
         if let Some(header) = header.filter(|_| n_components == 0) {
@@ -196,6 +212,8 @@ impl QtmHost {
         if seq.wrapping_sub(run.last).cast_signed() > 0 || run.frames == 0 {
             run.last = seq;
         }
+        let stated_hz = f64::from(self.hello.rate_millihertz) / 1000.0;
+        let measured_hz = run.rate.follow(header.number, header.time_us, stated_hz);
         self.had_frames = true;
         run.last_us = header.time_us;
         run.frames += 1;
@@ -205,6 +223,15 @@ impl QtmHost {
             timecode: None,
             markers: &self.samples,
         }));
+        if let Some(hz) = measured_hz {
+            self.note(
+                &format!(
+                    "QTM's frame rate is {hz:.1} Hz by its clock, and was stated as {stated_hz} Hz: lengths and times that \
+                     follow from the rate are wrong; stop, and record again"
+                ),
+                on_event,
+            );
+        }
     }
 
     /// The labels that were requested because frames have another number of markers.
@@ -317,6 +344,13 @@ impl QtmHost {
             let text = format!(
                 "{} frames are incomplete: datagrams with some of their markers were lost",
                 self.run.partial
+            );
+            on_event(DeviceEvent::Note(&text));
+        }
+        if self.run.samples_left_out > 0 {
+            let text = format!(
+                "{} analog samples or forces were left out: their device was not in QTM's settings, or had other channels",
+                self.run.samples_left_out
             );
             on_event(DeviceEvent::Note(&text));
         }

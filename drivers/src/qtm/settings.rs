@@ -1,5 +1,6 @@
 //! Settings as XML, in both directions: what a client needs of them, and what a server states.
 
+use super::command::SettingsRequest;
 use roxmltree::{Document, Node, ParsingOptions};
 
 pub use crate::marker_ids::LABELS_MAX;
@@ -29,10 +30,41 @@ pub struct Settings {
     pub labels: Option<Vec<String>>,
     /// Rigid bodies.
     pub n_bodies: usize,
-    /// Analog channels.
-    pub n_analog_channels: usize,
+    /// Analog devices.
+    pub analog: Vec<AnalogDevice>,
     /// Force plates.
-    pub n_force_plates: usize,
+    pub plates: Vec<ForcePlate>,
+    /// Their units.
+    pub force_units: ForceUnits,
+}
+
+/// An analog device.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct AnalogDevice {
+    /// Its id in frames.
+    pub id: u32,
+    /// Samples of a channel per second.
+    pub rate_hz: f64,
+    /// Label and unit of each channel.
+    pub channels: Vec<(String, String)>,
+}
+
+/// A force plate.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ForcePlate {
+    /// Its id in frames.
+    pub id: u32,
+    /// Forces per second.
+    pub rate_hz: f64,
+}
+
+/// The units of forces.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ForceUnits {
+    /// Of forces, such as `N`.
+    pub force: String,
+    /// Of lengths, such as `mm`; moments have the product of both.
+    pub length: String,
 }
 
 impl Settings {
@@ -65,15 +97,59 @@ impl Settings {
             settings.n_bodies = children(bodies, "Body").count();
         }
         if let Some(analog) = child(root, "Analog") {
-            settings.n_analog_channels = children(analog, "Device")
-                .filter_map(|device| text_of(device, "Channels")?.parse::<usize>().ok())
-                .fold(0, usize::saturating_add);
+            let devices = children(analog, "Device").take(SAMPLED_DEVICES_MAX);
+            settings.analog = devices.filter_map(analog_device).collect();
         }
         if let Some(force) = child(root, "Force") {
-            settings.n_force_plates = children(force, "Plate").count();
+            let plate = |plate| {
+                let id = number_of(plate, "Plate_ID")?;
+                Some(ForcePlate { id, rate_hz: number_of(plate, "Frequency")? })
+            };
+            let plates = children(force, "Plate").take(SAMPLED_DEVICES_MAX);
+            settings.plates = plates.filter_map(plate).collect();
+            let unit = |name| label_text(text_of(force, name).unwrap_or_default());
+            settings.force_units =
+                ForceUnits { force: unit("Unit_Force"), length: unit("Unit_Length") };
         }
         Ok(settings)
     }
+}
+
+/// Most analog devices and force plates that are read: more than a system has.
+const SAMPLED_DEVICES_MAX: usize = 64;
+
+/// Most channels of an analog device that are read.
+const ANALOG_CHANNELS_MAX: usize = 1024;
+
+/// A device. From version 1.11 on its channels are elements with label and unit; before, labels and one unit.
+fn analog_device(device: Node<'_, '_>) -> Option<AnalogDevice> {
+    let n_channels: usize = number_of(device, "Channels")?;
+    let of_channels = children(device, "Channel").map(|channel| {
+        (
+            text_of(channel, "Label").unwrap_or_default(),
+            text_of(channel, "Unit").unwrap_or_default(),
+        )
+    });
+    let unit = text_of(device, "Unit").unwrap_or_default();
+    let of_labels = children(device, "Label").map(|label| (label.text().unwrap_or_default(), unit));
+    let channels = of_channels.chain(of_labels).take(n_channels.min(ANALOG_CHANNELS_MAX));
+    let mut channels: Vec<_> =
+        channels.map(|(label, unit)| (label_text(label), label_text(unit))).collect();
+    // The number is what frames have; labels may be missing.
+    let id = number_of(device, "Device_ID")?;
+    for index in channels.len()..n_channels.min(ANALOG_CHANNELS_MAX) {
+        channels.push((format!("analog {id}.{}", index + 1), label_text(unit)));
+    }
+    Some(AnalogDevice { id, rate_hz: number_of(device, "Frequency")?, channels })
+}
+
+fn number_of<T: std::str::FromStr>(parent: Node<'_, '_>, name: &'static str) -> Option<T> {
+    text_of(parent, name)?.parse().ok()
+}
+
+/// A text of QTM's as a label: not too long, and without control characters.
+fn label_text(text: &str) -> String {
+    text.trim().chars().filter(|c| !c.is_control()).take(LABEL_CHARS_MAX).collect()
 }
 
 fn labels(markers: Node<'_, '_>) -> Result<Vec<String>, String> {
@@ -87,10 +163,7 @@ fn labels(markers: Node<'_, '_>) -> Result<Vec<String>, String> {
         Some(stated) => return Err(format!("it states {stated} labels and lists {found}")),
         None => return Err("it does not state the number of labels".to_owned()),
     }
-    let label = |label| {
-        let name = text_of(label, "Name").unwrap_or_default();
-        name.chars().filter(|c| !c.is_control()).take(LABEL_CHARS_MAX).collect::<String>()
-    };
+    let label = |label| label_text(text_of(label, "Name").unwrap_or_default());
     Ok(children(markers, "Label").map(label).collect())
 }
 
@@ -110,7 +183,7 @@ fn text_of<'a>(parent: Node<'a, '_>, name: &'static str) -> Option<&'a str> {
 }
 
 /// What a server states about its system.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ServedSettings {
     /// Frame rate, in Hz.
     pub frequency_hz: f64,
@@ -118,23 +191,103 @@ pub struct ServedSettings {
     pub up_axis: &'static str,
     /// Labels of the markers, in the order of frames.
     pub labels: Vec<String>,
+    /// Analog devices.
+    pub analog: Vec<AnalogDevice>,
+    /// Force plates.
+    pub plates: Vec<ForcePlate>,
 }
 
 /// Colours of labels, one after the other: red, green, blue, yellow, in the documents' order of bits.
 const COLOURS: [u32; 4] = [0x0000_00FF, 0x0000_FF00, 0x00FF_0000, 0x0000_FFFF];
 
 impl ServedSettings {
-    /// The document with the requested parts, as version `1.minor` has them.
+    /// The document with the requested parts, as version `1.minor` has them; `None` if the system has none of them.
     #[must_use]
-    pub fn to_xml(&self, minor: u32, general: bool, markers: bool) -> String {
+    pub fn to_xml(&self, minor: u32, request: SettingsRequest) -> Option<String> {
+        let analog = request.analog && !self.analog.is_empty();
+        let force = request.force && !self.plates.is_empty();
+        if !(request.general || request.markers || analog || force) {
+            return None;
+        }
         let mut xml = format!("<QTM_Parameters_Ver_1.{minor}>\n");
-        if general {
+        if request.general {
             self.put_general(minor, &mut xml);
         }
-        if markers {
+        if request.markers {
             self.put_markers(&mut xml);
         }
-        xml + &format!("</QTM_Parameters_Ver_1.{minor}>\n")
+        if analog {
+            self.put_analog(minor, &mut xml);
+        }
+        if force {
+            self.put_force(&mut xml);
+        }
+        Some(xml + &format!("</QTM_Parameters_Ver_1.{minor}>\n"))
+    }
+
+    fn put_analog(&self, minor: u32, xml: &mut String) {
+        let unit_of = |device: &AnalogDevice| {
+            device.channels.first().map_or_else(String::new, |(_, unit)| unit.clone())
+        };
+        xml.push_str("    <Analog>\n");
+        // Before version 1.11 a device has one unit; the vendor's parser expects it above the devices.
+        if minor < 11 {
+            put(xml, 2, "Unit", &self.analog.first().map_or_else(String::new, unit_of));
+        }
+        for device in &self.analog {
+            xml.push_str("        <Device>\n");
+            put(xml, 3, "Device_ID", &device.id.to_string());
+            put(xml, 3, "Device_Name", &format!("Board {}", device.id));
+            put(xml, 3, "Channels", &device.channels.len().to_string());
+            put(xml, 3, "Frequency", &device.rate_hz.to_string());
+            if minor < 11 {
+                put(xml, 3, "Unit", &unit_of(device));
+            }
+            xml.push_str("            <Range>\n");
+            put(xml, 4, "Min", "-10.0");
+            put(xml, 4, "Max", "10.0");
+            xml.push_str("            </Range>\n");
+            for (label, unit) in &device.channels {
+                if minor < 11 {
+                    put(xml, 3, "Label", label);
+                    continue;
+                }
+                xml.push_str("            <Channel>\n");
+                put(xml, 4, "Label", label);
+                put(xml, 4, "Unit", unit);
+                xml.push_str("            </Channel>\n");
+            }
+            xml.push_str("        </Device>\n");
+        }
+        xml.push_str("    </Analog>\n");
+    }
+
+    fn put_force(&self, xml: &mut String) {
+        xml.push_str("    <Force>\n");
+        put(xml, 2, "Unit_Length", "mm");
+        put(xml, 2, "Unit_Force", "N");
+        for (index, plate) in self.plates.iter().enumerate() {
+            // Plates of 600 by 400 mm, side by side.
+            let (left, right) = (600.0 * index as f64, 600.0 * (index + 1) as f64);
+            xml.push_str("        <Plate>\n");
+            put(xml, 3, "Plate_ID", &plate.id.to_string());
+            put(xml, 3, "Analog_Device_ID", "0");
+            put(xml, 3, "Frequency", &plate.rate_hz.to_string());
+            put(xml, 3, "Type", "AMTI");
+            put(xml, 3, "Name", &format!("Force plate {}", plate.id));
+            put(xml, 3, "Length", "600.0");
+            put(xml, 3, "Width", "400.0");
+            xml.push_str("            <Location>\n");
+            for (corner, (x, y)) in
+                [(left, 0.0), (right, 0.0), (right, 400.0), (left, 400.0)].into_iter().enumerate()
+            {
+                put_point(xml, 4, &format!("Corner{}", corner + 1), [x, y, 0.0]);
+            }
+            xml.push_str("            </Location>\n");
+            put_point(xml, 3, "Origin", [0.0; 3]);
+            xml.push_str("        </Plate>\n");
+        }
+        xml.push_str("    </Force>\n");
     }
 
     fn put_markers(&self, xml: &mut String) {
@@ -210,6 +363,15 @@ fn put_actions(name: &str, real_time: bool, minor: u32, xml: &mut String) {
     action("ExportAviFile", !real_time && minor > 11);
     put(xml, 3, "Tracking", "3D");
     xml.push_str(&format!("        </{name}>\n"));
+}
+
+/// Appends an element with three coordinates.
+fn put_point(xml: &mut String, depth: usize, name: &str, point: [f64; 3]) {
+    xml.push_str(&format!("{:1$}<{name}>\n", "", 4 * depth));
+    for (axis, value) in ["X", "Y", "Z"].into_iter().zip(point) {
+        put(xml, depth + 1, axis, &format!("{value:.2}"));
+    }
+    xml.push_str(&format!("{:1$}</{name}>\n", "", 4 * depth));
 }
 
 /// Appends an element with text, indented so deep.

@@ -1,6 +1,9 @@
 //! What is known of a stream from its start to its end.
 
-use super::frame::{FrameHeader, read_frame};
+use super::{
+    axis::RateCheck,
+    frame::{FrameHeader, read_frame},
+};
 use crate::device::Status;
 
 /// The frame that is put together: over UDP its components may arrive in several datagrams.
@@ -68,6 +71,7 @@ pub(super) struct StreamRun {
     pub(super) frames: u64,
     pub(super) notes: u32,
     pub(super) vendor: VendorLoss,
+    pub(super) rate: RateCheck,
     pub(super) is_idle_noted: bool,
     pub(super) is_refusal_noted: bool,
     /// Frames that wait for labels.
@@ -77,6 +81,8 @@ pub(super) struct StreamRun {
     pub(super) partial: u64,
     /// Unlabelled markers without a channel.
     pub(super) excess: u64,
+    /// Samples of devices that are not recorded.
+    pub(super) samples_left_out: u64,
 }
 
 /// How long a frame waits for its other datagram, which was sent at the same time.

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use mocapd_drivers::qtm::{
     ComponentToSend, FrameHeader, MarkerComponentKind, PacketKind, QtmServer, ServedSettings,
-    WireMarker, put_frame, put_text,
+    SettingsRequest, WireMarker, put_frame, put_text,
 };
 use mocapd_testkit::random::Random;
 
@@ -57,6 +57,7 @@ fn packets() -> Vec<Vec<u8>> {
         frequency_hz: 100.0,
         up_axis: "+Y",
         labels: LABELS.map(str::to_owned).to_vec(),
+        ..ServedSettings::default()
     };
     let text = |kind, text: &str| {
         let mut bytes = Vec::new();
@@ -65,7 +66,15 @@ fn packets() -> Vec<Vec<u8>> {
     };
     vec![
         frame(1),
-        text(PacketKind::Xml, &settings.to_xml(28, true, true)),
+        text(
+            PacketKind::Xml,
+            &settings
+                .to_xml(
+                    28,
+                    SettingsRequest { general: true, markers: true, ..SettingsRequest::default() },
+                )
+                .unwrap(),
+        ),
         text(PacketKind::Error, "Parse error"),
         text(PacketKind::Command, "Byte order is little endian"),
         vec![9, 0, 0, 0, 6, 0, 0, 0, 3],
@@ -148,7 +157,10 @@ fn the_driver_survives_mutated_packets_in_any_pieces() {
 
 fn server() -> QtmServer {
     let labels = LABELS.map(str::to_owned).to_vec();
-    QtmServer::new(ServedSettings { frequency_hz: 100.0, up_axis: "+Y", labels }, "1".to_owned())
+    QtmServer::new(
+        ServedSettings { frequency_hz: 100.0, up_axis: "+Y", labels, ..ServedSettings::default() },
+        "1".to_owned(),
+    )
 }
 
 #[test]
@@ -185,19 +197,19 @@ fn the_server_survives_mutated_commands() {
             server.receive(hostile, piece);
         }
         // Another client is served as before.
-        let before = server.pending(other).len();
+        server.take_pending(other);
         let mut good = Vec::new();
         put_text(PacketKind::Command, "Version 1.28", &mut good);
         put_text(PacketKind::Command, "QTMVersion", &mut good);
         server.receive(other, &good);
-        let answer = server.pending(other).get(before..).unwrap();
-        let text = String::from_utf8_lossy(answer);
+        let answer = server.take_pending(other);
+        let text = String::from_utf8_lossy(&answer);
         assert!(
             text.contains("Version set to 1.28") && text.contains("QTM Version is 1"),
             "seed {seed}: {text}"
         );
         // One answer a command, some of them with settings.
-        assert!(server.pending(hostile).len() < 64 << 10, "seed {seed}");
+        assert!(server.bytes_waiting(hostile) < 64 << 10, "seed {seed}");
     }
 }
 
@@ -221,12 +233,10 @@ fn a_client_that_does_not_read_costs_a_bounded_memory_and_only_its_own_frames() 
             labelled: &markers,
             unlabelled: &[],
         });
-        let n = server.pending(clients[1]).len();
-        read += n;
-        server.sent(clients[1], n);
+        read += server.take_pending(clients[1]).len();
     }
     assert!(read > 16_000_000, "{read}");
-    assert!(server.pending(clients[0]).len() <= 4 << 20);
+    assert!(server.bytes_waiting(clients[0]) <= 4 << 20);
     // Another client's changes of state do not fill its memory: it is disconnected.
     let mut toggles = Vec::new();
     put_text(PacketKind::Command, "TakeControl", &mut toggles);
@@ -237,12 +247,11 @@ fn a_client_that_does_not_read_costs_a_bounded_memory_and_only_its_own_frames() 
     let idle = server.connect(SocketAddr::from(([127, 0, 0, 1], 3))).unwrap();
     for _ in 0..5_000 {
         server.receive(clients[1], &toggles);
-        let n = server.pending(clients[1]).len();
-        server.sent(clients[1], n);
-        assert!(server.pending(idle).len() <= (4 << 20) + 64);
+        server.take_pending(clients[1]);
+        assert!(server.bytes_waiting(idle) <= (4 << 20) + 64);
     }
     assert!(server.is_out_of_step(idle));
-    assert!(server.pending(clients[0]).len() <= (4 << 20) + 64);
+    assert!(server.bytes_waiting(clients[0]) <= (4 << 20) + 64);
     // Its commands wait until it reads.
     let settings: Vec<u8> = {
         let mut bytes = Vec::new();
@@ -251,6 +260,6 @@ fn a_client_that_does_not_read_costs_a_bounded_memory_and_only_its_own_frames() 
     };
     while server.may_receive(clients[0]) {
         server.receive(clients[0], &settings);
-        assert!(server.pending(clients[0]).len() < (4 << 20) + (64 << 10));
+        assert!(server.bytes_waiting(clients[0]) < (4 << 20) + (64 << 10));
     }
 }

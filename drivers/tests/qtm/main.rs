@@ -5,5 +5,7 @@
 mod bring_up;
 mod hostile;
 mod pair;
+mod recorder;
+mod samples;
 mod settings;
 mod stream;

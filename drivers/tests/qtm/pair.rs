@@ -3,7 +3,9 @@
 use std::net::SocketAddr;
 
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, Hello, MarkerInfo, MarkerSample, Protocol, Status},
+    device::{
+        Command, DeviceEvent, Hello, MarkerInfo, MarkerSample, Protocol, SampledGroupInfo, Status,
+    },
     qtm::{ClientId, FrameHeader, QtmHost, QtmServer, ServedFrame, ServedSettings, WireMarker},
     transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
     uri::DeviceUri,
@@ -23,6 +25,18 @@ pub(crate) struct Reported {
     pub(crate) started: u32,
     pub(crate) pongs: u32,
     pub(crate) ended: Option<Status>,
+    pub(crate) groups: Vec<SampledGroupInfo>,
+    pub(crate) batches: Vec<SentBatch>,
+}
+
+/// A batch of samples.
+#[derive(Debug)]
+pub(crate) struct SentBatch {
+    pub(crate) group: u8,
+    pub(crate) number: u32,
+    pub(crate) first: u64,
+    pub(crate) device_ticks: u64,
+    pub(crate) samples: Vec<f32>,
 }
 
 impl Reported {
@@ -37,6 +51,14 @@ impl Reported {
             DeviceEvent::Started(_) => self.started += 1,
             DeviceEvent::Pong(_) => self.pongs += 1,
             DeviceEvent::EndOfStream(status) => self.ended = Some(status),
+            DeviceEvent::SampledGroup(group) => self.groups.push(group.clone()),
+            DeviceEvent::Samples(batch) => self.batches.push(SentBatch {
+                group: batch.group,
+                number: batch.number,
+                first: batch.first,
+                device_ticks: batch.device_ticks,
+                samples: batch.samples.to_vec(),
+            }),
             _ => {}
         }
     }
@@ -116,7 +138,13 @@ impl Pair {
             frequency_hz: 100.0,
             up_axis: "+Y",
             labels: LABELS.map(str::to_owned).to_vec(),
+            ..ServedSettings::default()
         };
+        Self::with(datagram_port, settings)
+    }
+
+    /// A server with these settings.
+    pub(crate) fn with(datagram_port: Option<u16>, settings: ServedSettings) -> Self {
         let mut server = QtmServer::new(settings, "2.3 (build 464)".to_owned());
         let client = server.connect(SocketAddr::from(([127, 0, 0, 1], 40_000))).unwrap();
         Self { driver: Driver::new(datagram_port), server, client }
@@ -126,8 +154,7 @@ impl Pair {
     pub(crate) fn step(&mut self) {
         let to_server = self.driver.written();
         self.server.receive(self.client, &to_server);
-        let bytes = self.server.pending(self.client).to_vec();
-        self.server.sent(self.client, bytes.len());
+        let bytes = self.server.take_pending(self.client);
         for datagram in self.server.take_datagrams() {
             self.driver.push(&datagram.bytes, true);
         }

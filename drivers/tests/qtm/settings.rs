@@ -2,7 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use mocapd_drivers::qtm::{LABELS_MAX, ServedSettings, Settings};
+use mocapd_drivers::qtm::{
+    AnalogDevice, ForcePlate, LABELS_MAX, ServedSettings, Settings, SettingsRequest,
+};
+
+const BOTH: SettingsRequest =
+    SettingsRequest { general: true, markers: true, analog: false, force: false };
 use roxmltree::{Document, Node};
 
 fn served() -> ServedSettings {
@@ -11,6 +16,7 @@ fn served() -> ServedSettings {
         frequency_hz: 240.0,
         up_axis: "+Z",
         labels: labels.map(str::to_owned).to_vec(),
+        ..ServedSettings::default()
     }
 }
 
@@ -93,7 +99,7 @@ fn general_satisfies_the_sdk(root: Node<'_, '_>, minor: u32) -> Option<()> {
 #[test]
 fn our_settings_satisfy_the_rules_of_the_cpp_sdk() {
     for minor in 8..=28 {
-        let xml = served().to_xml(minor, true, true);
+        let xml = served().to_xml(minor, BOTH).unwrap();
         let document = Document::parse(&xml).unwrap();
         let root = document.root_element();
         assert!(root.has_tag_name(format!("QTM_Parameters_Ver_1.{minor}").as_str()), "{xml}");
@@ -118,21 +124,47 @@ fn the_documents_example_of_markers_is_read() {
 
 #[test]
 fn settings_read_back() {
-    let settings = Settings::parse(&served().to_xml(25, true, true)).unwrap();
+    let settings = Settings::parse(&served().to_xml(25, BOTH).unwrap()).unwrap();
     assert_eq!(settings.frequency_hz, Some(240.0));
     let labels = settings.labels.unwrap();
     assert_eq!(labels, ["head", "a <b> & \"c\"", "", "\u{1F9CD}", "tab_and_"]);
-    assert_eq!(Settings::parse(&served().to_xml(25, false, false)).unwrap(), Settings::default());
+    let sampled = SettingsRequest { analog: true, force: true, ..SettingsRequest::default() };
+    assert_eq!(served().to_xml(25, sampled), None, "it has none");
+    let channel = |k: u32| (format!("EMG <{k}>"), "V".to_owned());
+    let analog = [3, 1].map(|id| AnalogDevice {
+        id,
+        rate_hz: 2000.0,
+        channels: (0..id).map(channel).collect(),
+    });
+    let plates = [1, 2].map(|id| ForcePlate { id, rate_hz: 1000.0 });
+    let served = ServedSettings { analog: analog.to_vec(), plates: plates.to_vec(), ..served() };
+    for minor in [8, 10, 11, 28] {
+        let xml = served.to_xml(minor, sampled).unwrap();
+        let settings = Settings::parse(&xml).unwrap();
+        assert_eq!(
+            (&settings.analog[..], &settings.plates[..]),
+            (&analog[..], &plates[..]),
+            "{xml}"
+        );
+        let units = (settings.force_units.force.as_str(), settings.force_units.length.as_str());
+        assert_eq!(units, ("N", "mm"));
+    }
 }
 
+/// The example of the documents, and what is missing in it.
 #[test]
-fn other_parts_are_counted() {
+fn analog_devices_without_labels_have_channels() {
     let xml = "<Q><The_6D><Bodies>2</Bodies><Body/><Body/></The_6D>\
-               <Analog><Device><Channels>16</Channels></Device><Device><Channels>8</Channels></Device></Analog>\
-               <Force><Plate/><Plate/></Force></Q>";
+               <Analog><Device><Device_ID>7</Device_ID><Channels>2</Channels><Frequency>2400</Frequency>\
+               <Channel><Label>Channel 1</Label><Unit>volts</Unit></Channel></Device>\
+               <Device><Channels>8</Channels></Device></Analog>\
+               <Force><Plate/><Plate><Plate_ID>1</Plate_ID><Frequency>1000</Frequency></Plate></Force></Q>";
     let settings = Settings::parse(xml).unwrap();
-    let counts = (settings.n_bodies, settings.n_analog_channels, settings.n_force_plates);
-    assert_eq!(counts, (2, 24, 2));
+    let pair = |label: &str, unit: &str| (label.to_owned(), unit.to_owned());
+    let channels = vec![pair("Channel 1", "volts"), pair("analog 7.2", "")];
+    assert_eq!(settings.n_bodies, 2);
+    assert_eq!(settings.analog, [AnalogDevice { id: 7, rate_hz: 2400.0, channels }]);
+    assert_eq!(settings.plates, [ForcePlate { id: 1, rate_hz: 1000.0 }]);
     assert_eq!(settings.labels, None);
 }
 

@@ -9,6 +9,7 @@ use std::{
 
 use mocapd_acquire::pipeline::{STRETCH_LENGTHS, SYNC_MAX};
 use mocapd_codec::{ResamplerKind, Tolerance};
+use mocapd_drivers::qtm::CLIENTS_MAX as QTM_CLIENTS_MAX;
 use mocapd_store::{ObjectUrl, is_url};
 use serde_json::json;
 
@@ -37,6 +38,7 @@ pub const SECTIONS: &[(&str, &str)] = &[
     ("archive", "Upload of finished takes to object storage."),
     ("http", "The HTTP interface: its addresses, and who may use it."),
     ("trigger", "Capture triggers over UDP, received and sent."),
+    ("publish.qtm", "What is recorded, published live as Qualisys QTM does."),
     ("log", "How much is logged."),
 ];
 
@@ -53,11 +55,11 @@ macro_rules! keys {
     ($(
         #[doc = $what:literal]
         #[doc = $why:literal]
-        $section:ident.$name:ident: $values:expr, $default:expr, $when:expr, $field:expr;
+        $section:ident$(.$name:ident)+: $values:expr, $default:expr, $when:expr, $field:expr;
     )*) => {
         /// Every key, in the order of the example file.
         pub static KEYS: &[Key] = &[$(Key {
-            path: concat!(stringify!($section), ".", stringify!($name)),
+            path: concat!(stringify!($section), $(".", stringify!($name)),+),
             what: $what.trim_ascii(),
             why: $why.trim_ascii(),
             values: $values,
@@ -264,6 +266,33 @@ keys! {
     /// Programs delay a start by fractions of a second so that several systems start together; only an attacker needs more.
     trigger.delay_max: ValueType::Time(Duration::ZERO..=DELAY_MAX),
         DefaultValue::Text("5s"), ReloadPolicy::Now, field!(trigger.delay_max);
+    /// Whether the service publishes the frames that it receives, as a server of the QTM RT protocol (docs/qtm.md).
+    /// Programs that read QTM live can then read any rig; it never costs the recording a frame.
+    publish.qtm.enabled: ValueType::Flag,
+        DefaultValue::Flag(false), ReloadPolicy::Restart, field!(publish_qtm.enabled);
+    /// TCP address of that server.
+    /// Only this machine can reach 127.0.0.1; 22223 is the port that clients of QTM connect to by default.
+    publish.qtm.listen: ValueType::Text("an address and a port"),
+        DefaultValue::Text("127.0.0.1:22223"), ReloadPolicy::Restart,
+        field!(publish_qtm.listen, |text| address(text).map_err(Some));
+    /// Other machines that may connect; this machine always may, by 127.0.0.1 or ::1.
+    /// The protocol has no authentication, so that the address is all that can be checked.
+    publish.qtm.allow_from: ValueType::List { of: "an address or a network in CIDR form", max: ITEMS_MAX },
+        DefaultValue::EmptyList("192.168.10.0/24"), ReloadPolicy::Restart,
+        field!(publish_qtm.allow_from, each str::parse);
+    /// Limit on simultaneous clients; further ones are refused.
+    /// Each may let up to 4 MiB of frames wait; QTM itself has ten at most.
+    publish.qtm.clients_max: ValueType::Integer(1..=QTM_CLIENTS_MAX as u64),
+        DefaultValue::Integer(QTM_CLIENTS_MAX as u64), ReloadPolicy::Restart, field!(publish_qtm.clients_max);
+    /// Whether a client that gives the password (TakeControl) may start and stop takes, and mark them; needs `password_file`.
+    /// By default clients only read.
+    publish.qtm.control: ValueType::Flag,
+        DefaultValue::Flag(false), ReloadPolicy::Restart, field!(publish_qtm.control);
+    /// File with the password for `control`; mode 0600 or stricter, owned by the service's user, at least 16 characters.
+    /// It is sent unencrypted: use it in networks that you trust.
+    publish.qtm.password_file: ValueType::Text("the path of a file"),
+        DefaultValue::Absent("\"/etc/mocapd/qtm-password\""), ReloadPolicy::Restart,
+        field!(publish_qtm.password_file);
     /// How much is logged to standard error, and so to the journal.
     /// `info` logs every arming, start, stop and outage, and nothing per frame.
     log.level: ValueType::Text("error, warn, info, debug or trace"),

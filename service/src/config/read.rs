@@ -19,7 +19,7 @@ use toml::{
 
 use super::{
     ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig,
-    NameTemplate, PROBLEMS_MAX, SourceLocation, TakeConfig, TriggerConfig,
+    NameTemplate, PROBLEMS_MAX, QtmPublishConfig, SourceLocation, TakeConfig, TriggerConfig,
     key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
@@ -167,6 +167,7 @@ impl Config {
         reader.codec(&mut config);
         reader.pre_roll(&config);
         reader.listen(&config);
+        reader.publish_control(&config);
         for (path, message) in check(&config) {
             reader.refuse(path, message);
         }
@@ -197,6 +198,7 @@ impl Config {
             archive: ArchiveConfig::default(),
             http: HttpConfig::default(),
             trigger: TriggerConfig::default(),
+            publish_qtm: QtmPublishConfig::default(),
             log_level: Level::default(),
         })
     }
@@ -214,6 +216,26 @@ impl<'a> ConfigReader<'a> {
     fn section(&mut self, name: &Spanned<DeString<'_>>, value: &'a Spanned<DeValue<'a>>) {
         let word = name.get_ref().as_ref();
         let known = SECTIONS.iter().map(|(section, _)| *section);
+        // Sections of sections have names with a point.
+        let is_above = |section: &&str| section.split_once('.').is_some_and(|(up, _)| up == word);
+        if let (Some(below), Some(table)) =
+            (known.clone().find(is_above), value.get_ref().as_table())
+        {
+            for (inner, value) in table {
+                let path = format!("{word}.{}", inner.get_ref());
+                match known.clone().find(|section| *section == path) {
+                    Some(section) => self.keys_of(section, inner, value),
+                    None => {
+                        let path = excerpt(&path);
+                        self.refuse_name(
+                            inner,
+                            format!("unknown section [{path}]: write [{below}]"),
+                        );
+                    }
+                }
+            }
+            return;
+        }
         let Some(section) = known.clone().find(|section| *section == word) else {
             let message = match section_of(word) {
                 Some(section) => format!("'{word}' is not in a section: move it below [{section}]"),
@@ -224,6 +246,16 @@ impl<'a> ConfigReader<'a> {
             };
             return self.refuse_name(name, message);
         };
+        self.keys_of(section, name, value);
+    }
+
+    /// Reads the keys of a known section.
+    fn keys_of(
+        &mut self,
+        section: &'static str,
+        name: &Spanned<DeString<'_>>,
+        value: &'a Spanned<DeValue<'a>>,
+    ) {
         let Some(table) = value.get_ref().as_table() else {
             let found = found(value.get_ref());
             let message = format!("{section} is {found}: write [{section}] above its keys");
@@ -358,6 +390,15 @@ impl<'a> ConfigReader<'a> {
         // If only one of the two is in the file, it is the one to change.
         let is_set = self.is_set("arm.include_pre_roll");
         self.refuse(if is_set { "arm.include_pre_roll" } else { "arm.pre_roll" }, message);
+    }
+
+    /// Control over the network needs a password.
+    fn publish_control(&mut self, config: &Config) {
+        if config.publish_qtm.control && !self.is_set("publish.qtm.password_file") {
+            let message = "with control = true, whoever can connect could start and stop takes: \
+                           set publish.qtm.password_file too";
+            self.refuse("publish.qtm.control", message.to_owned());
+        }
     }
 
     /// An address that other machines can reach needs a token.

@@ -1,6 +1,7 @@
 //! Checks whether this machine can record. Each finding says what was checked, and what to do if something is wrong.
 
 mod disk;
+mod network;
 mod service;
 
 use std::{
@@ -70,6 +71,7 @@ pub fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMut(Findi
     disk::examine(folder, keep_free_bytes, report);
     clocks(report);
     processors_and_memory(report);
+    network::examine(report);
     service::examine(report);
 }
 

@@ -304,6 +304,7 @@ mod tests {
             subject: None,
             arm: ArmConfig { memory_max_bytes: 1 << 20, ..ArmConfig::default() },
             archive: ArchiveConfig::default(),
+            publishes: false,
         };
         Engine::start(options, &Heartbeat::default()).unwrap()
     }

@@ -64,6 +64,7 @@ use super::{
     },
     finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     live::LiveFeed,
+    publish::{Publication, PublishedFeed},
     status::{
         MarkerQuality, PendingStart, Presence, ServiceEventKind, State, Status, TakeStatus,
         TakeSummary,
@@ -102,6 +103,7 @@ struct Inner {
     /// Summaries of the takes in the folder.
     summaries: Mutex<SummaryCache>,
     uploads: Uploads,
+    publication: Publication,
     claims: TakeClaims,
     rates: Rates,
     stopping: AtomicBool,
@@ -127,6 +129,7 @@ impl Engine {
             statistics: Mutex::new(MarkerStatistics::default()),
             summaries: Mutex::default(),
             uploads: Uploads::default(),
+            publication: Publication::default(),
             claims: TakeClaims::default(),
             rates: Rates::default(),
             stopping: AtomicBool::new(false),
@@ -170,6 +173,12 @@ impl Engine {
         self.inner.core().options = Arc::new(options);
         self.inner.changed.notify_all();
         self.inner.publish(ServiceEventKind::State, "configuration reloaded", None);
+    }
+
+    /// The frames for a publisher, of which there is one at most.
+    #[must_use]
+    pub fn published(&self) -> PublishedFeed {
+        self.inner.publication.feed()
     }
 
     /// Finishes the take, stops the device and ends the threads.
@@ -392,6 +401,8 @@ pub struct EngineOptions {
     pub arm: ArmConfig,
     /// Where finished takes are uploaded to.
     pub archive: ArchiveConfig,
+    /// Whether every frame is passed on to a publisher.
+    pub publishes: bool,
 }
 
 impl EngineOptions {
@@ -410,6 +421,7 @@ impl EngineOptions {
             subject: config.subject.load().context("[subject]")?.map(Arc::new),
             arm: config.arm.clone(),
             archive: config.archive.clone(),
+            publishes: config.publish_qtm.enabled,
         })
     }
 

@@ -30,6 +30,7 @@ use super::{
 };
 use crate::{
     config::{key_hint, message_with_keys},
+    publish::PublishedSource,
     status::ServiceEventKind,
 };
 
@@ -225,6 +226,7 @@ impl Inner {
         };
         let config = PipelineConfig {
             pre_roll: Some(pre_roll),
+            tap_frames: options.publishes,
             heartbeat: self.heartbeat.clone(),
             ..rig.pipeline_config(options.take.codec)
         };
@@ -244,6 +246,10 @@ impl Inner {
             stop: Arc::clone(stop),
             header: header.clone(),
         };
+        if let Some(frames) = armed.frames {
+            let (progress, header) = (Arc::clone(&progress), header.clone());
+            self.publication.add(PublishedSource { frames, progress, header });
+        }
         // The hub drops the previous session: it checks this channel in every round.
         sessions.try_send(NewSession { tap: armed.tap, progress, header }).ok();
         let mut core = self.core();

@@ -22,7 +22,9 @@ use prometheus_client::{
 };
 
 use super::{Counts, Shared, problem::Problem};
-use crate::status::{ArchiveStatus, State, Status, TakeStatus, TakeSummary};
+use crate::status::{
+    ArchiveStatus, PublishStatus, PublishedClient, State, Status, TakeStatus, TakeSummary,
+};
 
 const OPEN_METRICS: &str = "application/openmetrics-text";
 
@@ -94,6 +96,9 @@ impl Collector for StatusMetrics {
         }
         if let Some(archive) = &self.status.archive {
             of_archive(archive, &mut out)?;
+        }
+        if let Some(publish) = &self.status.publish {
+            of_publish(publish, &mut out)?;
         }
         if let Some(take) = &self.status.last_take {
             of_last_take(take, &mut out)?;
@@ -294,6 +299,26 @@ impl StatusMetrics {
         }
         Ok(())
     }
+}
+
+fn of_publish(publish: &PublishStatus, out: &mut MetricWriter<'_>) -> fmt::Result {
+    figures! { out:
+        /// Clients that what is recorded is published to
+        gauge publish_clients = publish.clients.len() as f64;
+        /// Clients that were refused: too many, or from an address that is not allowed
+        counter publish_clients_refused = publish.clients_refused;
+        /// Frames that clients missed, also those that have left
+        counter publish_frames_missed = publish.frames_missed;
+    }
+    let of_clients = |value: fn(&PublishedClient) -> u64| {
+        let clients = publish.clients.iter();
+        clients.map(|client| (client.address.as_str(), value(client))).collect::<Vec<_>>()
+    };
+    let sent = of_clients(|client| client.frames_sent);
+    out.by("publish_client_frames_sent", "Frames sent to a connected client", "client", &sent)?;
+    let missed = of_clients(|client| client.frames_missed);
+    let help = "Frames that a connected client requested and missed";
+    out.by("publish_client_frames_missed", help, "client", &missed)
 }
 
 fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> fmt::Result {

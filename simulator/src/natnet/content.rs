@@ -135,7 +135,7 @@ impl Content {
                 });
             }
             self.samples_per_frame.push((info.rate_millihertz / rate_millihertz).into());
-            let is_plate = sampled.is_plates();
+            let is_plate = sampled.n_plates() > 0;
             let version = settings.bitstream;
             if !is_plate && !version.has_devices() {
                 return Err(NatNetError::NoDevices { version });

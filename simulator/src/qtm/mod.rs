@@ -5,6 +5,7 @@
 //! frame when the first client requests frames.
 
 pub(crate) mod fates;
+mod samples;
 mod serve;
 
 use std::{net::SocketAddr, sync::Arc};
@@ -23,7 +24,10 @@ use crate::faults::{
     ConnectionFaults, ConnectionState, Fault, Kind, Kinds, Script, SourceFaults, stream,
 };
 use crate::replay::Replay;
+use crate::sampled::SampledSource;
 use fates::DeliveryLog;
+use samples::FileSamples;
+pub use samples::force_of;
 pub use serve::{NetworkOptions, QtmListener, ServeError};
 
 /// Residual of every marker, which motions do not have.
@@ -31,6 +35,9 @@ const RESIDUAL_MM: f32 = 0.25;
 
 /// Id of the first unlabelled marker: unlike a marker's place, so that nobody can take one for the other.
 const FIRST_ID: u32 = 1000;
+
+/// What it says to be.
+const VERSION: &str = concat!("mocapd-sim ", env!("CARGO_PKG_VERSION"));
 
 /// How a QTM plays its motion.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,11 +50,13 @@ pub struct QtmSettings {
     pub looping: bool,
     /// Faults of frames, time and connection.
     pub faults: Option<Arc<Script>>,
+    /// Analog devices and force plates.
+    pub sampled: Vec<SampledSource>,
 }
 
 impl Default for QtmSettings {
     fn default() -> Self {
-        Self { rate_hz: None, speed: 1.0, looping: false, faults: None }
+        Self { rate_hz: None, speed: 1.0, looping: false, faults: None, sampled: Vec::new() }
     }
 }
 
@@ -73,6 +82,7 @@ pub enum QtmError {
 pub struct QtmDevice {
     settings: QtmSettings,
     server: QtmServer,
+    samples: FileSamples,
     replay: Replay,
     rates: Rates,
     /// The columns of the labelled markers, and those of the others.
@@ -147,6 +157,8 @@ impl QtmDevice {
         let (labelled, unlabelled): (Vec<_>, Vec<_>) =
             (0..markers.len()).partition(|column| markers.get(*column).is_some_and(|m| m.labelled));
         let rates = Rates::new(&motion, settings.rate_hz, settings.speed)?;
+        let samples = FileSamples::new(&settings.sampled);
+        let (analog, plates) = samples.devices();
         let served = ServedSettings {
             frequency_hz: f64::from(rates.rate_millihertz) / 1000.0,
             up_axis: match motion.info.up {
@@ -156,12 +168,14 @@ impl QtmDevice {
                 UpAxis::Z | UpAxis::Unknown => "+Z",
             },
             labels: labelled.iter().filter_map(|c| Some(markers.get(*c)?.label.clone())).collect(),
+            analog,
+            plates,
         };
-        let version = format!("mocapd-sim {}", env!("CARGO_PKG_VERSION"));
         let n_columns = markers.len();
         let replay = rates.replay(motion, rates.rate_millihertz);
         Ok(Self {
-            server: QtmServer::new(served, version),
+            server: QtmServer::new(served, VERSION.to_owned()),
+            samples,
             replay,
             rates,
             labelled,
@@ -240,6 +254,12 @@ impl QtmDevice {
         if self.state.flows { self.server.pending(id) } else { &[] }
     }
 
+    /// Whether no client has bytes pending.
+    #[must_use]
+    pub fn is_all_sent(&self) -> bool {
+        !self.state.flows || self.server.is_all_sent()
+    }
+
     /// The connection took the first `n` pending bytes.
     pub fn sent(&mut self, id: ClientId, n: usize) {
         self.server.sent(id, n);
@@ -288,6 +308,7 @@ impl QtmDevice {
             self.server.restart();
             self.log.cut(Kind::PowerLoss);
             (self.start_ns, self.played, self.number) = (None, 0, 0);
+            self.samples.reset();
             if let Some(faults) = &mut self.faults {
                 faults.reset();
             }
@@ -312,6 +333,9 @@ impl QtmDevice {
             return u64::MAX;
         }
         let n_frames = self.replay.n_frames().max(1);
+        if self.start_ns.is_none() {
+            self.samples.start();
+        }
         let start_ns = *self.start_ns.get_or_insert(now_ns);
         loop {
             let next_ns =
@@ -323,6 +347,7 @@ impl QtmDevice {
                 self.end();
                 return u64::MAX;
             }
+            self.samples.add_until(next_ns - start_ns, &mut self.server);
             self.play(self.played % n_frames, next_ns);
         }
     }

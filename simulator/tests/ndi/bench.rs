@@ -208,6 +208,9 @@ impl Bench {
                 LineCommand::Fail(message) | LineCommand::Lost(message) => {
                     self.failed = Some(message);
                 }
+                LineCommand::Listen(_) | LineCommand::StopListening => {
+                    self.failed = Some("a serial line has no datagrams".to_owned());
+                }
             }
         }
         true

@@ -1,4 +1,5 @@
 import { causes, metrics } from "/metrics.js";
+import { clientText, publishText } from "/published.js";
 import { RateHistory } from "/history.js";
 import { COLUMNS, level, sorted } from "/markers.js";
 import { equal, isTrue, near, test } from "./harness.js";
@@ -131,4 +132,14 @@ test("markers are sorted worst first by every column, and in reverse", () => {
   equal([order("noise_mm"), order("noise_mm", true)], [["m9", "a", "m10"], ["a", "m9", "m10"]], "unknown is last");
   equal(COLUMNS.map(({ key }) => order(key).length), [3, 3, 3, 3, 3, 3]);
   equal(ROWS.map(level), ["ok", "bad", "watch"]);
+});
+
+test("a client that missed frames says so", () => {
+  const client = { address: "10.0.0.7:5151", version: "1.25", transport: "udp", is_streaming: true, is_in_control: false,
+    frames_sent: 12_000, frames_missed: 0 };
+  equal(clientText(client), "10.0.0.7:5151 by UDP · version 1.25 · 12\u202f000 frames sent");
+  isTrue(clientText({ ...client, frames_missed: 1 }).includes("1 frame missed"));
+  isTrue(clientText({ ...client, is_streaming: false, is_in_control: true }).endsWith("requests no frames · in control"));
+  const publish = { protocol: "qtm", listen: "127.0.0.1:22223", clients: [client], clients_max: 10, frames_missed: 3 };
+  equal(publishText(publish), "QTM at 127.0.0.1:22223: 1 of 10, 3 frames missed in all");
 });

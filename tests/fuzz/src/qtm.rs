@@ -4,7 +4,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 
 use mocapd_drivers::{
     device::{Command, DeviceEvent, LinkCounters, Protocol},
-    qtm::{LABELS_MAX, QtmHost, QtmServer, ServedSettings, Settings},
+    qtm::{LABELS_MAX, QtmHost, QtmServer, ServedSettings, Settings, SettingsRequest},
     transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
     uri::{Location, NetworkAddress},
 };
@@ -29,7 +29,7 @@ pub fn read_qtm(bytes: &[u8]) {
 
 fn served() -> ServedSettings {
     let labels = vec!["head".to_owned(), "hand".to_owned()];
-    ServedSettings { frequency_hz: 100.0, up_axis: "+Z", labels }
+    ServedSettings { frequency_hz: 100.0, up_axis: "+Z", labels, ..ServedSettings::default() }
 }
 
 /// The events of a host, and its counters. With `is_started` frames were requested of a server before.
@@ -81,8 +81,7 @@ fn new_host(is_started: bool, datagram_port: Option<u16>) -> (QtmHost, LineComma
         let client = client.expect("the first client");
         // Greeting, ten replies, and those to the request for frames.
         for _ in 0..16 {
-            let bytes = server.pending(client).to_vec();
-            server.sent(client, bytes.len());
+            let bytes = server.take_pending(client);
             host.push(&bytes, &mut |_| {});
             while let Some(command) = commands.try_recv() {
                 if let LineCommand::Write { request, .. } = command {
@@ -123,9 +122,7 @@ fn server(wire: &[u8], piece: usize) -> Vec<u8> {
     let mut replies = Vec::new();
     for bytes in wire.chunks(piece) {
         server.receive(client, bytes);
-        let pending = server.pending(client).to_vec();
-        server.sent(client, pending.len());
-        replies.extend_from_slice(&pending);
+        replies.extend_from_slice(&server.take_pending(client));
         server.take_datagrams();
     }
     replies
@@ -135,6 +132,8 @@ fn server(wire: &[u8], piece: usize) -> Vec<u8> {
 fn settings(xml: &str) {
     let Ok(Settings { labels: Some(labels), .. }) = Settings::parse(xml) else { return };
     assert!(labels.len() <= LABELS_MAX);
-    let again = ServedSettings { labels: labels.clone(), ..served() }.to_xml(28, true, true);
+    let request = SettingsRequest { markers: true, ..SettingsRequest::default() };
+    let again = ServedSettings { labels: labels.clone(), ..served() }.to_xml(28, request);
+    let again = again.unwrap_or_default();
     assert_eq!(Settings::parse(&again).map(|settings| settings.labels), Ok(Some(labels)));
 }

@@ -9,8 +9,9 @@ use mocapd_service::{
     http::{Problem, ProblemKind, openapi},
     playback::{GapBins, PlaybackEvent, TakeOverview},
     status::{
-        ArchiveStatus, DeviceStatus, MarkerQuality, OutageStatus, PendingStart, ServiceEvent,
-        ServiceEventKind, State, Status, TakeStatus, TakeSummary, TakeUpload, TrialNames,
+        ArchiveStatus, DeviceStatus, MarkerQuality, OutageStatus, PendingStart, PublishStatus,
+        PublishedClient, ServiceEvent, ServiceEventKind, State, Status, TakeStatus, TakeSummary,
+        TakeUpload, TrialNames,
     },
 };
 use serde_json::{Value, json};
@@ -113,6 +114,10 @@ fn examples() -> Vec<(&'static str, Value)> {
             ..TakeSummary::default()
         }),
         archive: Some(ArchiveStatus::default()),
+        publish: Some(PublishStatus {
+            clients: vec![PublishedClient::default()],
+            ..PublishStatus::default()
+        }),
         ..Status::default()
     };
     let first_frame = FirstFrame { device_ticks: 1, arrival_ns: 2, before_request_s: 0.5 };

@@ -279,8 +279,11 @@ impl Intake {
             };
             let finite = marker.position_mm.iter().all(|v| v.is_finite());
             self.counts.samples_not_finite += u64::from(!finite && !marker.occluded);
-            *sample =
-                Sample { position_mm: marker.position_mm, present: finite && !marker.occluded };
+            *sample = Sample {
+                position_mm: marker.position_mm,
+                present: finite && !marker.occluded,
+                residual_10um: marker.residual_10um,
+            };
         }
     }
 

@@ -1,13 +1,13 @@
 //! The commands of the client that controls the server, with the replies of the protocol's documents.
 
-use super::{ClientId, Measurement, QtmServer};
+use super::{ClientId, Measurement, QtmServer, Role};
 use crate::qtm::{command::ClientCommand, packet::Event};
 
 impl QtmServer {
     /// Executes a command about control, and replies.
     pub(super) fn control(&mut self, id: ClientId, command: &ClientCommand) {
         let reply = match command {
-            ClientCommand::TakeControl(_) => return self.take_control(id),
+            ClientCommand::TakeControl(password) => return self.take_control(id, password),
             ClientCommand::ReleaseControl if self.master == Some(id) => {
                 self.master = None;
                 Ok("You are now a regular client")
@@ -16,6 +16,9 @@ impl QtmServer {
             ClientCommand::GetCapture => Err("No capture to get"),
             ClientCommand::Unknown => Err("Parse error"),
             _ if self.master != Some(id) => Err("You must be master to issue this command"),
+            other if matches!(self.role, Role::Recorder { .. }) => {
+                return self.control_recorder(id, other);
+            }
             ClientCommand::New => return self.open_live(id),
             ClientCommand::Close => return self.close_measurement(id),
             ClientCommand::Start { from_file } => return self.start(id, *from_file),
@@ -27,8 +30,10 @@ impl QtmServer {
             }
             ClientCommand::Stop => Err("No measurement is running"),
             ClientCommand::Trig => Err("QTM not waiting for trig"),
-            ClientCommand::SetEvent if self.measurement == Measurement::Capture => Ok("Event set"),
-            ClientCommand::SetEvent => Err("QTM is not capturing"),
+            ClientCommand::SetEvent(_) if self.measurement == Measurement::Capture => {
+                Ok("Event set")
+            }
+            ClientCommand::SetEvent(_) => Err("QTM is not capturing"),
             ClientCommand::Load(name) if name.is_empty() => Err("Missing file name"),
             ClientCommand::LoadProject(name) if name.is_empty() => Err("Missing project name"),
             ClientCommand::Load(_) | ClientCommand::LoadProject(_) if self.is_connected() => {
@@ -51,7 +56,10 @@ impl QtmServer {
         matches!(self.measurement, Measurement::Live | Measurement::Capture)
     }
 
-    fn take_control(&mut self, id: ClientId) {
+    fn take_control(&mut self, id: ClientId, password: &str) {
+        if let Err(refusal) = self.check_password(password) {
+            return self.reply(id, Err(refusal));
+        }
         match self.master {
             Some(master) if master == id => self.reply(id, Ok("You are already master")),
             Some(master) => {

@@ -1,31 +1,31 @@
 //! The server's end of the protocol, sans-io: connections and their bytes go in, replies, frames and datagrams come out.
 //!
-//! It stands in for a QTM with one measurement. Who owns it makes the frames, and knows by [`QtmServer::is_playing`]
-//! whether they are wanted.
+//! It stands in for a QTM with one measurement: a file that it plays, or what a recorder records ([`QtmServer::of_recorder`]).
+//! Who owns it makes the frames, and knows by [`QtmServer::is_playing`] whether they are wanted.
 
 mod control;
+mod delivery;
+mod outbox;
+mod recorder;
+mod samples;
 
 use std::net::SocketAddr;
 
+pub use self::{
+    delivery::{Datagram, Delivery, ServedFrame},
+    recorder::{ClientReport, OwnerCommand, OwnerRequest},
+};
+use self::{outbox::Outbox, samples::SampleHistory};
 use super::{
     command::{
-        ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate, StreamRequest,
-        VERSIONS, WELCOME,
+        ClientCommand, Components, DatagramTarget, StreamRate, StreamRequest, VERSIONS, WELCOME,
     },
-    frame::{ComponentToSend, FrameHeader, WireMarker, put_frame},
     packet::{Event, Packet, PacketKind, PacketReader, put_event, put_packet, put_text},
     settings::ServedSettings,
 };
 
 /// "Number of simultaneous connections is limited to 10."
 pub const CLIENTS_MAX: usize = 10;
-
-/// Bytes that wait for a client that does not read: a second of 200 markers at 1000 Hz. Beyond it frames are dropped whole,
-/// and its commands wait.
-const OUTPUT_BYTES_MAX: usize = 4 << 20;
-
-/// Largest datagram of UDP over IPv4.
-const DATAGRAM_BYTES_MAX: usize = 65_507;
 
 /// A connected client, until it is disconnected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -46,6 +46,15 @@ enum Measurement {
     Capture,
 }
 
+/// For whom a server speaks.
+#[derive(Debug)]
+enum Role {
+    /// A simulated QTM, which every client may control.
+    Simulated,
+    /// A recorder, which executes what a client with this password requests; without one, nobody controls it.
+    Recorder { password: Option<String> },
+}
+
 #[derive(Debug)]
 struct Client {
     id: ClientId,
@@ -55,12 +64,17 @@ struct Client {
     minor: u32,
     stream: Option<Stream>,
     one_frame: Option<Components>,
-    output: Vec<u8>,
-    /// Bytes at the front of `output` that were sent.
-    sent: usize,
-    /// Bytes ever queued.
-    queued: u64,
+    /// Where the samples of its next frame begin, by device.
+    samples_from: Vec<u64>,
+    outbox: Outbox,
     is_out_of_step: bool,
+    /// Whether the owner executes a command of it; later ones wait.
+    awaits_owner: bool,
+    /// Frames that it requested and did not get.
+    frames_missed: u64,
+    /// Frames that left in datagrams, and whether a datagram of the present one was lost.
+    datagram_frames: u64,
+    is_part_lost: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -74,52 +88,11 @@ struct Stream {
     frames: u64,
 }
 
-/// A datagram to send.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Datagram {
-    /// Its destination.
-    pub to: SocketAddr,
-    /// Its content.
-    pub bytes: Vec<u8>,
-}
-
-/// A frame to send to all who want it.
-#[derive(Debug, Clone, Copy)]
-pub struct ServedFrame<'a> {
-    /// Its number and time.
-    pub header: FrameHeader,
-    /// 2D frames lost, and out of sync, per thousand.
-    pub rates: [u16; 2],
-    /// The labelled markers, in the order of the labels.
-    pub labelled: &'a [WireMarker],
-    /// The unlabelled markers that are visible.
-    pub unlabelled: &'a [WireMarker],
-}
-
-/// What became of a frame for the stream that was started first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Delivery {
-    /// It is queued on the connection, up to this many bytes ever queued.
-    Queued {
-        /// The client.
-        client: ClientId,
-        /// Bytes ever queued for it, with this frame.
-        end: u64,
-    },
-    /// Its datagrams are the next ones to take, so many.
-    Datagrams(usize),
-    /// The client reads too slowly, or the frame does not fit into datagrams.
-    Dropped,
-    /// The stream has another rate, and leaves it out.
-    NotRequested,
-    /// Nobody requests frames.
-    NoStream,
-}
-
 /// A server.
 #[derive(Debug)]
 pub struct QtmServer {
     settings: ServedSettings,
+    histories: Vec<SampleHistory>,
     /// What it replies to `QTMVersion`.
     version: String,
     clients: Vec<Client>,
@@ -129,7 +102,11 @@ pub struct QtmServer {
     measurement: Measurement,
     state: Event,
     datagrams: Vec<Datagram>,
-    bytes: Vec<u8>,
+    role: Role,
+    clients_max: usize,
+    requests: Vec<OwnerRequest>,
+    /// Frames that clients missed which are gone.
+    missed_by_gone: u64,
 }
 
 impl QtmServer {
@@ -137,6 +114,7 @@ impl QtmServer {
     #[must_use]
     pub fn new(settings: ServedSettings, version: String) -> Self {
         Self {
+            histories: SampleHistory::of(&settings),
             settings,
             version,
             clients: Vec::new(),
@@ -146,7 +124,10 @@ impl QtmServer {
             measurement: Measurement::File,
             state: Event::RtFromFileStopped,
             datagrams: Vec::new(),
-            bytes: Vec::new(),
+            role: Role::Simulated,
+            clients_max: CLIENTS_MAX,
+            requests: Vec::new(),
+            missed_by_gone: 0,
         }
     }
 
@@ -159,9 +140,9 @@ impl QtmServer {
         bytes
     }
 
-    /// Accepts a client and greets it; `None` when there are [`CLIENTS_MAX`].
+    /// Accepts a client and greets it; `None` when there are too many.
     pub fn connect(&mut self, peer: SocketAddr) -> Option<ClientId> {
-        if self.clients.len() >= CLIENTS_MAX {
+        if self.clients.len() >= self.clients_max {
             return None;
         }
         let id = ClientId(self.next_client);
@@ -173,19 +154,24 @@ impl QtmServer {
             minor: 1,
             stream: None,
             one_frame: None,
-            output: Vec::new(),
-            sent: 0,
-            queued: 0,
+            samples_from: Vec::new(),
+            outbox: Outbox::default(),
             is_out_of_step: false,
+            awaits_owner: false,
+            frames_missed: 0,
+            datagram_frames: 0,
+            is_part_lost: false,
         };
-        client.put(|out| put_text(PacketKind::Command, WELCOME, out));
+        client.outbox.put(|out| put_text(PacketKind::Command, WELCOME, out));
         self.clients.push(client);
         Some(id)
     }
 
     /// Forgets a client.
     pub fn disconnect(&mut self, id: ClientId) {
+        self.missed_by_gone += self.client(id).map_or(0, |client| client.frames_missed);
         self.clients.retain(|client| client.id != id);
+        self.datagrams.retain(|datagram| datagram.client != id);
         if self.master == Some(id) {
             self.master = None;
         }
@@ -221,19 +207,19 @@ impl QtmServer {
         let Some(client) = self.client(id) else { return };
         // Taken out while its packets are executed.
         let mut reader = std::mem::take(&mut client.reader);
-        let mut is_out_of_step = client.is_out_of_step;
-        while !is_out_of_step && self.pending(id).len() < OUTPUT_BYTES_MAX {
+        let mut is_garbage = false;
+        while !is_garbage && self.may_receive(id) {
             match reader.next_packet() {
                 Ok(Some(packet)) => self.execute(id, &packet),
                 Ok(None) => break,
-                Err(_) => is_out_of_step = true,
+                Err(_) => is_garbage = true,
             }
         }
         let Some(client) = self.client(id) else { return };
         client.reader = reader;
-        if is_out_of_step && !client.is_out_of_step {
+        if is_garbage {
             client.is_out_of_step = true;
-            client.put(|out| put_text(PacketKind::Error, "Parse error", out));
+            client.outbox.put(|out| put_text(PacketKind::Error, "Parse error", out));
         }
     }
 
@@ -241,7 +227,9 @@ impl QtmServer {
     #[must_use]
     pub fn may_receive(&self, id: ClientId) -> bool {
         let client = self.clients.iter().find(|client| client.id == id);
-        client.is_some_and(|c| c.pending().len() < OUTPUT_BYTES_MAX && !c.is_out_of_step)
+        client.is_some_and(|client| {
+            !client.outbox.is_full() && !client.is_out_of_step && !client.awaits_owner
+        })
     }
 
     /// Whether a client sent no packets, and is to be disconnected once it has what is pending.
@@ -250,23 +238,43 @@ impl QtmServer {
         self.clients.iter().any(|client| client.id == id && client.is_out_of_step)
     }
 
-    /// The bytes to send to a client next.
+    /// The bytes to send to a client next: those of one packet.
     #[must_use]
     pub fn pending(&self, id: ClientId) -> &[u8] {
-        self.clients.iter().find(|client| client.id == id).map_or(&[], Client::pending)
+        self.clients.iter().find(|client| client.id == id).map_or(&[], |c| c.outbox.next())
+    }
+
+    /// All bytes that wait for a client, in several packets.
+    #[must_use]
+    pub fn bytes_waiting(&self, id: ClientId) -> usize {
+        self.clients.iter().find(|client| client.id == id).map_or(0, |c| c.outbox.waiting())
+    }
+
+    /// Takes all that waits for a client, as a connection does that is fast enough.
+    pub fn take_pending(&mut self, id: ClientId) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        // Commands that waited for room add replies, of which this takes no more than there were bytes.
+        for _ in 0..self.bytes_waiting(id) {
+            let n = self.pending(id).len();
+            bytes.extend_from_slice(self.pending(id));
+            self.sent(id, n);
+            if n == 0 {
+                break;
+            }
+        }
+        bytes
+    }
+
+    /// Whether no client has bytes pending.
+    #[must_use]
+    pub fn is_all_sent(&self) -> bool {
+        self.clients.iter().all(|client| client.outbox.waiting() == 0)
     }
 
     /// The connection took the first `n` pending bytes.
     pub fn sent(&mut self, id: ClientId, n: usize) {
         if let Some(client) = self.client(id) {
-            client.sent = (client.sent + n).min(client.output.len());
-            if client.sent == client.output.len() {
-                client.output.clear();
-                client.sent = 0;
-            } else if client.sent > client.output.len() / 2 {
-                client.output.drain(..client.sent);
-                client.sent = 0;
-            }
+            client.outbox.sent(n);
             // Commands may have waited for this room.
             self.execute_received(id);
         }
@@ -276,7 +284,7 @@ impl QtmServer {
     #[must_use]
     pub fn bytes_sent(&self, id: ClientId) -> u64 {
         let client = self.clients.iter().find(|client| client.id == id);
-        client.map_or(0, |client| client.queued - client.pending().len() as u64)
+        client.map_or(0, |client| client.outbox.queued() - client.outbox.waiting() as u64)
     }
 
     /// Takes the datagrams to send, oldest first.
@@ -300,54 +308,6 @@ impl QtmServer {
     #[must_use]
     pub fn first_stream(&self) -> Option<u64> {
         self.clients.iter().filter_map(|client| client.stream).map(|stream| stream.number).min()
-    }
-
-    /// Sends a frame to all who want it.
-    pub fn frame(&mut self, frame: &ServedFrame<'_>) -> Delivery {
-        let first = self.first_stream();
-        let mut delivery = Delivery::NoStream;
-        let (hz, mut clients) = (self.settings.frequency_hz, std::mem::take(&mut self.clients));
-        for client in &mut clients {
-            if let Some(components) = client.one_frame.take() {
-                let components = components_of(frame, components);
-                client.put(|out| put_frame(frame.header, &components, out));
-            }
-            let Some(stream) = &mut client.stream else { continue };
-            stream.frames += 1;
-            let stream = *stream;
-            let outcome = if stream.rate.includes(stream.frames - 1, hz) {
-                self.deliver(client, &stream, frame)
-            } else {
-                Delivery::NotRequested
-            };
-            if Some(stream.number) == first {
-                delivery = outcome;
-            }
-        }
-        self.clients = clients;
-        delivery
-    }
-
-    fn deliver(
-        &mut self,
-        client: &mut Client,
-        stream: &Stream,
-        frame: &ServedFrame<'_>,
-    ) -> Delivery {
-        let components = components_of(frame, stream.components);
-        let Some(to) = stream.target else {
-            self.bytes.clear();
-            put_frame(frame.header, &components, &mut self.bytes);
-            if client.pending().len() + self.bytes.len() > OUTPUT_BYTES_MAX {
-                return Delivery::Dropped;
-            }
-            client.put(|out| out.extend_from_slice(&self.bytes));
-            return Delivery::Queued { client: client.id, end: client.queued };
-        };
-        let Some(parts) = divided(frame.header, &components) else { return Delivery::Dropped };
-        let n = parts.len();
-        self.datagrams.extend(parts.into_iter().map(|bytes| Datagram { to, bytes }));
-        Delivery::Datagrams(n)
     }
 
     /// The file is over, or a capture.
@@ -385,7 +345,12 @@ impl QtmServer {
         put_packet(PacketKind::NoMoreData, &mut bytes, |_| {});
         for client in &mut self.clients {
             match client.stream.map(|stream| stream.target) {
-                Some(Some(to)) => self.datagrams.push(Datagram { to, bytes: bytes.clone() }),
+                Some(Some(to)) => self.datagrams.push(Datagram {
+                    client: client.id,
+                    to,
+                    bytes: bytes.clone(),
+                    ends_frame: false,
+                }),
                 Some(None) => client.put_unasked(|out| out.extend_from_slice(&bytes)),
                 None if client.one_frame.take().is_some() => {
                     client.put_unasked(|out| out.extend_from_slice(&bytes));
@@ -408,6 +373,7 @@ impl QtmServer {
     }
 
     fn execute_command(&mut self, id: ClientId, command: &ClientCommand) {
+        let has_no_settings = self.has_no_settings();
         let Some(client) = self.client(id) else { return };
         let minor = client.minor;
         match command {
@@ -427,18 +393,20 @@ impl QtmServer {
             ClientCommand::GetState => {
                 let state = self.state;
                 if let Some(client) = self.client(id) {
-                    client.put(|out| put_event(state, out));
+                    client.outbox.put(|out| put_event(state, out));
                 }
             }
-            ClientCommand::GetParameters(SettingsRequest { general: false, markers: false }) => {
+            ClientCommand::GetParameters(_) if has_no_settings => {
                 self.reply(id, Err("Parameters not available"));
             }
-            ClientCommand::GetParameters(SettingsRequest { general, markers }) => {
-                let xml = self.settings.to_xml(minor, *general, *markers);
-                if let Some(client) = self.client(id) {
-                    client.put(|out| put_text(PacketKind::Xml, &xml, out));
+            ClientCommand::GetParameters(request) => match self.settings.to_xml(minor, *request) {
+                Some(xml) => {
+                    if let Some(client) = self.client(id) {
+                        client.outbox.put(|out| put_text(PacketKind::Xml, &xml, out));
+                    }
                 }
-            }
+                None => self.reply(id, Err("Parameters not available")),
+            },
             // Frames of earlier versions have another layout.
             ClientCommand::GetCurrentFrame(_) | ClientCommand::StreamFrames(_)
                 if !VERSIONS.contains(&minor) =>
@@ -455,6 +423,11 @@ impl QtmServer {
         }
     }
 
+    /// Whether a recorder receives nothing, so that nothing is known of its frames.
+    fn has_no_settings(&self) -> bool {
+        matches!(self.role, Role::Recorder { .. }) && self.measurement == Measurement::Closed
+    }
+
     fn start_stream(&mut self, id: ClientId, request: &StreamRequest) {
         let number = self.n_streams + 1;
         let Some(client) = self.client(id) else { return };
@@ -469,6 +442,10 @@ impl QtmServer {
         };
         let StreamRequest { rate, components, .. } = *request;
         client.stream = Some(Stream { rate, components, target, number, frames: 0 });
+        let starts = self.sample_starts();
+        if let Some(client) = self.client(id) {
+            client.samples_from = starts;
+        }
         self.n_streams = number;
         self.play_for(id);
     }
@@ -483,7 +460,7 @@ impl QtmServer {
             Measurement::Closed => {
                 if let Some(client) = self.client(id) {
                     client.one_frame = None;
-                    client.put(|out| put_packet(PacketKind::NoMoreData, out, |_| {}));
+                    client.outbox.put(|out| put_packet(PacketKind::NoMoreData, out, |_| {}));
                 }
             }
             Measurement::PlayedFile | Measurement::Live | Measurement::Capture => {}
@@ -494,82 +471,20 @@ impl QtmServer {
     fn reply(&mut self, id: ClientId, text: Result<&str, &str>) {
         let Some(client) = self.client(id) else { return };
         match text {
-            Ok(text) => client.put(|out| put_text(PacketKind::Command, text, out)),
-            Err(text) => client.put(|out| put_text(PacketKind::Error, text, out)),
+            Ok(text) => client.outbox.put(|out| put_text(PacketKind::Command, text, out)),
+            Err(text) => client.outbox.put(|out| put_text(PacketKind::Error, text, out)),
         }
     }
 }
 
 impl Client {
-    fn put(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
-        let before = self.output.len();
-        write(&mut self.output);
-        self.queued += (self.output.len() - before) as u64;
-    }
-
     /// Appends what the client did not ask for. One that reads nothing is disconnected, since it would miss it.
     fn put_unasked(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
-        if self.pending().len() >= OUTPUT_BYTES_MAX {
+        if self.outbox.is_full() {
             self.is_out_of_step = true;
-            self.output.clear();
-            self.sent = 0;
+            self.outbox.clear();
         } else if !self.is_out_of_step {
-            self.put(write);
+            self.outbox.put(write);
         }
-    }
-
-    fn pending(&self) -> &[u8] {
-        self.output.get(self.sent..).unwrap_or_default()
-    }
-}
-
-impl StreamRate {
-    /// Whether a stream has the frame `index` of a measurement at `hz`, counted from 0.
-    fn includes(self, index: u64, hz: f64) -> bool {
-        match self {
-            Self::All => true,
-            Self::Divisor(n) => index.is_multiple_of(u64::from(n)),
-            Self::Frequency(wanted) if f64::from(wanted) < hz => {
-                let due = |index: u64| (index as f64 * f64::from(wanted) / hz).floor();
-                index == 0 || due(index) > due(index - 1)
-            }
-            Self::Frequency(_) => true,
-        }
-    }
-}
-
-fn components_of<'a>(frame: &ServedFrame<'a>, wanted: Components) -> Vec<ComponentToSend<'a>> {
-    let component = |kind: super::frame::MarkerComponentKind| ComponentToSend {
-        kind,
-        rates: frame.rates,
-        markers: if kind.is_labelled() { frame.labelled } else { frame.unlabelled },
-    };
-    wanted.markers().map(component).collect()
-}
-
-/// The datagrams of a frame: as many components in each as fit. `None` when one does not fit into any.
-fn divided(header: FrameHeader, components: &[ComponentToSend<'_>]) -> Option<Vec<Vec<u8>>> {
-    /// Packet header, time, number and count.
-    const FRAME_HEADER_BYTES: usize = 24;
-    let mut parts = Vec::new();
-    let mut rest = components;
-    loop {
-        let mut bytes = FRAME_HEADER_BYTES;
-        let fits = |component: &&ComponentToSend<'_>| {
-            bytes += component.bytes();
-            bytes <= DATAGRAM_BYTES_MAX
-        };
-        let n = rest.iter().take_while(fits).count();
-        if n == 0 && !rest.is_empty() {
-            return None;
-        }
-        let (now, later) = rest.split_at(n);
-        let mut part = Vec::new();
-        put_frame(header, now, &mut part);
-        parts.push(part);
-        if later.is_empty() {
-            return Some(parts);
-        }
-        rest = later;
     }
 }

@@ -17,6 +17,8 @@ pub struct Interface {
     pub address: Ipv4Addr,
     /// The address of all machines on its network, if it has one.
     pub broadcast: Option<Ipv4Addr>,
+    /// Whether it carries multicast.
+    pub has_multicast: bool,
 }
 
 /// Interfaces that are up, one for each IPv4 address.
@@ -36,7 +38,8 @@ pub fn interfaces() -> io::Result<Vec<Interface>> {
         // Without this flag the field has the other end of a point-to-point link.
         let can_broadcast = entry.flags.contains(InterfaceFlags::IFF_BROADCAST);
         let broadcast = v4(entry.broadcast).filter(|_| can_broadcast);
-        found.push(Interface { name: entry.interface_name, address, broadcast });
+        let has_multicast = entry.flags.contains(InterfaceFlags::IFF_MULTICAST);
+        found.push(Interface { name: entry.interface_name, address, broadcast, has_multicast });
     }
     Ok(found)
 }

@@ -11,13 +11,13 @@ use super::multicast::interfaces;
 /// Most replies that are kept: several times the systems of a building.
 const REPLIES_MAX: usize = 64;
 
-/// Sends a message to a port of all machines on the networks of this one, and of this machine. Returns the replies that
-/// arrive within this time, at most one of each address.
+/// Sends `message(port of replies)` to a port of all machines on the networks of this one, and of this machine. Returns the
+/// replies that arrive within this time, each of an address once.
 ///
 /// # Errors
 /// The system's, when no socket can be opened. A network that cannot be reached has no replies.
 pub fn search(
-    message: &[u8],
+    message: impl Fn(u16) -> Vec<u8>,
     port: u16,
     wait: Duration,
 ) -> io::Result<Vec<(SocketAddrV4, Vec<u8>)>> {
@@ -28,7 +28,7 @@ pub fn search(
         let socket = UdpSocket::bind((interface.address, 0)).and_then(|socket| {
             socket.set_broadcast(true)?;
             socket.set_nonblocking(true)?;
-            socket.send_to(message, (target, port))?;
+            socket.send_to(&message(socket.local_addr()?.port()), (target, port))?;
             Ok(socket)
         });
         // An interface that sends no broadcast has nobody to find.
@@ -43,8 +43,10 @@ pub fn search(
             match socket.recv_from(&mut buffer) {
                 Ok((n, SocketAddr::V4(from))) => {
                     is_idle = false;
-                    if replies.iter().all(|(known, _)| *known != from) {
-                        replies.push((from, buffer.get(..n).unwrap_or_default().to_vec()));
+                    let reply = (from, buffer.get(..n).unwrap_or_default().to_vec());
+                    // Servers of one machine may answer from one port.
+                    if !replies.contains(&reply) {
+                        replies.push(reply);
                     }
                 }
                 Ok(_) => {}

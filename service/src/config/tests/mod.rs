@@ -59,6 +59,13 @@ listen = "0.0.0.0:8989"
 send_to = ["192.168.10.255:8989", "[fe80::1]:30"]
 allow_from = ["192.168.10.0/24", "::1"]
 delay_max = "1s"
+[publish.qtm]
+enabled = true
+listen = "[::]:22300"
+allow_from = ["10.1.0.0/16"]
+clients_max = 3
+control = true
+password_file = "/etc/mocapd/qtm-password"
 [log]
 level = "trace"
 "#;
@@ -81,6 +88,7 @@ fn an_empty_file_is_the_defaults() {
     assert_eq!(config.http.socket, Some("/run/mocapd/mocapd.sock".into()));
     assert_eq!(config.http.listen, Some("127.0.0.1:7060".parse::<SocketAddr>().unwrap()));
     assert_eq!(config.trigger.listen, None);
+    assert!(!config.publish_qtm.enabled && config.publish_qtm.listen.ip().is_loopback());
     assert_eq!(config.log_level, Level::Info);
     assert_eq!(config.notes(), [""; 0]);
 }
@@ -103,6 +111,8 @@ fn every_key_is_read() {
     assert_eq!(config.http.allowed_hosts, ["rig.lab", "10.0.0.1"]);
     assert_eq!(config.trigger.send_to.len(), 2);
     assert!(config.trigger.allow_from[0].contains("192.168.10.3".parse().unwrap()));
+    assert!(config.publish_qtm.allow_from[0].contains("10.1.2.3".parse().unwrap()));
+    assert_eq!((config.publish_qtm.clients_max, config.publish_qtm.control), (3, true));
     assert_eq!(config.log_level, Level::Trace);
     // Each differs from its default, so a key that is ignored shows.
     let changes = parse("").unwrap().changes(&config);
@@ -217,6 +227,12 @@ fn questionable_settings_are_noted() {
     assert_eq!(notes("[trigger]\nlisten = '0.0.0.0:8989'\nallow_from = ['10.0.0.1']"), [""; 0]);
     about("[trigger]\nallow_from = ['10.0.0.1']", &["trigger.allow_from", "trigger.listen"]);
     about("[http]\nlisten = '0.0.0.0:1'\ntoken_file = 'x'", &["http.listen", "0.0.0.0:1"]);
+    let publish = |keys: &str| format!("[publish.qtm]\nenabled = true\n{keys}");
+    let outside = "listen = '0.0.0.0:22223'";
+    about(&publish(outside), &["publish.qtm.allow_from", "0.0.0.0:22223"]);
+    assert_eq!(notes(&publish(&format!("{outside}\nallow_from = ['10.0.0.1']"))), [""; 0]);
+    about(&publish("allow_from = ['10.0.0.1']"), &["publish.qtm.allow_from", "127.0.0.1:22223"]);
+    about(&publish("password_file = 'x'"), &["publish.qtm.password_file", "control"]);
     let nobody = ["http.socket", "http.listen", "trigger.listen"];
     about("[http]\nlisten = ''\nsocket = ''", &nobody);
     about("[device]\nraw_log = true", &["device.raw_log"]);

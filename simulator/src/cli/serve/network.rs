@@ -22,13 +22,14 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         speed: args.speed,
         looping: args.looping,
         faults: input::script(args)?,
+        sampled: input::sampled(args)?,
     };
     let mut device = QtmDevice::new(motion, settings).map_err(|error| match error {
         QtmError::Device(error) => refused(error),
         _ => Failure::usage(error),
     })?;
     let stop = stop_on_signal()?;
-    let listener = QtmListener::open(port).map_err(|error| match error {
+    let mut listener = QtmListener::open(port).map_err(|error| match error {
         ServeError::Listen { .. } => Failure::usage(error),
         _ => Failure::from(error),
     })?;
@@ -39,6 +40,9 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     }
     let hz = f64::from(device.rate_millihertz()) / 1000.0;
     notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
+    if !listener.answer_searches() {
+        notify("`mocapd devices` does not find it: another program uses UDP port 22226 alone");
+    }
     let uri = listener.uri();
     if args.json {
         print_json_line(&LineReport { path: &uri })?;
@@ -75,6 +79,7 @@ fn check(args: &ServeArgs) -> Result<u16, Failure> {
         ("--no-bx2", args.no_bx2),
         ("--batch", args.batch().is_some()),
         ("--drift-ppm", args.drift_ppm != 0.0),
+        ("--batch-log", args.batch_log.is_some()),
     ];
     match options.iter().find(|(_, is_set)| *is_set) {
         Some((option, _)) => usage(format!("{option} does not apply to a QTM: remove it")),

@@ -2,7 +2,7 @@
 
 use mocapd_drivers::qtm::{
     ComponentToSend, Event, FrameHeader, MISSING, MarkerComponentKind, PacketKind, ServedSettings,
-    WELCOME, WireMarker, put_event, put_frame, put_packet, put_text,
+    SettingsRequest, WELCOME, WireMarker, put_event, put_frame, put_packet, put_text,
 };
 
 /// Packets of both directions: for a driver that waits for its greeting, and for one that requested frames.
@@ -26,7 +26,10 @@ pub(super) fn packets() -> Vec<Vec<u8>> {
 
 fn settings(n_labels: usize) -> String {
     let labels = (0..n_labels).map(|k| format!("label <{k}>")).collect();
-    ServedSettings { frequency_hz: 100.0, up_axis: "-Z", labels }.to_xml(28, true, true)
+    let request = SettingsRequest { general: true, markers: true, analog: true, force: true };
+    ServedSettings { frequency_hz: 100.0, up_axis: "-Z", labels, ..ServedSettings::default() }
+        .to_xml(28, request)
+        .unwrap_or_default()
 }
 
 fn frames() -> Vec<u8> {

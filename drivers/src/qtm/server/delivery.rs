@@ -1,0 +1,250 @@
+//! Frames on their way to the clients that request them: on their connections, or in datagrams.
+
+use std::{net::SocketAddr, sync::Arc};
+
+use super::{Client, ClientId, QtmServer, Role, Stream};
+use crate::qtm::{
+    command::{Components, StreamRate},
+    frame::{
+        ComponentToSend, FrameHeader, MarkerComponentKind, SampledComponent, WireMarker,
+        put_sampled_frame,
+    },
+};
+
+/// Largest datagram of UDP over IPv4.
+const DATAGRAM_BYTES_MAX: usize = 65_507;
+
+/// Frames that wait for a client of a recorder, in seconds: more would be too old to be of use.
+const BACKLOG_S: f64 = 1.0;
+
+/// Frames left out that are compared with the rate of a stream one by one: more than any queue in front of a server holds.
+const LEFT_OUT_MAX: u64 = 1 << 20;
+
+/// A datagram to send.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Datagram {
+    /// The client that requested it.
+    pub client: ClientId,
+    /// Its destination.
+    pub to: SocketAddr,
+    /// Its content.
+    pub bytes: Vec<u8>,
+    /// Whether a frame ends with it.
+    pub ends_frame: bool,
+}
+
+/// A frame to send to all who want it.
+#[derive(Debug, Clone, Copy)]
+pub struct ServedFrame<'a> {
+    /// Its number and time.
+    pub header: FrameHeader,
+    /// 2D frames lost, and out of sync, per thousand.
+    pub rates: [u16; 2],
+    /// The labelled markers, in the order of the labels.
+    pub labelled: &'a [WireMarker],
+    /// The unlabelled markers that are visible.
+    pub unlabelled: &'a [WireMarker],
+}
+
+/// What became of a frame for the stream that was started first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Delivery {
+    /// It is queued on the connection, up to this many bytes ever queued.
+    Queued {
+        /// The client.
+        client: ClientId,
+        /// Bytes ever queued for it, with this frame.
+        end: u64,
+    },
+    /// Its datagrams are the next ones to take, so many.
+    Datagrams(usize),
+    /// The client reads too slowly, or the frame does not fit into datagrams.
+    Dropped,
+    /// The stream has another rate, and leaves it out.
+    NotRequested,
+    /// Nobody requests frames.
+    NoStream,
+}
+
+/// A frame as it was encoded for earlier clients.
+type Encoded = Vec<(Components, Arc<[u8]>)>;
+
+impl QtmServer {
+    /// Sends a frame to all who want it.
+    pub fn frame(&mut self, frame: &ServedFrame<'_>) -> Delivery {
+        let first = self.first_stream();
+        let mut delivery = Delivery::NoStream;
+        let (hz, mut clients) = (self.settings.frequency_hz, std::mem::take(&mut self.clients));
+        let mut encoded = Encoded::new();
+        for client in &mut clients {
+            if let Some(components) = client.one_frame.take() {
+                let samples = self.sampled_components(components, None);
+                let markers = components_of(frame, components);
+                let content = (&markers[..], &samples[..]);
+                client.outbox.put(|out| put_sampled_frame(frame.header, content, out));
+            }
+            let Some(stream) = &mut client.stream else { continue };
+            stream.frames += 1;
+            let stream = *stream;
+            let outcome = if stream.rate.includes(stream.frames - 1, hz) {
+                self.deliver(client, &stream, (frame, &mut encoded))
+            } else {
+                Delivery::NotRequested
+            };
+            if outcome != Delivery::NotRequested {
+                client.samples_from = self.sample_ends_now();
+            }
+            client.frames_missed += u64::from(outcome == Delivery::Dropped);
+            if Some(stream.number) == first {
+                delivery = outcome;
+            }
+        }
+        self.clients = clients;
+        self.end_frame();
+        delivery
+    }
+
+    fn deliver(
+        &mut self,
+        client: &mut Client,
+        stream: &Stream,
+        (frame, encoded): (&ServedFrame<'_>, &mut Encoded),
+    ) -> Delivery {
+        let samples = self.sampled_components(stream.components, Some(&client.samples_from));
+        if let Some(to) = stream.target {
+            let markers = components_of(frame, stream.components);
+            let parts = divided(frame.header, &markers, &samples);
+            let Some(parts) = parts else { return Delivery::Dropped };
+            let n = parts.len();
+            let datagram =
+                |(at, bytes)| Datagram { client: client.id, to, bytes, ends_frame: at + 1 == n };
+            self.datagrams.extend(parts.into_iter().enumerate().map(datagram));
+            return Delivery::Datagrams(n);
+        }
+        // The samples of a stream depend on its last frame.
+        let is_shared = |(components, _): &&(Components, Arc<[u8]>)| {
+            *components == stream.components && samples.is_empty()
+        };
+        let known = encoded.iter().find(is_shared);
+        let bytes = match known {
+            Some((_, bytes)) => Arc::clone(bytes),
+            None => {
+                let mut bytes = Vec::new();
+                let markers = components_of(frame, stream.components);
+                put_sampled_frame(frame.header, (&markers, &samples), &mut bytes);
+                let bytes: Arc<[u8]> = bytes.into();
+                encoded.push((stream.components, Arc::clone(&bytes)));
+                bytes
+            }
+        };
+        if !self.make_room(client, bytes.len()) {
+            return Delivery::Dropped;
+        }
+        client.outbox.put_frame(bytes);
+        Delivery::Queued { client: client.id, end: client.outbox.queued() }
+    }
+
+    /// Whether a frame of so many bytes may wait for a client. For one of a recorder, the oldest frames make room.
+    fn make_room(&self, client: &mut Client, bytes: usize) -> bool {
+        if let Role::Recorder { .. } = self.role {
+            let frames_max = ((BACKLOG_S * self.settings.frequency_hz) as usize).max(1);
+            while client.outbox.frames_waiting() >= frames_max || !client.outbox.has_room_for(bytes)
+            {
+                if !client.outbox.drop_oldest_frame() {
+                    break;
+                }
+                client.frames_missed += 1;
+            }
+        }
+        client.outbox.has_room_for(bytes)
+    }
+
+    /// Frames did not reach this server, of which each client misses those that it requested.
+    pub fn left_out(&mut self, n: u64) {
+        let hz = self.settings.frequency_hz;
+        for client in &mut self.clients {
+            let Some(stream) = &mut client.stream else { continue };
+            let missed = (0..n.min(LEFT_OUT_MAX))
+                .filter(|passed| stream.rate.includes(stream.frames + passed, hz))
+                .count();
+            stream.frames += n;
+            client.frames_missed += missed as u64;
+        }
+    }
+
+    /// The system took a datagram, or not.
+    pub fn datagram_sent(&mut self, datagram: &Datagram, is_sent: bool) {
+        let Some(client) = self.client(datagram.client) else { return };
+        client.is_part_lost |= !is_sent;
+        if datagram.ends_frame {
+            let is_whole = !std::mem::take(&mut client.is_part_lost);
+            client.datagram_frames += u64::from(is_whole);
+            client.frames_missed += u64::from(!is_whole);
+        }
+    }
+}
+
+impl StreamRate {
+    /// Whether a stream has the frame `index` of a measurement at `hz`, counted from 0.
+    fn includes(self, index: u64, hz: f64) -> bool {
+        match self {
+            Self::All => true,
+            Self::Divisor(n) => index.is_multiple_of(u64::from(n)),
+            Self::Frequency(wanted) if f64::from(wanted) < hz => {
+                let due = |index: u64| (index as f64 * f64::from(wanted) / hz).floor();
+                index == 0 || due(index) > due(index - 1)
+            }
+            Self::Frequency(_) => true,
+        }
+    }
+}
+
+fn components_of<'a>(frame: &ServedFrame<'a>, wanted: Components) -> Vec<ComponentToSend<'a>> {
+    let component = |kind: MarkerComponentKind| ComponentToSend {
+        kind,
+        rates: frame.rates,
+        markers: if kind.is_labelled() { frame.labelled } else { frame.unlabelled },
+    };
+    wanted.markers().map(component).collect()
+}
+
+/// The datagrams of a frame: as many components in each as fit. `None` when one does not fit into any.
+fn divided(
+    header: FrameHeader,
+    components: &[ComponentToSend<'_>],
+    samples: &[SampledComponent<'_>],
+) -> Option<Vec<Vec<u8>>> {
+    /// Packet header, time, number and count.
+    const FRAME_HEADER_BYTES: usize = 24;
+    let mut parts = Vec::new();
+    let mut rest = components;
+    loop {
+        let mut bytes = FRAME_HEADER_BYTES;
+        let fits = |component: &&ComponentToSend<'_>| {
+            bytes += component.bytes();
+            bytes <= DATAGRAM_BYTES_MAX
+        };
+        let n = rest.iter().take_while(fits).count();
+        if n == 0 && !rest.is_empty() {
+            return None;
+        }
+        let (now, later) = rest.split_at(n);
+        let sampled_bytes: usize = samples.iter().map(SampledComponent::bytes).sum();
+        let now_bytes: usize = now.iter().map(ComponentToSend::bytes).sum();
+        // The samples go with the last markers, or in a datagram of their own.
+        let fits = later.is_empty()
+            && FRAME_HEADER_BYTES + now_bytes + sampled_bytes <= DATAGRAM_BYTES_MAX;
+        let mut part = Vec::new();
+        put_sampled_frame(header, (now, if fits { samples } else { &[] }), &mut part);
+        parts.push(part);
+        if later.is_empty() && !fits {
+            let mut part = Vec::new();
+            put_sampled_frame(header, (&[], samples), &mut part);
+            (part.len() <= DATAGRAM_BYTES_MAX).then(|| parts.push(part))?;
+        }
+        if later.is_empty() {
+            return Some(parts);
+        }
+        rest = later;
+    }
+}
