@@ -3,7 +3,7 @@
 //!
 //! A [`device::Protocol`] is sans-io: it turns received bytes into events and commands into bytes. A
 //! [`transport::Transport`] moves those bytes. [`registry`] pairs the two for a device URI, and
-//! [`link`], [`ndi`] and [`qtm`] are the families so far.
+//! [`link`], [`lsl`], [`ndi`] and [`qtm`] are the families so far.
 //!
 //! One frame, encoded at the device's end of a link and decoded at the host's:
 //!
@@ -36,10 +36,12 @@
 mod bytes;
 pub mod device;
 pub mod link;
+pub mod lsl;
 pub mod ndi;
 pub mod plain_file;
 pub mod qtm;
 pub mod raw_log;
 pub mod registry;
+pub mod stream_query;
 pub mod transport;
 pub mod uri;

@@ -106,7 +106,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         remote::refuse_recording(raw)?;
         paths::check_output(raw)?;
-        if matches!(&uri.location, Location::Network(at) if !at.datagrams) {
+        let is_stream = match &uri.location {
+            Location::Network(at) => !at.datagrams,
+            Location::Streams(_) => true,
+            Location::Serial { .. } | Location::Usb { .. } => false,
+        };
+        if is_stream {
             notify(
                 "a raw log of a device on the network cannot be replayed: it shows what was sent",
             );

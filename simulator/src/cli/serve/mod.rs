@@ -26,6 +26,7 @@ mod input;
 mod line;
 mod network;
 mod report;
+mod streams;
 
 pub(super) const EXAMPLES: &str = "\
 Examples:
@@ -33,7 +34,9 @@ Examples:
   mocapd-sim serve --generate jump --rate 240Hz --loop --pty /tmp/rig
   mocapd record --device serial:/tmp/rig --output jump.take     in another terminal
   mocapd-sim serve jump.c3d --protocol qtm --tcp=22223
-  mocapd record --device qtm:127.0.0.1 --output jump.take       in another terminal";
+  mocapd record --device qtm:127.0.0.1 --output jump.take       in another terminal
+  mocapd-sim serve --generate jump --loop --protocol lsl
+  mocapd record --device lsl:mocapd-sim-SIM0001 --output jump.take     in another terminal";
 
 #[derive(Debug, Args)]
 pub(super) struct ServeArgs {
@@ -195,6 +198,8 @@ enum DeviceProtocol {
     Ndi,
     /// The RT protocol of Qualisys Track Manager, with --tcp.
     Qtm,
+    /// Streams of the Lab Streaming Layer.
+    Lsl,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -211,6 +216,9 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     args.find_take()?;
     args.check_generated()?;
     let args = &args;
+    if args.protocol == DeviceProtocol::Lsl {
+        return streams::run(args);
+    }
     if args.protocol == DeviceProtocol::Qtm || args.line.tcp.is_some() {
         return network::run(args);
     }
@@ -304,7 +312,9 @@ fn device(
             );
         }
         // It is on no line.
-        DeviceProtocol::Qtm => return usage("a QTM is on the network, not on a line"),
+        DeviceProtocol::Qtm | DeviceProtocol::Lsl => {
+            return usage("a QTM and LSL's streams are on the network, not on a line");
+        }
         DeviceProtocol::Ndi => {
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));

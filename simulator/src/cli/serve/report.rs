@@ -86,7 +86,7 @@ impl SentReport {
         let why = match protocol {
             DeviceProtocol::Dvmc => "queue full",
             DeviceProtocol::Ndi => "not fetched before the next",
-            DeviceProtocol::Qtm => "client too slow",
+            DeviceProtocol::Qtm | DeviceProtocol::Lsl => "client too slow",
         };
         let mut text = format!(
             "{runs}: {produced} frames produced, {sent} sent in {} bytes, {dropped} dropped by the device ({why}), \
@@ -96,7 +96,7 @@ impl SentReport {
         if protocol == DeviceProtocol::Ndi {
             text.push_str(&format!(", {unasked} after the last request (unknown to any recorder)"));
         }
-        if protocol == DeviceProtocol::Qtm {
+        if matches!(protocol, DeviceProtocol::Qtm | DeviceProtocol::Lsl) {
             text.push_str(&format!(", {unasked} that no client requested"));
         }
         if let Some(faults) = &self.faults_text {
