@@ -55,6 +55,8 @@ pub(super) struct StreamCounts {
 #[derive(Debug)]
 pub(super) struct StreamDecoder {
     role: StreamRole,
+    /// How many samples a frame has, if they are frames.
+    frame_every: Option<u64>,
     format: ValueFormat,
     n_channels: usize,
     /// `None` until the feed is open.
@@ -75,7 +77,11 @@ pub(super) struct StreamDecoder {
 }
 
 impl StreamDecoder {
-    pub(super) fn new(role: StreamRole, description: &StreamDescription) -> Self {
+    pub(super) fn new(
+        role: StreamRole,
+        frame_every: Option<u64>,
+        description: &StreamDescription,
+    ) -> Self {
         let (n_groups, rate_millihertz, is_regular) = match &role {
             StreamRole::Events => (0, 0, false),
             StreamRole::Numbers { groups, rate_millihertz, is_regular, .. } => {
@@ -85,6 +91,7 @@ impl StreamDecoder {
         let period_s = if rate_millihertz > 0 { 1000.0 / f64::from(rate_millihertz) } else { 0.0 };
         Self {
             role,
+            frame_every,
             format: description.format,
             n_channels: description.n_channels,
             wire: None,
@@ -110,7 +117,7 @@ impl StreamDecoder {
 
     /// Whether its samples are frames.
     pub(super) fn has_frames(&self) -> bool {
-        matches!(&self.role, StreamRole::Numbers { markers, .. } if !markers.is_empty())
+        self.frame_every.is_some()
     }
 
     /// A run begins: counts start from zero.
@@ -119,14 +126,16 @@ impl StreamDecoder {
         self.missing_before = self.axis.missing();
     }
 
-    /// Samples missing in this run, outages apart.
+    /// Frames missing in this run, outages apart. Of frames of several samples it is not known: they count as not received.
     pub(super) fn missing(&self) -> u64 {
-        self.axis.missing() - self.missing_before
+        if self.frame_every == Some(1) { self.axis.missing() - self.missing_before } else { 0 }
     }
 
-    /// Samples of this run, missing ones included.
+    /// Frames of this run, missing ones included.
     pub(super) fn produced(&self) -> u64 {
-        self.counts.first.map_or(0, |first| self.counts.next.saturating_sub(first))
+        let every = self.frame_every.unwrap_or(1);
+        let Some(first) = self.counts.first else { return 0 };
+        self.counts.next.div_ceil(every).saturating_sub(first.div_ceil(every))
     }
 
     /// The time stamp of the last sample.
@@ -245,14 +254,14 @@ impl StreamDecoder {
             on_event(DeviceEvent::Mark(Mark { device_ticks: ticks, text: &one_line }));
             return;
         };
-        if !markers.is_empty() {
+        if let Some(every) = self.frame_every.filter(|every| number.is_multiple_of(*every)) {
             self.markers.clear();
             for (id, marker) in markers.iter().enumerate() {
                 let marker = position(sample, id as u16, marker, &mut self.not_finite);
                 self.markers.push(marker);
             }
             on_event(DeviceEvent::Frame(Frame {
-                seq: number as u32,
+                seq: (number / every) as u32,
                 device_ticks: ticks,
                 timecode: None,
                 markers: &self.markers,

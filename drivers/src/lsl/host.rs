@@ -147,7 +147,10 @@ impl LslHost {
             self.decoders.iter_mut().for_each(StreamDecoder::close);
         } else {
             self.not_finite_before = self.counters.samples_not_finite;
-            let made = described().map(|(role, of)| StreamDecoder::new(role.clone(), of));
+            let (of_frames, every) = layout.frames;
+            let made = described().enumerate().map(|(at, (role, of))| {
+                StreamDecoder::new(role.clone(), (at == of_frames).then_some(every), of)
+            });
             self.decoders = made.collect();
         }
         self.layout = Some(layout);

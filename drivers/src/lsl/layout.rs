@@ -18,8 +18,9 @@ use crate::{
 /// what a clock resolves.
 pub(super) const TICK_HZ: u64 = 1_000_000_000;
 
-/// The rate that a take without markers states. No frame comes, and samples have rates of their own.
-const NO_FRAMES_MILLIHERTZ: u32 = 100_000;
+/// Without markers, frames without markers are the time axis of a take: its events, gaps and length are counted in them. One
+/// comes with every so many samples of the first stream of numbers, so that they have about this rate.
+const EMPTY_FRAMES_MILLIHERTZ: u32 = 100_000;
 
 /// The channels that hold a marker's position.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,6 +69,8 @@ pub struct Layout {
     pub markers: Vec<MarkerInfo>,
     /// One role for each stream.
     pub roles: Vec<StreamRole>,
+    /// The stream whose samples are frames, and how many samples a frame has: several only if there are no markers.
+    pub frames: (usize, u64),
     /// One line of text for each thing about them that a user should know.
     pub remarks: Vec<String>,
 }
@@ -83,6 +86,7 @@ impl Layout {
             hello: hello(streams),
             markers: Vec::new(),
             roles: Vec::new(),
+            frames: (0, 1),
             remarks: Vec::new(),
         };
         let mut n_groups = 0;
@@ -90,7 +94,40 @@ impl Layout {
             let role = layout.role(query, stream, &mut n_groups)?;
             layout.roles.push(role);
         }
+        layout.find_frames(streams)?;
         Ok(layout)
+    }
+
+    /// Decides which samples are frames.
+    fn find_frames(&mut self, streams: &[StreamDescription]) -> Result<(), String> {
+        let numbers = self.roles.iter().enumerate().filter_map(|(at, role)| match role {
+            StreamRole::Numbers { markers, rate_millihertz, .. } => {
+                Some((markers.is_empty(), at, *rate_millihertz))
+            }
+            StreamRole::Events => None,
+        });
+        // The one with markers, or else the first.
+        let Some((has_no_markers, at, rate_millihertz)) =
+            numbers.min_by_key(|(none, at, _)| (*none, *at))
+        else {
+            let names =
+                streams.iter().map(|stream| stream.summary()).collect::<Vec<_>>().join(", ");
+            return Err(format!(
+                "{names}: events alone are no recording: name a stream with markers or samples as well, as in lsl:EEG,{}",
+                streams.first().map_or("Markers", |stream| &stream.name)
+            ));
+        };
+        let every = if has_no_markers {
+            rate_millihertz.div_ceil(EMPTY_FRAMES_MILLIHERTZ).max(1)
+        } else {
+            1
+        };
+        self.frames = (at, u64::from(every));
+        let rate_millihertz = rate_millihertz / every;
+        let hello = &mut self.hello;
+        hello.rate_millihertz = rate_millihertz;
+        (hello.rate_min_millihertz, hello.rate_max_millihertz) = (rate_millihertz, rate_millihertz);
+        Ok(())
     }
 
     /// The groups of all streams.
@@ -137,7 +174,7 @@ impl Layout {
             }
         };
         if !columns.is_empty() {
-            self.add_markers(stream, &columns, rate_millihertz)?;
+            self.add_markers(stream, &columns)?;
         }
         let is_position = |at: &usize| columns.iter().any(|marker| marker.columns.contains(at));
         let rest: Vec<usize> = (0..stream.n_channels).filter(|at| !is_position(at)).collect();
@@ -159,7 +196,6 @@ impl Layout {
         &mut self,
         stream: &StreamDescription,
         columns: &[MarkerColumns],
-        rate_millihertz: u32,
     ) -> Result<(), String> {
         if !self.markers.is_empty() {
             return Err(format!(
@@ -171,10 +207,7 @@ impl Layout {
             let label = marker.label.clone();
             self.markers.push(MarkerInfo { id: id as u16, label, labelled: true });
         }
-        let hello = &mut self.hello;
-        hello.markers_max = columns.len() as u16;
-        hello.rate_millihertz = rate_millihertz;
-        (hello.rate_min_millihertz, hello.rate_max_millihertz) = (rate_millihertz, rate_millihertz);
+        self.hello.markers_max = columns.len() as u16;
         Ok(())
     }
 }
@@ -199,9 +232,6 @@ fn hello(streams: &[StreamDescription]) -> Hello {
         model: format!("LSL {}", joined(|stream| &stream.name)),
         serial: joined(|stream| &stream.source_id),
         firmware: joined(|stream| &stream.kind),
-        rate_millihertz: NO_FRAMES_MILLIHERTZ,
-        rate_min_millihertz: NO_FRAMES_MILLIHERTZ,
-        rate_max_millihertz: NO_FRAMES_MILLIHERTZ,
         tick_hz: TICK_HZ,
         ..Hello::default()
     }
