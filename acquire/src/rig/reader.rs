@@ -482,7 +482,7 @@ impl Reader<'_> {
             }
             DeviceEvent::Mark(Mark { device_ticks, text }) => {
                 let event = Event::new(EventKind::Mark, arrival_ns, text);
-                self.intake.event(Event { device_ticks, ..event });
+                self.intake.device_event(Event { device_ticks, ..event });
             }
             // A late answer to a command of the handshake.
             DeviceEvent::Hello(hello) if self.started.is_some() => {

@@ -227,6 +227,11 @@ impl LslDevice {
         self.starts += 1;
     }
 
+    /// The streams are read again, after an outage: the motion has gone on.
+    pub fn resume(&mut self) {
+        self.starts += 1;
+    }
+
     /// Nobody reads the streams any more.
     pub fn stop(&mut self) {
         self.start_ns = None;
@@ -449,6 +454,11 @@ impl LslDevice {
     pub fn take_fates(&mut self) -> Vec<FrameFate> {
         std::mem::take(&mut self.fates)
     }
+}
+
+/// Replaces LSL's configuration files for this process, if it has no stream yet: for tests, which need a session of their own.
+pub fn configure(text: &str) {
+    labstream_core::net::config::set_content(text);
 }
 
 /// Whether a fault can happen to a stream: nothing damages the bytes of a connection, and samples have no numbers.

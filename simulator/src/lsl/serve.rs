@@ -138,6 +138,9 @@ impl LslOutlets {
             return;
         }
         let now_ns = host_ns();
+        if self.first_reader_ns.is_none() && device.is_playing() {
+            device.resume();
+        }
         let since_ns = now_ns.saturating_sub(*self.first_reader_ns.get_or_insert(now_ns));
         let is_complete = n_read == self.outlets.len() || since_ns >= OTHERS_NS;
         if is_complete && !device.is_playing() && !device.has_ended() {
