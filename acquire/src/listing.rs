@@ -1,6 +1,9 @@
 //! Attached devices, for `devices --json` and the API.
 
+use std::time::Duration;
+
 use mocapd_drivers::{
+    lsl::{self, FoundStream},
     registry::{self, AttachedDevice, Claim},
     transport::{Access, TransportError},
 };
@@ -41,6 +44,31 @@ impl From<AttachedDevice> for ListedDevice {
             },
         }
     }
+}
+
+impl From<FoundStream> for ListedDevice {
+    fn from(found: FoundStream) -> Self {
+        let of = &found.description;
+        Self {
+            device: found.uri(),
+            manufacturer: Some(of.hostname.clone()),
+            product: Some(of.kind.clone()),
+            serial: Some(of.source_id.clone()).filter(|id| !id.is_empty()),
+            driver: Some("lsl".to_owned()),
+            certain: true,
+            problem: None,
+        }
+    }
+}
+
+/// How long streams have to answer: LSL's own limit for answers by multicast.
+const STREAMS_WAIT: Duration = Duration::from_millis(500);
+
+/// Lists the streams of the Lab Streaming Layer that answer; none where the system gives no network.
+#[must_use]
+pub fn streams() -> Vec<ListedDevice> {
+    let found = lsl::streams(STREAMS_WAIT).unwrap_or_default();
+    found.into_iter().map(ListedDevice::from).collect()
 }
 
 /// Lists the attached devices. It opens none of them.

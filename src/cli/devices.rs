@@ -39,7 +39,8 @@ pub(super) fn text(listed: &[ListedDevice]) -> String {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let listed = listing::devices()?;
+    let mut listed = listing::devices()?;
+    listed.extend(listing::streams());
     if args.json {
         print_json(&listed)?;
     } else {

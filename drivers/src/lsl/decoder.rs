@@ -63,6 +63,8 @@ pub(super) struct StreamDecoder {
     wire: Option<WireFormat>,
     bytes: Vec<u8>,
     read_ns: u64,
+    /// The line's clock when they came.
+    received_ns: u64,
     axis: SampleAxis,
     period_s: f64,
     /// The last time stamp: the one of a sample without is a period later.
@@ -97,6 +99,7 @@ impl StreamDecoder {
             wire: None,
             bytes: Vec::new(),
             read_ns: 0,
+            received_ns: 0,
             axis: SampleAxis::new(is_regular.then_some(period_s)),
             period_s,
             last_s: 0.0,
@@ -158,14 +161,14 @@ impl StreamDecoder {
         self.wire = Some(WireFormat { format, n_channels, is_big_endian });
     }
 
-    /// Decodes bytes of the feed. On an error the feed is lost: nothing marks where the next sample begins.
+    /// Decodes bytes of the feed, read at this time of the host's clock, and received at this time of the line's. On an error the feed is lost: nothing marks where the next sample begins.
     pub(super) fn receive(
         &mut self,
         bytes: &[u8],
-        read_ns: u64,
+        (read_ns, received_ns): (u64, u64),
         on_event: EventSink<'_>,
     ) -> Result<(), String> {
-        self.read_ns = read_ns;
+        (self.read_ns, self.received_ns) = (read_ns, received_ns);
         self.bytes.extend_from_slice(bytes);
         self.decode(true, on_event)?;
         if self.bytes.len() > PARTIAL_BYTES_MAX {
@@ -179,10 +182,11 @@ impl StreamDecoder {
         self.decode(false, on_event)
     }
 
-    /// Whether a sample waits longer than the next one can take to come.
+    /// Whether a sample waits longer than the next one can take to come; `now_ns` is the line's clock.
     pub(super) fn is_waiting_since(&self, now_ns: u64) -> bool {
         let periods_ns = (4.0 * self.period_s * 1e9) as u64;
-        !self.bytes.is_empty() && now_ns.saturating_sub(self.read_ns) > periods_ns.max(50_000_000)
+        !self.bytes.is_empty()
+            && now_ns.saturating_sub(self.received_ns) > periods_ns.max(50_000_000)
     }
 
     fn decode(&mut self, may_wait: bool, on_event: EventSink<'_>) -> Result<(), String> {

@@ -4,7 +4,7 @@ use std::{
     io::{ErrorKind, Read, Write},
     net::{SocketAddr, TcpStream},
     os::fd::AsRawFd,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use labstream_core::{
@@ -28,6 +28,9 @@ use super::{
 
 /// Time-out of a connection and of each read of its handshake: a machine on a local network answers in milliseconds.
 const TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Time for a whole answer, whatever its sender does meanwhile.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
 
 /// Bytes of a handshake: headers of some hundred, and two samples of 4096 doubles.
 const HANDSHAKE_BYTES_MAX: usize = 1 << 20;
@@ -54,11 +57,11 @@ pub(super) fn monotonic_ns() -> u64 {
 pub(super) fn whole_description(address: SocketAddr) -> Result<String, String> {
     let mut stream = connect(address)?;
     stream.write_all(b"LSL:fullinfo\r\n").map_err(|error| broken(&error))?;
-    let mut bytes = Vec::new();
-    let limit = DESCRIPTION_BYTES_MAX as u64 + 1;
-    stream.take(limit).read_to_end(&mut bytes).map_err(|error| broken(&error))?;
-    if bytes.len() > DESCRIPTION_BYTES_MAX {
-        return Err(format!("its description has more than {DESCRIPTION_BYTES_MAX} bytes"));
+    let (until, mut bytes) = (Instant::now() + ANSWER_TIMEOUT, Vec::new());
+    while read_more(&mut stream, &mut bytes, until)? {
+        if bytes.len() > DESCRIPTION_BYTES_MAX {
+            return Err(format!("its description has more than {DESCRIPTION_BYTES_MAX} bytes"));
+        }
     }
     String::from_utf8(bytes).map_err(|_| "its description is no UTF-8".to_owned())
 }
@@ -115,12 +118,19 @@ impl Feed {
         };
         let (mut client, request) = FeedClient::start(params, format, description.n_channels);
         stream.write_all(&request).map_err(|error| broken(&error))?;
-        let mut rest = Vec::new();
+        let (until, mut rest) = (Instant::now() + ANSWER_TIMEOUT, Vec::new());
         while client.state() != State::Streaming {
             let used = match advance(&mut client, &rest)? {
                 Some(used) => used,
                 None => {
-                    read_more(&mut stream, &mut rest)?;
+                    if !read_more(&mut stream, &mut rest, until)? {
+                        return Err("its sender closed the connection".to_owned());
+                    }
+                    if rest.len() > HANDSHAKE_BYTES_MAX {
+                        return Err(
+                            "its sender answers with something else than LSL does".to_owned()
+                        );
+                    }
                     continue;
                 }
             };
@@ -156,18 +166,18 @@ fn advance(client: &mut FeedClient, bytes: &[u8]) -> Result<Option<usize>, Strin
     }
 }
 
-fn read_more(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Result<(), String> {
-    if bytes.len() > HANDSHAKE_BYTES_MAX {
-        return Err("its sender answers with something else than LSL does".to_owned());
+/// Reads once; `false` when the sender has closed the connection.
+fn read_more(stream: &mut TcpStream, bytes: &mut Vec<u8>, until: Instant) -> Result<bool, String> {
+    if Instant::now() > until {
+        return Err("its sender takes too long to answer".to_owned());
     }
     let mut buffer = [0; 8192];
     match stream.read(&mut buffer) {
-        Ok(0) => Err("its sender closed the connection".to_owned()),
         Ok(n) => {
             bytes.extend_from_slice(buffer.get(..n).unwrap_or_default());
-            Ok(())
+            Ok(n > 0)
         }
-        Err(error) if error.kind() == ErrorKind::Interrupted => Ok(()),
+        Err(error) if error.kind() == ErrorKind::Interrupted => Ok(true),
         Err(error) => Err(broken(&error)),
     }
 }

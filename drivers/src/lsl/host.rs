@@ -181,7 +181,7 @@ impl LslHost {
             self.counters.messages_unknown += 1;
             return;
         };
-        if let Err(cause) = decoder.receive(bytes, read_ns, on_event) {
+        if let Err(cause) = decoder.receive(bytes, (read_ns, self.line.now_ns()), on_event) {
             self.counters.messages_damaged += 1;
             self.counters.bytes_skipped += bytes.len() as u64;
             self.lose(stream, &cause);
@@ -278,7 +278,7 @@ impl LslHost {
         if let Some(cause) = self.unsent_end.take() {
             self.end_connection(cause);
         }
-        let now_ns = super::feed::monotonic_ns();
+        let now_ns = self.line.now_ns();
         for decoder in &mut self.decoders {
             if decoder.is_waiting_since(now_ns) {
                 decoder.flush(on_event).ok();

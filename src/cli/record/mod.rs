@@ -41,7 +41,7 @@ pub(crate) const KEEP_FREE: &str = "256MiB";
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Device to record: serial:PATH[@BAUD], usb:VID:PID[:SERIAL] or qtm:HOST[:PORT], with ?driver=NAME to choose a driver
+    /// Device to record: serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT] or lsl:NAME, with ?driver=NAME to choose a driver
     #[arg(short, long, value_name = "URI")]
     device: String,
     /// The take to write; it must not exist
