@@ -3,9 +3,11 @@
 use std::time::Duration;
 
 use mocapd_drivers::{
-    lsl::{self, FoundStream},
     registry::{self, AttachedDevice, Claim},
-    transport::{Access, TransportError},
+    transport::{
+        Access, TransportError,
+        lsl::{self, FoundStream},
+    },
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

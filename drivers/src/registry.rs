@@ -10,6 +10,7 @@ use crate::{
     link, lsl, ndi, qtm,
     transport::{
         Access, Transport, TransportError, access,
+        lsl::LslTransport,
         network::NetworkTransport,
         serial::SerialTransport,
         usb::{self, UsbDevice, UsbTransport},
@@ -266,7 +267,7 @@ fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportEr
             Ok(Box::new(UsbTransport::open(*vid, *pid, serial.as_deref())?))
         }
         Location::Network(address) => Ok(Box::new(NetworkTransport::open(address)?)),
-        Location::Streams(query) => Ok(Box::new(lsl::LslTransport::open(query)?)),
+        Location::Streams(query) => Ok(Box::new(LslTransport::open(query)?)),
     }
 }
 

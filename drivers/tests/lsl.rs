@@ -1,6 +1,6 @@
 //! The protocol of LSL's streams, without a network: what a line reports goes in, events come out.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a test stops where it fails")]
+#![expect(clippy::unwrap_used, reason = "a test stops where it fails")]
 
 use labstream_core::wire::{ByteOrder, Codec, Format, Sample, Value};
 use mocapd_drivers::{

@@ -1,4 +1,4 @@
-//! The convention for motion capture in LSL's descriptions, "MoCap Meta Data" of the XDF wiki
+//! The convention for motion capture in LSL's descriptions, "`MoCap` Meta Data" of the XDF wiki
 //! (<https://github.com/sccn/xdf/wiki/MoCap-Meta-Data>): three channels of the types `PositionX`, `PositionY` and `PositionZ` for
 //! each marker, in metres by preference.
 

@@ -4,7 +4,7 @@ use super::{
     axis::{SampleAxis, Stamp},
     description::StreamDescription,
     layout::{GroupLayout, MarkerColumns, StreamRole, TICK_HZ},
-    values::{OutOfStep, ValueFormat, WireFormat, WireSample},
+    values::{FeedDamage, ValueFormat, WireFormat, WireSample},
 };
 use crate::{
     device::{DeviceEvent, Frame, Mark, MarkerSample, SampleBatch},
@@ -12,7 +12,7 @@ use crate::{
 };
 
 /// Receiver of the decoded events.
-pub(super) type EventSink<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
+pub(super) type EventReceiver<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
 
 /// Bytes of a sample that has not arrived in full, at most: 4096 texts of 256 bytes.
 const PARTIAL_BYTES_MAX: usize = 1 << 20;
@@ -166,7 +166,7 @@ impl StreamDecoder {
         &mut self,
         bytes: &[u8],
         (read_ns, received_ns): (u64, u64),
-        on_event: EventSink<'_>,
+        on_event: EventReceiver<'_>,
     ) -> Result<(), String> {
         (self.read_ns, self.received_ns) = (read_ns, received_ns);
         self.bytes.extend_from_slice(bytes);
@@ -178,7 +178,7 @@ impl StreamDecoder {
     }
 
     /// Passes on a sample that waits for the one after it.
-    pub(super) fn flush(&mut self, on_event: EventSink<'_>) -> Result<(), String> {
+    pub(super) fn flush(&mut self, on_event: EventReceiver<'_>) -> Result<(), String> {
         self.decode(false, on_event)
     }
 
@@ -189,7 +189,7 @@ impl StreamDecoder {
             && now_ns.saturating_sub(self.received_ns) > periods_ns.max(50_000_000)
     }
 
-    fn decode(&mut self, may_wait: bool, on_event: EventSink<'_>) -> Result<(), String> {
+    fn decode(&mut self, may_wait: bool, on_event: EventReceiver<'_>) -> Result<(), String> {
         let Some(wire) = self.wire else {
             self.bytes.clear();
             return Ok(());
@@ -220,8 +220,8 @@ impl StreamDecoder {
                     self.emit(&sample, number, (time_s, ticks), on_event);
                 }
                 Ok(None) => break Ok(()),
-                Err(OutOfStep::Tag(tag)) => break Err(format!("it sends no sample (byte {tag})")),
-                Err(OutOfStep::Length(n)) => break Err(format!("it sends a text of {n} bytes")),
+                Err(FeedDamage::Tag(tag)) => break Err(format!("it sends no sample (byte {tag})")),
+                Err(FeedDamage::Length(n)) => break Err(format!("it sends a text of {n} bytes")),
             }
         };
         self.bytes = bytes;
@@ -245,7 +245,7 @@ impl StreamDecoder {
         sample: &WireSample<'_>,
         number: u64,
         (time_s, ticks): (f64, u64),
-        on_event: EventSink<'_>,
+        on_event: EventReceiver<'_>,
     ) {
         let StreamRole::Numbers { markers, groups, .. } = &self.role else {
             let text = sample.text();
@@ -291,7 +291,7 @@ impl StreamDecoder {
         }
     }
 
-    fn pass_batches_on(&mut self, on_event: EventSink<'_>) {
+    fn pass_batches_on(&mut self, on_event: EventReceiver<'_>) {
         if let StreamRole::Numbers { groups, .. } = &self.role {
             for (group, batch) in groups.iter().zip(&mut self.batches) {
                 batch.pass_on(group, on_event);
@@ -322,7 +322,7 @@ fn position(
 }
 
 impl OpenBatch {
-    fn pass_on(&mut self, group: &GroupLayout, on_event: EventSink<'_>) {
+    fn pass_on(&mut self, group: &GroupLayout, on_event: EventReceiver<'_>) {
         if self.samples.is_empty() {
             return;
         }

@@ -156,7 +156,7 @@ fn text_of<'a>(parent: Node<'a, '_>, name: &'static str) -> &'a str {
 }
 
 /// A text on one line, of bounded length.
-pub(super) fn clean(text: &str) -> String {
+pub(crate) fn clean(text: &str) -> String {
     text.trim().chars().filter(|c| !c.is_control()).take(TEXT_CHARS_MAX).collect()
 }
 

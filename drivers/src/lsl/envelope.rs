@@ -5,7 +5,7 @@
 pub(super) const HEADER_BYTES: usize = 1 + 1 + 4;
 
 /// Bytes in front of the bytes of a feed: when they were read.
-pub(super) const DATA_HEADER_BYTES: usize = HEADER_BYTES + 8;
+pub(crate) const DATA_HEADER_BYTES: usize = HEADER_BYTES + 8;
 
 /// Longest content: the description of a stream.
 pub(super) const CONTENT_BYTES_MAX: usize = super::description::DESCRIPTION_BYTES_MAX;
@@ -91,7 +91,7 @@ pub fn put_message(message: Message<'_>, out: &mut Vec<u8>) {
 }
 
 /// The bytes in front of `n` bytes of a feed.
-pub(super) fn data_header(stream: u8, read_ns: u64, n: usize) -> [u8; DATA_HEADER_BYTES] {
+pub(crate) fn data_header(stream: u8, read_ns: u64, n: usize) -> [u8; DATA_HEADER_BYTES] {
     let mut header = [0; DATA_HEADER_BYTES];
     let (head, time) = header.split_at_mut(HEADER_BYTES);
     head[0] = kind::DATA;

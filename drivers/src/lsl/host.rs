@@ -1,7 +1,7 @@
 //! The protocol: what a line to streams reports becomes the events of a device.
 
 use super::{
-    decoder::{EventSink, StreamDecoder},
+    decoder::{EventReceiver, StreamDecoder},
     description::StreamDescription,
     envelope::{LineRequest, Message, MessageReader, NextMessage},
     layout::{Layout, TICK_HZ},
@@ -36,7 +36,7 @@ enum State {
 
 /// Commands of the recorder that are not completed yet.
 #[derive(Debug, Clone, Copy, Default)]
-struct UnfinishedCommands {
+struct AwaitedCommands {
     hello: bool,
     stop: bool,
     set_rate: Option<u32>,
@@ -49,7 +49,7 @@ pub struct LslHost {
     query: StreamQuery,
     line: LineCommandSender,
     state: State,
-    todo: UnfinishedCommands,
+    todo: AwaitedCommands,
     reader: MessageReader,
     counters: LinkCounters,
     descriptions: Vec<StreamDescription>,
@@ -77,7 +77,7 @@ impl LslHost {
             query,
             line,
             state: State::Off,
-            todo: UnfinishedCommands::default(),
+            todo: AwaitedCommands::default(),
             reader: MessageReader::default(),
             counters: LinkCounters::default(),
             descriptions: Vec::new(),
@@ -91,7 +91,7 @@ impl LslHost {
         }
     }
 
-    fn receive(&mut self, bytes: &[u8], on_event: EventSink<'_>) {
+    fn receive(&mut self, bytes: &[u8], on_event: EventReceiver<'_>) {
         let mut reader = std::mem::take(&mut self.reader);
         reader.extend(bytes);
         loop {
@@ -107,7 +107,7 @@ impl LslHost {
         self.reader = reader;
     }
 
-    fn on_message(&mut self, message: Message<'_>, on_event: EventSink<'_>) {
+    fn on_message(&mut self, message: Message<'_>, on_event: EventReceiver<'_>) {
         match message {
             Message::Description { xml, .. } => match StreamDescription::parse(xml) {
                 Ok(description) if self.descriptions.len() < STREAMS_MAX => {
@@ -123,7 +123,7 @@ impl LslHost {
             }
             Message::Started => self.on_started(on_event),
             Message::Data { stream, read_ns, bytes } => {
-                self.on_data(stream, read_ns, bytes, on_event)
+                self.on_data(stream, read_ns, bytes, on_event);
             }
             Message::Time { host_ns, sender_s, read_ns } => {
                 self.on_time((host_ns, read_ns), sender_s, on_event);
@@ -157,7 +157,7 @@ impl LslHost {
         self.state = State::Ready;
     }
 
-    fn on_started(&mut self, on_event: EventSink<'_>) {
+    fn on_started(&mut self, on_event: EventReceiver<'_>) {
         let Some(layout) = self.layout.as_ref().filter(|_| self.state == State::Starting) else {
             return;
         };
@@ -173,7 +173,7 @@ impl LslHost {
         }
     }
 
-    fn on_data(&mut self, stream: u8, read_ns: u64, bytes: &[u8], on_event: EventSink<'_>) {
+    fn on_data(&mut self, stream: u8, read_ns: u64, bytes: &[u8], on_event: EventReceiver<'_>) {
         if !matches!(self.state, State::Streaming | State::Ending) {
             return;
         }
@@ -191,7 +191,7 @@ impl LslHost {
     }
 
     /// Time stamps of another clock say nothing about that of time probes.
-    fn check_clock(&mut self, stream: usize, read_ns: u64, on_event: EventSink<'_>) {
+    fn check_clock(&mut self, stream: usize, read_ns: u64, on_event: EventReceiver<'_>) {
         let Some(offset_s) = self.offset_s.filter(|_| !self.is_off_clock) else { return };
         let Some(time_s) = self.decoders.get(stream).and_then(StreamDecoder::last_s) else {
             return;
@@ -209,7 +209,12 @@ impl LslHost {
         on_event(DeviceEvent::Note(&text));
     }
 
-    fn on_time(&mut self, (host_ns, read_ns): (u64, u64), sender_s: f64, on_event: EventSink<'_>) {
+    fn on_time(
+        &mut self,
+        (host_ns, read_ns): (u64, u64),
+        sender_s: f64,
+        on_event: EventReceiver<'_>,
+    ) {
         self.offset_s = Some(sender_s - u64::midpoint(host_ns, read_ns) as f64 * 1e-9);
         let ticks = (sender_s * TICK_HZ as f64).round();
         if self.state == State::Streaming
@@ -220,7 +225,7 @@ impl LslHost {
         }
     }
 
-    fn on_ended(&mut self, on_event: EventSink<'_>) {
+    fn on_ended(&mut self, on_event: EventReceiver<'_>) {
         if self.state != State::Ending {
             return;
         }
@@ -243,7 +248,7 @@ impl LslHost {
         }
     }
 
-    fn note_counts(&self, on_event: EventSink<'_>) {
+    fn note_counts(&self, on_event: EventReceiver<'_>) {
         for (decoder, of) in self.decoders.iter().zip(&self.descriptions) {
             let counts = decoder.counts;
             let notes = [
@@ -274,7 +279,7 @@ impl LslHost {
     }
 
     /// What is due by the clock.
-    fn tick(&mut self, on_event: EventSink<'_>) {
+    fn tick(&mut self, on_event: EventReceiver<'_>) {
         if let Some(cause) = self.unsent_end.take() {
             self.end_connection(cause);
         }
@@ -287,7 +292,7 @@ impl LslHost {
     }
 
     /// Completes pending commands as soon as the state permits.
-    fn complete_commands(&mut self, on_event: EventSink<'_>) {
+    fn complete_commands(&mut self, on_event: EventReceiver<'_>) {
         let Some(layout) = self.layout.as_ref().filter(|_| self.state == State::Ready) else {
             return;
         };
@@ -321,7 +326,7 @@ impl Protocol for LslHost {
         let (sender, receiver) = line_command_channel();
         self.line = sender;
         self.state = State::Off;
-        self.todo = UnfinishedCommands::default();
+        self.todo = AwaitedCommands::default();
         self.reader.clear();
         self.descriptions.clear();
         self.offset_s = None;

@@ -111,7 +111,7 @@ impl Layout {
             numbers.min_by_key(|(none, at, _)| (*none, *at))
         else {
             let names =
-                streams.iter().map(|stream| stream.summary()).collect::<Vec<_>>().join(", ");
+                streams.iter().map(StreamDescription::summary).collect::<Vec<_>>().join(", ");
             return Err(format!(
                 "{names}: events alone are no recording: name a stream with markers or samples as well, as in lsl:EEG,{}",
                 streams.first().map_or("Markers", |stream| &stream.name)

@@ -1,28 +1,27 @@
 //! Streams of the Lab Streaming Layer (LSL): `docs/lsl.md`.
 //!
-//! Discovery, the handshake of a feed and time probes are those of the crate `labstream-core`, sans-io; sockets, bounds and
-//! what becomes of samples are here. [`LslTransport`] finds the streams and merges what they send into one stream of bytes
-//! ([`envelope`]), [`LslHost`] decodes it.
+//! Discovery, the handshake of a feed and time probes are those of the crate `labstream-core`, sans-io; bounds and what
+//! becomes of samples are here. The [transport](crate::transport::lsl) finds the streams and merges what they send into one
+//! stream of [messages](Message), which [`LslHost`] decodes.
 
 mod axis;
 mod convention;
 mod decoder;
 mod description;
-mod discovery;
 mod envelope;
-mod feed;
 mod host;
 mod layout;
-mod line;
 mod values;
 
+pub(crate) use self::{
+    description::clean,
+    envelope::{DATA_HEADER_BYTES, data_header},
+};
 pub use self::{
     description::{ChannelDescription, DESCRIPTION_BYTES_MAX, StreamDescription},
-    discovery::{FoundStream, streams},
     envelope::{LineRequest, Message, MessageReader, put_message},
     host::LslHost,
     layout::{GroupLayout, Layout, MarkerColumns, StreamRole},
-    line::LslTransport,
     values::ValueFormat,
 };
 use crate::{

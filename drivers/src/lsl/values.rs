@@ -84,7 +84,7 @@ pub(super) struct WireSample<'a> {
 
 /// Why the bytes of a feed cannot be decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum OutOfStep {
+pub(super) enum FeedDamage {
     /// No sample begins with this byte.
     Tag(u8),
     /// A text states so many bytes.
@@ -96,7 +96,7 @@ impl WireFormat {
     pub(super) fn sample<'a>(
         &self,
         bytes: &'a [u8],
-    ) -> Result<Option<(WireSample<'a>, usize)>, OutOfStep> {
+    ) -> Result<Option<(WireSample<'a>, usize)>, FeedDamage> {
         let Some((&tag, rest)) = bytes.split_first() else { return Ok(None) };
         let (time_s, rest) = match tag {
             WITHOUT_TIME => (None, rest),
@@ -104,7 +104,7 @@ impl WireFormat {
                 Some((time, rest)) => (Some(f64::from_bits(self.u64(*time))), rest),
                 None => return Ok(None),
             },
-            other => return Err(OutOfStep::Tag(other)),
+            other => return Err(FeedDamage::Tag(other)),
         };
         let Some(n) = self.values_bytes(rest)? else { return Ok(None) };
         let Some(values) = rest.get(..n) else { return Ok(None) };
@@ -113,7 +113,7 @@ impl WireFormat {
     }
 
     /// Bytes of the values of a sample; `None` when more bytes are needed to know.
-    fn values_bytes(&self, bytes: &[u8]) -> Result<Option<usize>, OutOfStep> {
+    fn values_bytes(&self, bytes: &[u8]) -> Result<Option<usize>, FeedDamage> {
         if let Some(n) = self.format.bytes() {
             return Ok(Some(n * self.n_channels));
         }
@@ -129,19 +129,19 @@ impl WireFormat {
     }
 
     /// Bytes of a text's length, and the length.
-    fn text_length(&self, bytes: &[u8]) -> Result<Option<(usize, usize)>, OutOfStep> {
+    fn text_length(&self, bytes: &[u8]) -> Result<Option<(usize, usize)>, FeedDamage> {
         let Some((&width, rest)) = bytes.split_first() else { return Ok(None) };
         let length = match width {
             1 => rest.first().map(|&length| u64::from(length)),
             2 => rest.first_chunk().map(|bytes| u64::from(self.u16(*bytes))),
             4 => rest.first_chunk().map(|bytes| u64::from(self.u32(*bytes))),
             8 => rest.first_chunk().map(|bytes| self.u64(*bytes)),
-            other => return Err(OutOfStep::Tag(other)),
+            other => return Err(FeedDamage::Tag(other)),
         };
         let Some(length) = length else { return Ok(None) };
         match usize::try_from(length) {
             Ok(n) if n <= TEXT_BYTES_MAX => Ok(Some((1 + usize::from(width), n))),
-            _ => Err(OutOfStep::Length(length)),
+            _ => Err(FeedDamage::Length(length)),
         }
     }
 
@@ -256,7 +256,10 @@ mod tests {
 
     use super::*;
 
-    fn formats() -> [(ValueFormat, Format, fn(i64) -> Theirs); 7] {
+    /// Makes a value of a format out of a number.
+    type ValueOf = fn(i64) -> Theirs;
+
+    fn formats() -> [(ValueFormat, Format, ValueOf); 7] {
         [
             (ValueFormat::Float32, Format::Float32, |n| Theirs::F32(n as f32 / 4.0)),
             (ValueFormat::Double64, Format::Double64, |n| Theirs::F64(n as f64 / 7.0)),
@@ -314,9 +317,9 @@ mod tests {
     fn texts_are_bounded_and_other_bytes_are_out_of_step() {
         let wire = WireFormat { format: ValueFormat::Text, n_channels: 1, is_big_endian: false };
         let at = wire.sample(&[1, 4, 0, 0, 0, 200]);
-        assert_eq!(at, Err(OutOfStep::Length(200 << 24)));
-        assert_eq!(wire.sample(&[1, 3, 0]), Err(OutOfStep::Tag(3)));
-        assert_eq!(wire.sample(&[7]), Err(OutOfStep::Tag(7)));
+        assert_eq!(at, Err(FeedDamage::Length(200 << 24)));
+        assert_eq!(wire.sample(&[1, 3, 0]), Err(FeedDamage::Tag(3)));
+        assert_eq!(wire.sample(&[7]), Err(FeedDamage::Tag(7)));
         let (sample, _) = wire.sample(&[1, 1, 2, b'o', b'k']).unwrap().unwrap();
         assert_eq!(sample.text(), "ok");
         let (sample, _) = wire.sample(&[1, 1, 1, 0xff]).unwrap().unwrap();

@@ -86,12 +86,6 @@ pub(crate) enum Push<'a> {
     Chunk(&'a [Sample], f64),
 }
 
-/// What a group of sampled channels has sent in this run.
-#[derive(Debug, Clone, Copy, Default)]
-struct GroupState {
-    in_run: u64,
-}
-
 /// A simulated source of streams.
 #[derive(Debug)]
 pub struct LslDevice {
@@ -111,7 +105,8 @@ pub struct LslDevice {
     /// Frames since the motion was started.
     played: u64,
     next_event: usize,
-    groups: Vec<GroupState>,
+    /// Samples taken of each group of sampled channels in this run.
+    groups: Vec<u64>,
     counters: SentCounters,
     counts: FaultCounts,
     totals: FaultTotals,
@@ -163,7 +158,7 @@ impl LslDevice {
             is_read: false,
             played: 0,
             next_event: 0,
-            groups: settings.sampled.iter().map(|_| GroupState::default()).collect(),
+            groups: vec![0; settings.sampled.len()],
             counters: SentCounters::default(),
             counts: FaultCounts::default(),
             totals: FaultTotals::default(),
@@ -223,7 +218,7 @@ impl LslDevice {
         self.first_start_ns.get_or_insert(now_ns);
         self.start_ns = Some(now_ns);
         (self.played, self.next_event, self.has_ended) = (0, 0, false);
-        self.groups.fill(GroupState::default());
+        self.groups.fill(0);
         self.starts += 1;
     }
 
@@ -389,9 +384,9 @@ impl LslDevice {
 
     /// The group whose batch is due next, and when that is: with its last sample.
     fn next_batch(&self, start_ns: u64) -> Option<(usize, u64)> {
-        let due = |(index, group): (usize, &GroupState)| {
+        let due = |(index, taken): (usize, &u64)| {
             let source = self.settings.sampled.get(index)?;
-            let last = group.in_run + source.batch_samples() - 1;
+            let last = taken + source.batch_samples() - 1;
             Some((
                 index,
                 start_ns.saturating_add(frame_after_ns(last, source.info().rate_millihertz)),
@@ -403,11 +398,11 @@ impl LslDevice {
     fn play_batch(&mut self, index: usize, due_ns: u64, push: &mut dyn FnMut(usize, Push<'_>)) {
         let time_s = self.stamp_ns(due_ns) as f64 * 1e-9;
         let Some(source) = self.settings.sampled.get(index) else { return };
-        let Some(group) = self.groups.get_mut(index) else { return };
+        let Some(taken) = self.groups.get_mut(index) else { return };
         let n = source.batch_samples();
         self.batch.clear();
-        source.samples(group.in_run, n, &mut self.batch);
-        group.in_run += n;
+        source.samples(*taken, n, &mut self.batch);
+        *taken += n;
         if !self.state.plugged {
             return;
         }

@@ -153,6 +153,7 @@ impl Bench {
             DeviceEvent::SampledGroup(_)
             | DeviceEvent::Samples(_)
             | DeviceEvent::Trigger(_)
+            | DeviceEvent::Mark(_)
             | DeviceEvent::RateSet(_) => {}
         });
     }

@@ -21,10 +21,7 @@ use nix::sys::socket::{
 };
 use rustix::time::{ClockId, clock_gettime};
 
-use super::{
-    description::{DESCRIPTION_BYTES_MAX, StreamDescription},
-    values::ValueFormat,
-};
+use crate::lsl::{DESCRIPTION_BYTES_MAX, StreamDescription, ValueFormat, clean};
 
 /// Time-out of a connection and of each read of its handshake: a machine on a local network answers in milliseconds.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -120,19 +117,14 @@ impl Feed {
         stream.write_all(&request).map_err(|error| broken(&error))?;
         let (until, mut rest) = (Instant::now() + ANSWER_TIMEOUT, Vec::new());
         while client.state() != State::Streaming {
-            let used = match advance(&mut client, &rest)? {
-                Some(used) => used,
-                None => {
-                    if !read_more(&mut stream, &mut rest, until)? {
-                        return Err("its sender closed the connection".to_owned());
-                    }
-                    if rest.len() > HANDSHAKE_BYTES_MAX {
-                        return Err(
-                            "its sender answers with something else than LSL does".to_owned()
-                        );
-                    }
-                    continue;
+            let Some(used) = advance(&mut client, &rest)? else {
+                if !read_more(&mut stream, &mut rest, until)? {
+                    return Err("its sender closed the connection".to_owned());
                 }
+                if rest.len() > HANDSHAKE_BYTES_MAX {
+                    return Err("its sender answers with something else than LSL does".to_owned());
+                }
+                continue;
             };
             rest.drain(..used);
         }
@@ -160,9 +152,7 @@ fn advance(client: &mut FeedClient, bytes: &[u8]) -> Result<Option<usize>, Strin
     match client.on_headers(bytes) {
         Ok(used) => Ok(Some(used)),
         Err(header::Error::Incomplete) => Ok(None),
-        Err(error) => {
-            Err(format!("its sender refuses ({})", super::description::clean(&error.to_string())))
-        }
+        Err(error) => Err(format!("its sender refuses ({})", clean(&error.to_string()))),
     }
 }
 

@@ -1,4 +1,7 @@
-//! The line to streams: finds and describes them, opens their feeds, and merges what arrives into one stream of bytes.
+//! The line to streams of the Lab Streaming Layer: finds and describes them, opens their feeds, and merges what arrives into one stream of bytes.
+
+mod discovery;
+mod feed;
 
 use std::{
     collections::VecDeque,
@@ -9,15 +12,19 @@ use std::{
 use labstream_core::proto::timesync::{build_probe, parse_answer};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-use super::{
-    discovery::{self, FoundStream, is_retry},
-    envelope::{DATA_HEADER_BYTES, LineRequest, Message, data_header, put_message},
+use self::{
+    discovery::is_retry,
     feed::{Feed, monotonic_ns, whole_description},
-    layout::Layout,
 };
+pub use discovery::{FoundStream, streams};
+
+use super::{Arrival, READ_TIMEOUT, Transport, TransportError};
 use crate::{
+    lsl::{
+        DATA_HEADER_BYTES, Layout, LineRequest, Message, StreamDescription, data_header,
+        put_message,
+    },
     stream_query::StreamQuery,
-    transport::{Arrival, READ_TIMEOUT, Transport, TransportError},
 };
 
 /// Probes whose reply may still come: as many as the recorder sends at once.
@@ -71,7 +78,7 @@ impl LslTransport {
                 ));
             };
             let xml = whole_description(address).map_err(unreachable)?;
-            let whole = super::StreamDescription::parse(&xml).map_err(unreachable)?;
+            let whole = StreamDescription::parse(&xml).map_err(unreachable)?;
             put_message(Message::Description { stream: number as u8, xml: &xml }, &mut waiting);
             found.description = whole.clone();
             descriptions.push(whole);
@@ -86,7 +93,7 @@ impl LslTransport {
             waiting: waiting.into(),
             probes: service.and_then(probe_socket),
             next_probe: 1,
-            pending: VecDeque::new(),
+            pending: VecDeque::with_capacity(PROBES_MAX),
             turn: 0,
             arrival: Arrival::default(),
         })
