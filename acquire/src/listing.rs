@@ -48,21 +48,6 @@ impl From<AttachedDevice> for ListedDevice {
     }
 }
 
-impl From<FoundStream> for ListedDevice {
-    fn from(found: FoundStream) -> Self {
-        let of = &found.description;
-        Self {
-            device: found.uri(),
-            manufacturer: Some(of.hostname.clone()),
-            product: Some(of.kind.clone()),
-            serial: Some(of.source_id.clone()).filter(|id| !id.is_empty()),
-            driver: Some("lsl".to_owned()),
-            certain: true,
-            problem: None,
-        }
-    }
-}
-
 /// How long streams have to answer: LSL's own limit for answers by multicast.
 const STREAMS_WAIT: Duration = Duration::from_millis(500);
 
@@ -70,7 +55,25 @@ const STREAMS_WAIT: Duration = Duration::from_millis(500);
 #[must_use]
 pub fn streams() -> Vec<ListedDevice> {
     let found = lsl::streams(STREAMS_WAIT).unwrap_or_default();
-    found.into_iter().map(ListedDevice::from).collect()
+    found.iter().map(|stream| listed_stream(stream, &found)).collect()
+}
+
+fn listed_stream(stream: &FoundStream, all: &[FoundStream]) -> ListedDevice {
+    let of = &stream.description;
+    let uri = stream.uri_among(all);
+    let problem = uri.is_none().then(|| {
+        "another stream has the same name, type and source id: give them different source ids"
+            .to_owned()
+    });
+    ListedDevice {
+        device: uri.unwrap_or_else(|| format!("lsl:{}", of.name)),
+        manufacturer: Some(of.hostname.clone()),
+        product: Some(of.kind.clone()),
+        serial: Some(of.source_id.clone()).filter(|id| !id.is_empty()),
+        driver: Some("lsl".to_owned()),
+        certain: true,
+        problem,
+    }
 }
 
 /// Lists the attached devices. It opens none of them.

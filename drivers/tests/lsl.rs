@@ -139,6 +139,14 @@ impl Streams {
         self.send(1, codec, time_s, vec![Value::Str(text.into())]);
     }
 
+    /// A sample of the marker, read at this time.
+    fn read_at(&mut self, timestamp: f64, read_ns: u64) {
+        let codec = Codec::new(Format::Float32, 4, ByteOrder::Little);
+        let sample = Sample { timestamp, values: vec![Value::F32(0.0); 4] };
+        let bytes = codec.encode_to_vec(&sample).unwrap();
+        self.put(Message::Data { stream: 0, read_ns, bytes: &bytes });
+    }
+
     fn send(&mut self, stream: u8, codec: Codec, timestamp: f64, values: Vec<Value>) {
         let bytes = codec.encode_to_vec(&Sample { timestamp, values }).unwrap();
         let read_ns = (timestamp * 1e9) as u64;
@@ -224,28 +232,104 @@ fn a_sample_behind_a_gap_waits_for_the_next_or_the_end() {
 }
 
 #[test]
-fn replies_to_probes_are_pongs_until_time_stamps_are_of_another_clock() {
+fn a_stream_that_is_over_does_not_end_the_others() {
+    let mut streams = Streams::new(&[motion(), texts()]);
+    streams.start(2);
+    streams.text(10.0, "before");
+    streams.take();
+    streams.put(Message::Lost { stream: 1 });
+    streams.sample(10.0, [0.0; 4]);
+    streams.put(Message::Feed { stream: 1, is_big_endian: false });
+    streams.text(12.0, "after");
+    let seen = streams.take();
+    assert!(matches!(&seen[0], Seen::Note(text) if text.contains("'Marks' is over")), "{seen:?}");
+    assert!(matches!(&seen[1..3], [Seen::Frame(0, ..), Seen::Samples(..)]), "{seen:?}");
+    assert!(matches!(&seen[3], Seen::Note(text) if text.contains("'Marks' is back")), "{seen:?}");
+    assert_eq!(seen[4], Seen::Mark(12 * SECOND_NS, "after".to_owned()));
+}
+
+#[test]
+fn an_event_that_is_too_long_is_cut_and_a_damaged_stream_of_events_is_given_up() {
+    let mut streams = Streams::new(&[motion(), texts()]);
+    streams.start(2);
+    streams.text(10.0, &"long ".repeat(20_000));
+    assert!(matches!(&streams.take()[1], Seen::Mark(_, text) if text.len() == 1024));
+    streams.put(Message::Data { stream: 1, read_ns: 10 * SECOND_NS, bytes: &[77, 1, 2] });
+    let seen = streams.take();
+    assert!(
+        matches!(&seen[..], [Seen::Note(text)] if text.contains("goes on without it")),
+        "{seen:?}"
+    );
+    streams.text(10.1, "not any more");
+    streams.sample(10.0, [0.0; 4]);
+    assert!(matches!(streams.take()[..], [Seen::Frame(..), Seen::Samples(..)]));
+}
+
+/// A reply to a probe: the sender's clock is half a second ahead.
+fn reply(at_ns: u64) -> Message<'static> {
+    let sender_s = at_ns as f64 * 1e-9 + 0.5;
+    Message::Time { host_ns: at_ns, sender_s, read_ns: at_ns + 1000 }
+}
+
+#[test]
+fn replies_to_probes_are_pongs_once_a_frame_has_shown_their_clock() {
     let mut streams = Streams::new(&[motion()]);
     streams.start(1);
     let probe = Command::Ping { host_ns: 9 * SECOND_NS };
     assert_eq!(streams.command(probe), [LineRequest::Probe { host_ns: 9 * SECOND_NS }]);
-    let reply =
-        Message::Time { host_ns: 9 * SECOND_NS, sender_s: 9.5, read_ns: 9 * SECOND_NS + 1000 };
-    streams.put(reply);
-    assert_eq!(streams.take()[1], Seen::Pong(9 * SECOND_NS, 9 * SECOND_NS + SECOND_NS / 2));
-    let late = Codec::new(Format::Float32, 4, ByteOrder::Little);
-    let sample = Sample { timestamp: 1.7e9, values: vec![Value::F32(0.0); 4] };
-    let bytes = late.encode_to_vec(&sample).unwrap();
-    streams.put(Message::Data { stream: 0, read_ns: 10 * SECOND_NS, bytes: &bytes });
-    let notes = streams.take().into_iter().filter(|seen| matches!(seen, Seen::Note(_)));
-    let notes: Vec<Seen> = notes.collect();
+    streams.take();
+    streams.put(reply(9 * SECOND_NS));
+    assert_eq!(streams.take(), [], "whose clock it is is not known");
+    streams.sample(10.0, [0.0; 4]);
+    streams.take();
+    streams.put(reply(10 * SECOND_NS));
+    let pong = Seen::Pong(10 * SECOND_NS, 10 * SECOND_NS + SECOND_NS / 2);
+    assert_eq!(streams.take(), [pong]);
+    // A minute and more without a frame, a stamp that is no number, and a backlog: the clock is the same.
+    for (time_s, read_s) in [(90.0, 90), (f64::NAN, 91), (92.0, 170), (169.9, 170)] {
+        streams.read_at(time_s, read_s * SECOND_NS);
+    }
+    streams.take();
+    streams.put(reply(170 * SECOND_NS));
+    assert_eq!(streams.take().len(), 1);
+}
+
+#[test]
+fn time_stamps_of_another_clock_are_noted_and_end_the_pongs() {
+    let mut streams = Streams::new(&[motion()]);
+    streams.start(1);
+    streams.put(reply(10 * SECOND_NS));
+    for number in 0..20_u32 {
+        streams.read_at(
+            1.7e9 + f64::from(number) * 0.2,
+            10 * SECOND_NS + u64::from(number) * SECOND_NS / 5,
+        );
+    }
+    let seen = streams.take();
+    let notes: Vec<&Seen> = seen.iter().filter(|seen| matches!(seen, Seen::Note(_))).collect();
     assert!(
         matches!(&notes[..], [Seen::Note(text)] if text.contains("another clock")),
         "{notes:?}"
     );
-    assert_eq!(streams.command(probe), [], "not asked any more");
-    streams.put(reply);
+    assert_eq!(streams.command(Command::Ping { host_ns: 1 }), [], "not asked any more");
+    streams.put(reply(20 * SECOND_NS));
     assert_eq!(streams.take(), []);
+}
+
+#[test]
+fn events_of_another_clock_leave_the_frames_theirs() {
+    let mut streams = Streams::new(&[motion(), texts()]);
+    streams.start(2);
+    streams.put(reply(10 * SECOND_NS));
+    streams.sample(10.0, [0.0; 4]);
+    let codec = Codec::new(Format::String, 1, ByteOrder::Little);
+    let sample = Sample { timestamp: 1.7e9, values: vec![Value::Str(b"go".to_vec())] };
+    let bytes = codec.encode_to_vec(&sample).unwrap();
+    streams.put(Message::Data { stream: 1, read_ns: 10 * SECOND_NS, bytes: &bytes });
+    let noted = |seen: &Seen| matches!(seen, Seen::Note(text) if text.contains("'Marks'"));
+    assert_eq!(streams.take().iter().filter(|seen| noted(seen)).count(), 1);
+    streams.put(reply(11 * SECOND_NS));
+    assert!(matches!(streams.take()[..], [Seen::Pong(..)]));
 }
 
 /// A seed per mutation, so that a failure can be repeated.

@@ -189,7 +189,7 @@ fn stalls_hidden_markers_and_clocks_that_jump_lose_no_frame() {
 #[test]
 fn irregular_time_stamps_lose_no_frame() {
     // Most of a period of 4.2 ms: more would be a clock that goes back.
-    let script = "seed = 1\n[[fault]]\nkind = \"stamp-jitter\"\nms = 4.0\n";
+    let script = "seed = 1\n[[fault]]\nkind = \"stamp-jitter\"\nms = 4\n";
     let (info, context) = ledger_agrees("jitter", script, SECONDS);
     assert_eq!(info["ledger"]["recorded"], 480, "{context}");
 }

@@ -334,6 +334,24 @@ def check_outage(options, folder):
     return f"{ledger['recorded']} frames, {away} while it was away"
 
 
+def check_others_go_on(options, folder):
+    """A stream of events that dies and comes back ends nothing: frames go on, and its texts come again."""
+    mocap, marks, take = f"goes on {SESSION}", f"comes back {SESSION}", folder / "others.take"
+    with publisher("mocap", mocap), concurrent.futures.ThreadPoolExecutor(1) as pool:
+        with publisher("strings", marks):
+            ours = pool.submit(recorded, options, f"lsl:{mocap},{marks}", take, "--seconds", "9s")
+            time.sleep(3.5)
+        time.sleep(1)
+        with publisher("strings", marks):
+            report, notes = ours.result()
+    expect(f"'{marks}' is over" in notes and f"'{marks}' is back" in notes, notes)
+    expect(report["ledger"]["recorded"] >= 880 and report["outages"]["count"] == 0, report)
+    numbers = [int(event["text"].split()[1]) for event in info_of(options, take)["events"] if event["kind"] == "mark"]
+    begins = [at for at, number in enumerate(numbers) if number == 0]
+    expect(len(begins) == 1 and 10 <= begins[0] <= len(numbers) - 10, numbers)
+    return f"{report['ledger']['recorded']} frames, {len(numbers)} events"
+
+
 def check_names(options, folder):
     """Errors say what was found and what to do."""
     name = f"names {SESSION}"
@@ -374,7 +392,8 @@ def main():
     parser.add_argument("--only", help="run checks whose name contains this")
     options = parser.parse_args()
     options.mocapd, options.mocapd_sim = options.mocapd.resolve(), options.mocapd_sim.resolve()
-    checks = [check_outlet, check_same_stream, check_units, check_eeg_and_events, check_irregular, check_outage, check_names,
+    checks = [check_outlet, check_same_stream, check_units, check_eeg_and_events, check_irregular, check_outage,
+              check_others_go_on, check_names,
               check_convention]
     checks = [check for check in checks if options.only is None or options.only in check.__name__]
     passed = 0

@@ -16,11 +16,12 @@ const STEADY_MAX: f64 = 0.2;
 const FIT: f64 = 0.25;
 const FIT_PER_PERIOD: f64 = 1e-3;
 
-/// A sender's clock that runs further ahead of the host's since the last sample was set, or its time stamps were.
-const AHEAD_MAX_S: f64 = 0.5;
+/// Time stamps that lead the host's clock by so much more than any before were set, or their clock was. What waited in a queue,
+/// however long, leads by less.
+const LEAD_MARGIN_S: f64 = 0.5;
 
-/// Longest gap that is counted, in samples: an hour at 1 MHz.
-const MISSING_MAX: f64 = 3.6e9;
+/// Longest gap that is counted, in samples, as for the numbers of frames: 17 minutes at 1000 Hz. A longer one is a pause.
+const MISSING_MAX: f64 = 1_048_575.0;
 
 /// When a sample was taken and when it was read.
 #[derive(Debug, Clone, Copy)]
@@ -36,8 +37,12 @@ pub(super) struct SampleAxis {
     period_s: Option<f64>,
     next: u64,
     last: Option<Stamp>,
+    /// The most by which time stamps have led the host's clock when they were read, in seconds, since they were set.
+    lead_s: f64,
     /// The mean deviation of steps from whole numbers of periods, in periods.
     deviation: f64,
+    /// Steps that it is the mean of, of the last ones.
+    steps: f64,
     /// Whether the connection was lost since the last sample.
     rejoins: bool,
     /// Samples that are missing, but for those of outages.
@@ -46,7 +51,17 @@ pub(super) struct SampleAxis {
 
 impl SampleAxis {
     pub(super) fn new(period_s: Option<f64>) -> Self {
-        Self { period_s, next: 0, last: None, deviation: 0.0, rejoins: false, missing: 0 }
+        let (next, last, missing) = (0, None, 0);
+        Self {
+            period_s,
+            next,
+            last,
+            lead_s: f64::NAN,
+            deviation: 1.0,
+            steps: 0.0,
+            rejoins: false,
+            missing,
+        }
     }
 
     /// The connection was lost: what was sent since is missing.
@@ -67,6 +82,7 @@ impl SampleAxis {
         following: impl FnOnce() -> Option<f64>,
         may_wait: bool,
     ) -> Option<u64> {
+        let lead_s = at.time_s - at.read_ns as f64 * 1e-9;
         let missing = match (self.period_s, self.last) {
             (Some(period_s), Some(last)) => {
                 self.missing_since(last, at, period_s, following, may_wait)?
@@ -74,10 +90,21 @@ impl SampleAxis {
             _ => 0,
         };
         self.rejoins = false;
+        let is_set = self.is_set(self.last, at);
+        self.lead_s = if is_set || self.lead_s.is_nan() { lead_s } else { self.lead_s.max(lead_s) };
         let number = self.next.saturating_add(missing);
         self.next = number.saturating_add(1);
         self.last = Some(at);
         Some(number)
+    }
+
+    /// Whether a clock was set between two samples.
+    fn is_set(&self, last: Option<Stamp>, at: Stamp) -> bool {
+        let lead_s = at.time_s - at.read_ns as f64 * 1e-9;
+        // A stamp that is no number was not set forth either.
+        let goes_on = last.is_none_or(|last| at.time_s >= last.time_s);
+        let is_led = self.lead_s.is_nan() || lead_s <= self.lead_s + LEAD_MARGIN_S;
+        !(goes_on && is_led)
     }
 
     fn missing_since(
@@ -88,10 +115,8 @@ impl SampleAxis {
         following: impl FnOnce() -> Option<f64>,
         may_wait: bool,
     ) -> Option<u64> {
-        let elapsed_s = at.time_s - last.time_s;
-        let host_s = at.read_ns.saturating_sub(last.read_ns) as f64 * 1e-9;
-        let periods = elapsed_s / period_s;
-        let is_set = !(0.0..=host_s + AHEAD_MAX_S).contains(&elapsed_s) || periods > MISSING_MAX;
+        let periods = (at.time_s - last.time_s) / period_s;
+        let is_set = self.is_set(Some(last), at) || periods > MISSING_MAX;
         let steps = periods.round().max(1.0);
         if is_set || self.rejoins {
             return Some(if is_set { 0 } else { steps as u64 - 1 });
@@ -107,7 +132,10 @@ impl SampleAxis {
                 None => true,
             };
         let counted = if is_missing { steps } else { 1.0 };
-        self.deviation += GAIN * ((periods - counted).abs().min(1.0) - self.deviation);
+        // The first steps count for as much as there are: a stream is not regular before it has shown it.
+        self.steps += 1.0;
+        let gain = GAIN.max(1.0 / self.steps);
+        self.deviation += gain * ((periods - counted).abs().min(1.0) - self.deviation);
         let missing = counted as u64 - 1;
         self.missing += missing;
         Some(missing)
@@ -164,8 +192,8 @@ mod tests {
         let mut sorted = jittered;
         sorted.sort_by(f64::total_cmp);
         let found = numbers(&mut axis, &sorted);
-        let tail = &found[100..];
-        assert!(tail.windows(2).all(|pair| pair[1] == pair[0] + 1), "{tail:?}");
+        assert!(found.windows(2).all(|pair| pair[1] == pair[0] + 1), "{found:?}");
+        assert_eq!(axis.missing(), 0);
     }
 
     #[test]
@@ -177,6 +205,20 @@ mod tests {
         assert_eq!(axis.number(at(3.0, 20_000_000), || None, false), Some(2), "back");
         assert_eq!(axis.number(at(f64::NAN, 30_000_000), || None, false), Some(3), "no number");
         assert_eq!(axis.number(at(3.02, 40_000_000), || None, false), Some(4));
+    }
+
+    #[test]
+    fn a_gap_behind_a_backlog_is_no_clock_that_was_set() {
+        let mut axis = axis();
+        numbers(&mut axis, &[0.0, 1.0, 2.0]);
+        // Nobody read for 20 s; then come, at once, what the system kept, and what the sender still had.
+        let read_ns = 120_000_000_000;
+        let mut number = |periods: f64| {
+            let at = Stamp { time_s: 100.0 + periods * 0.01, read_ns };
+            axis.number(at, || Some(at.time_s + 0.01), true).unwrap()
+        };
+        assert_eq!([3.0, 4.0, 1504.0, 1505.0].map(&mut number), [3, 4, 1504, 1505]);
+        assert_eq!(axis.missing(), 1499);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::{
     axis::{SampleAxis, Stamp},
     description::StreamDescription,
     layout::{GroupLayout, MarkerColumns, StreamRole, TICK_HZ},
-    values::{FeedDamage, ValueFormat, WireFormat, WireSample},
+    values::{FeedDamage, TEXT_BYTES_MAX, ValueFormat, WireFormat, WireSample},
 };
 use crate::{
     device::{DeviceEvent, Frame, Mark, MarkerSample, SampleBatch},
@@ -14,8 +14,8 @@ use crate::{
 /// Receiver of the decoded events.
 pub(super) type EventReceiver<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
 
-/// Bytes of a sample that has not arrived in full, at most: 4096 texts of 256 bytes.
-const PARTIAL_BYTES_MAX: usize = 1 << 20;
+/// Bytes of a sample that has not arrived in full, at most: a text of the greatest length among others.
+const PARTIAL_BYTES_MAX: usize = 2 * TEXT_BYTES_MAX;
 
 /// Longest text of an event, in characters.
 const MARK_CHARS_MAX: usize = 1024;
@@ -67,8 +67,12 @@ pub(super) struct StreamDecoder {
     received_ns: u64,
     axis: SampleAxis,
     period_s: f64,
-    /// The last time stamp: the one of a sample without is a period later.
+    /// The last time stamp: the one of a sample without is a period later, if the stream itself states a rate.
     last_s: f64,
+    deduced_s: f64,
+    newest_s: Option<f64>,
+    /// Whether a note said that its time stamps are of another clock.
+    pub(super) is_clock_noted: bool,
     last_ticks: u64,
     batches: Vec<OpenBatch>,
     markers: Vec<MarkerSample>,
@@ -103,6 +107,9 @@ impl StreamDecoder {
             axis: SampleAxis::new(is_regular.then_some(period_s)),
             period_s,
             last_s: 0.0,
+            deduced_s: if is_regular { period_s } else { 0.0 },
+            newest_s: None,
+            is_clock_noted: false,
             last_ticks: 0,
             batches: (0..n_groups).map(|_| OpenBatch::default()).collect(),
             markers: Vec::new(),
@@ -113,8 +120,13 @@ impl StreamDecoder {
     }
 
     /// Whether it decodes what a stream with this role and description sends.
-    pub(super) fn is_for(&self, role: &StreamRole, description: &StreamDescription) -> bool {
-        self.role == *role
+    pub(super) fn is_for(
+        &self,
+        role: &StreamRole,
+        frame_every: Option<u64>,
+        description: &StreamDescription,
+    ) -> bool {
+        (&self.role, self.frame_every) == (role, frame_every)
             && (self.format, self.n_channels) == (description.format, description.n_channels)
     }
 
@@ -141,9 +153,9 @@ impl StreamDecoder {
         self.counts.next.div_ceil(every).saturating_sub(first.div_ceil(every))
     }
 
-    /// The time stamp of the last sample.
-    pub(super) fn last_s(&self) -> Option<f64> {
-        (self.counts.samples > 0).then_some(self.last_s)
+    /// The newest time stamp that the last bytes completed.
+    pub(super) fn newest_s(&self) -> Option<f64> {
+        self.newest_s
     }
 
     /// The connection was lost.
@@ -170,6 +182,7 @@ impl StreamDecoder {
     ) -> Result<(), String> {
         (self.read_ns, self.received_ns) = (read_ns, received_ns);
         self.bytes.extend_from_slice(bytes);
+        self.newest_s = None;
         self.decode(true, on_event)?;
         if self.bytes.len() > PARTIAL_BYTES_MAX {
             return Err(format!("it sends a sample of more than {PARTIAL_BYTES_MAX} bytes"));
@@ -201,18 +214,20 @@ impl StreamDecoder {
             let rest = bytes.get(at..).unwrap_or_default();
             match wire.sample(rest) {
                 Ok(Some((sample, used))) => {
-                    let time_s = sample.time_s.unwrap_or(self.last_s + self.period_s);
+                    let time_s = sample.time_s.unwrap_or(self.last_s + self.deduced_s);
                     let stamp = Stamp { time_s, read_ns: self.read_ns };
-                    let period_s = self.period_s;
+                    let deduced_s = self.deduced_s;
                     let following = || {
                         let (next, _) = wire.sample(rest.get(used..)?).ok()??;
-                        Some(next.time_s.unwrap_or(time_s + period_s))
+                        Some(next.time_s.unwrap_or(time_s + deduced_s))
                     };
                     let Some(number) = self.axis.number(stamp, following, may_wait) else {
                         break Ok(());
                     };
                     at += used;
                     self.last_s = time_s;
+                    self.newest_s =
+                        Some(time_s).filter(|time_s| time_s.is_finite()).or(self.newest_s);
                     self.counts.samples += 1;
                     self.counts.first.get_or_insert(number);
                     self.counts.next = number + 1;

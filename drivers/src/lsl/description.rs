@@ -47,6 +47,8 @@ pub struct StreamDescription {
     pub format: ValueFormat,
     /// Samples per second; 0 for a stream without a fixed rate.
     pub rate_hz: f64,
+    /// The rate as it is stated, if it is none that can be recorded.
+    pub odd_rate: Option<String>,
     /// The id of the source, which survives its restart; may be empty.
     pub source_id: String,
     /// The id of this stream, which does not.
@@ -87,14 +89,18 @@ impl StreamDescription {
                 "it has {n_channels} channels, and 1 to {CHANNELS_MAX} can be recorded"
             ));
         }
-        let rate_hz = text_of(root, "nominal_srate").parse().unwrap_or(0.0);
+        let stated_rate = text_of(root, "nominal_srate");
+        let rate_hz = stated_rate.parse().unwrap_or(f64::NAN);
+        let is_recordable = (1e-3..=1e6).contains(&rate_hz);
+        let is_odd = !is_recordable && rate_hz != 0.0;
         let mut description = Self {
             name: text("name"),
             kind: text("type"),
             n_channels,
             format: ValueFormat::named(format)
                 .ok_or_else(|| format!("its channel format '{}' is unknown", clean(format)))?,
-            rate_hz: if (1e-3..=1e6).contains(&rate_hz) { rate_hz } else { 0.0 },
+            rate_hz: if is_recordable { rate_hz } else { 0.0 },
+            odd_rate: is_odd.then(|| clean(stated_rate)),
             source_id: text("source_id"),
             uid: text("uid"),
             hostname: text("hostname"),

@@ -18,6 +18,7 @@ mod kind {
     pub(super) const DATA: u8 = 5;
     pub(super) const TIME: u8 = 6;
     pub(super) const ENDED: u8 = 7;
+    pub(super) const LOST: u8 = 8;
 }
 
 /// What the line reports.
@@ -61,6 +62,11 @@ pub enum Message<'a> {
     },
     /// All feeds are closed.
     Ended,
+    /// The feed of a stream is over, and those of the others go on. A [`Feed`](Self::Feed) follows when it is back.
+    Lost {
+        /// Number of the stream.
+        stream: u8,
+    },
 }
 
 /// Appends a message.
@@ -87,6 +93,7 @@ pub fn put_message(message: Message<'_>, out: &mut Vec<u8>) {
             &[&host_ns.to_le_bytes(), &sender_s.to_le_bytes(), &read_ns.to_le_bytes()],
         ),
         Message::Ended => put(kind::ENDED, 0, &[]),
+        Message::Lost { stream } => put(kind::LOST, stream, &[]),
     }
 }
 
@@ -118,6 +125,7 @@ fn decode(kind: u8, stream: u8, content: &[u8]) -> Option<Message<'_>> {
             read_ns: number(16)?,
         },
         kind::ENDED => Message::Ended,
+        kind::LOST => Message::Lost { stream },
         _ => return None,
     })
 }
@@ -127,6 +135,8 @@ fn decode(kind: u8, stream: u8, content: &[u8]) -> Option<Message<'_>> {
 pub struct MessageReader {
     bytes: Vec<u8>,
     at: usize,
+    /// Whether a size was read that no message has: nothing marks where the next one begins.
+    is_over: bool,
 }
 
 /// What is next in the bytes.
@@ -145,13 +155,16 @@ impl MessageReader {
     pub fn clear(&mut self) {
         self.bytes.clear();
         self.at = 0;
+        self.is_over = false;
     }
 
     /// Takes bytes.
     pub fn extend(&mut self, bytes: &[u8]) {
         self.bytes.drain(..self.at);
         self.at = 0;
-        self.bytes.extend_from_slice(bytes);
+        if !self.is_over {
+            self.bytes.extend_from_slice(bytes);
+        }
     }
 
     /// The next message.
@@ -164,6 +177,7 @@ impl MessageReader {
         let n = u32::from_le_bytes(size) as usize;
         if n > CONTENT_BYTES_MAX {
             self.at = self.bytes.len();
+            self.is_over = true;
             return NextMessage::Unknown;
         }
         let Some(content) = content.get(..n) else { return NextMessage::Partial };
@@ -228,6 +242,7 @@ mod tests {
             Message::Started,
             Message::Data { stream: 1, read_ns: 7, bytes: &[1, 2, 3] },
             Message::Time { host_ns: 5, sender_s: 1.5, read_ns: 9 },
+            Message::Lost { stream: 1 },
             Message::Ended,
         ];
         let mut bytes = Vec::new();
@@ -257,6 +272,9 @@ mod tests {
         reader.extend(&[5, 0, 0xff, 0xff, 0xff, 0xff, 1]);
         assert_eq!(reader.next_message(), NextMessage::Unknown);
         assert_eq!(reader.next_message(), NextMessage::Partial);
+        reader.extend(&[3, 0, 0, 0, 0, 0]);
+        assert_eq!(reader.next_message(), NextMessage::Partial, "until it is cleared");
+        reader.clear();
         reader.extend(&[9, 0, 0, 0, 0, 0]);
         assert_eq!(reader.next_message(), NextMessage::Unknown);
     }

@@ -20,6 +20,41 @@ use crate::{
 const BEHIND_MAX_S: f64 = 60.0;
 const AHEAD_MAX_S: f64 = 0.5;
 
+/// Notes about streams that come and go: one that does so again and again must fill neither the take nor the screen.
+const STREAM_NOTES_MAX: u32 = 64;
+
+/// Time stamps that are off LSL's clock in so many messages, and for so long, are of another one: a backlog is read in less.
+const OFF_MESSAGES: u32 = 8;
+const OFF_NS: u64 = 2_000_000_000;
+
+/// The clock of time stamps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum StampClock {
+    /// None was judged on this connection.
+    Unknown,
+    /// LSL's, for which time probes ask.
+    Lsl,
+    /// Off LSL's clock in so many messages, since this time.
+    Doubted { n: u32, since_ns: u64 },
+    /// Another one, as long as the connection lasts.
+    Other,
+}
+
+impl StampClock {
+    fn judged(self, is_of_clock: bool, read_ns: u64) -> Self {
+        match self {
+            Self::Other => Self::Other,
+            _ if is_of_clock => Self::Lsl,
+            Self::Unknown | Self::Lsl => Self::Doubted { n: 1, since_ns: read_ns },
+            Self::Doubted { n, since_ns } => {
+                let n = n.saturating_add(1);
+                let is_other = n >= OFF_MESSAGES && read_ns.saturating_sub(since_ns) >= OFF_NS;
+                if is_other { Self::Other } else { Self::Doubted { n, since_ns } }
+            }
+        }
+    }
+}
+
 /// What the streams are doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
@@ -57,12 +92,13 @@ pub struct LslHost {
     decoders: Vec<StreamDecoder>,
     /// Seconds of the sender's clock less those of the host's, by the last time probe.
     offset_s: Option<f64>,
-    /// Whether time stamps are of another clock than LSL's, which probes ask for.
-    is_off_clock: bool,
+    /// The clock of the frames' time stamps.
+    clock: StampClock,
     /// Why the connection cannot go on, until the line has taken it.
     unsent_end: Option<String>,
     /// Whether the remarks about the streams were made.
     has_remarked: bool,
+    stream_notes: u32,
     /// Infinite positions of streams that were described otherwise.
     not_finite_before: u64,
 }
@@ -84,9 +120,10 @@ impl LslHost {
             layout: None,
             decoders: Vec::new(),
             offset_s: None,
-            is_off_clock: false,
+            clock: StampClock::Unknown,
             unsent_end: None,
             has_remarked: false,
+            stream_notes: 0,
             not_finite_before: 0,
         }
     }
@@ -120,6 +157,22 @@ impl LslHost {
                 if let Some(decoder) = self.decoders.get_mut(usize::from(stream)) {
                     decoder.open(is_big_endian);
                 }
+                if self.state == State::Streaming {
+                    self.note_stream(stream, "is back", on_event);
+                }
+            }
+            Message::Lost { stream } => {
+                if let Some(decoder) = self.decoders.get_mut(usize::from(stream)) {
+                    // What cannot be decoded any more was reported when it came.
+                    decoder.flush(on_event).ok();
+                    decoder.close();
+                }
+                let has_frames = |decoder: &StreamDecoder| decoder.has_frames();
+                // Without frames the line ends the connection, with its cause.
+                if !self.decoders.get(usize::from(stream)).is_some_and(has_frames) {
+                    let text = "is over: the recording goes on without it until it is back";
+                    self.note_stream(stream, text, on_event);
+                }
             }
             Message::Started => self.on_started(on_event),
             Message::Data { stream, read_ns, bytes } => {
@@ -136,25 +189,32 @@ impl LslHost {
     fn on_found(&mut self) {
         // The line refuses streams that cannot be recorded, with the reason.
         let Ok(layout) = Layout::new(&self.query, &self.descriptions) else { return };
-        let described = || layout.roles.iter().zip(&self.descriptions);
-        let is_same = self.decoders.len() == layout.roles.len()
-            && self
-                .decoders
-                .iter()
-                .zip(described())
-                .all(|(decoder, (role, of))| decoder.is_for(role, of));
-        if is_same {
-            self.decoders.iter_mut().for_each(StreamDecoder::close);
-        } else {
-            self.not_finite_before = self.counters.samples_not_finite;
-            let (of_frames, every) = layout.frames;
-            let made = described().enumerate().map(|(at, (role, of))| {
-                StreamDecoder::new(role.clone(), (at == of_frames).then_some(every), of)
+        let (of_frames, every) = layout.frames;
+        let mut before = std::mem::take(&mut self.decoders).into_iter();
+        self.not_finite_before = self.counters.samples_not_finite;
+        for (at, (role, of)) in layout.roles.iter().zip(&self.descriptions).enumerate() {
+            let frame_every = (at == of_frames).then_some(every);
+            let same = before.next().filter(|decoder| decoder.is_for(role, frame_every, of));
+            self.decoders.push(match same {
+                Some(mut decoder) => {
+                    decoder.close();
+                    self.not_finite_before -= decoder.not_finite;
+                    decoder
+                }
+                None => StreamDecoder::new(role.clone(), frame_every, of),
             });
-            self.decoders = made.collect();
         }
         self.layout = Some(layout);
         self.state = State::Ready;
+    }
+
+    /// A note about a stream that comes or goes.
+    fn note_stream(&mut self, stream: u8, what: &str, on_event: EventReceiver<'_>) {
+        if self.stream_notes < STREAM_NOTES_MAX {
+            self.stream_notes += 1;
+            let name = self.descriptions.get(usize::from(stream)).map_or("", |of| &of.name);
+            on_event(DeviceEvent::Note(&format!("the stream '{name}' {what}")));
+        }
     }
 
     fn on_started(&mut self, on_event: EventReceiver<'_>) {
@@ -184,29 +244,32 @@ impl LslHost {
         if let Err(cause) = decoder.receive(bytes, (read_ns, self.line.now_ns()), on_event) {
             self.counters.messages_damaged += 1;
             self.counters.bytes_skipped += bytes.len() as u64;
-            self.lose(stream, &cause);
+            self.lose(stream, &cause, on_event);
             return;
         }
         self.check_clock(usize::from(stream), read_ns, on_event);
     }
 
-    /// Time stamps of another clock say nothing about that of time probes.
+    /// Judges whether the time stamps that the last bytes completed are of the clock that time probes ask for.
     fn check_clock(&mut self, stream: usize, read_ns: u64, on_event: EventReceiver<'_>) {
-        let Some(offset_s) = self.offset_s.filter(|_| !self.is_off_clock) else { return };
-        let Some(time_s) = self.decoders.get(stream).and_then(StreamDecoder::last_s) else {
-            return;
-        };
+        let Some(decoder) = self.decoders.get_mut(stream) else { return };
+        let (Some(offset_s), Some(time_s)) = (self.offset_s, decoder.newest_s()) else { return };
         let behind_s = read_ns as f64 * 1e-9 + offset_s - time_s;
-        if (-AHEAD_MAX_S..=BEHIND_MAX_S).contains(&behind_s) {
-            return;
+        let is_of_clock = (-AHEAD_MAX_S..=BEHIND_MAX_S).contains(&behind_s);
+        let what = if decoder.has_frames() {
+            self.clock = self.clock.judged(is_of_clock, read_ns);
+            "the take's clock is fitted to arrivals alone"
+        } else {
+            "its samples have times of another clock than the frames"
+        };
+        let is_other = !is_of_clock && (!decoder.has_frames() || self.clock == StampClock::Other);
+        if is_other && !std::mem::replace(&mut decoder.is_clock_noted, true) {
+            let name = self.descriptions.get(stream).map_or("", |of| &of.name);
+            let text = format!(
+                "the time stamps of the stream '{name}' are {behind_s:.1} s behind LSL's clock: they are of another clock, and {what}"
+            );
+            on_event(DeviceEvent::Note(&text));
         }
-        self.is_off_clock = true;
-        let name = self.descriptions.get(stream).map_or("", |of| &of.name);
-        let text = format!(
-            "the time stamps of the stream '{name}' are {behind_s:.1} s behind LSL's clock: they are of another clock, and \
-             the take's clock is fitted to arrivals alone"
-        );
-        on_event(DeviceEvent::Note(&text));
     }
 
     fn on_time(
@@ -217,8 +280,9 @@ impl LslHost {
     ) {
         self.offset_s = Some(sender_s - u64::midpoint(host_ns, read_ns) as f64 * 1e-9);
         let ticks = (sender_s * TICK_HZ as f64).round();
+        // Not before it is known that frames are of this clock.
         if self.state == State::Streaming
-            && !self.is_off_clock
+            && self.clock == StampClock::Lsl
             && (0.0..u64::MAX as f64).contains(&ticks)
         {
             on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks: ticks as u64 }));
@@ -265,8 +329,15 @@ impl LslHost {
         }
     }
 
-    /// Ends the connection; the recorder waits for the streams to come back.
-    fn lose(&mut self, stream: u8, cause: &str) {
+    /// Gives a stream up whose bytes cannot be decoded. Without frames the recorder waits for the streams to come back.
+    fn lose(&mut self, stream: u8, cause: &str, on_event: EventReceiver<'_>) {
+        let Some(decoder) = self.decoders.get_mut(usize::from(stream)) else { return };
+        if !decoder.has_frames() {
+            decoder.close();
+            let text = format!("cannot be read: {cause}; the recording goes on without it");
+            self.note_stream(stream, &text, on_event);
+            return;
+        }
         let name = self.descriptions.get(usize::from(stream)).map_or("", |of| &of.name);
         self.end_connection(format!("the stream '{name}' cannot be read: {cause}"));
     }
@@ -330,7 +401,7 @@ impl Protocol for LslHost {
         self.reader.clear();
         self.descriptions.clear();
         self.offset_s = None;
-        self.is_off_clock = false;
+        self.clock = StampClock::Unknown;
         self.unsent_end = None;
         Box::new(PolledTransport::new(line, receiver))
     }
@@ -371,7 +442,8 @@ impl Protocol for LslHost {
                 State::Off | State::Ending => {}
             },
             Command::SetRate(rate_millihertz) => self.todo.set_rate = Some(rate_millihertz),
-            Command::Ping { .. } if self.state == State::Streaming && self.is_off_clock => {}
+            Command::Ping { .. }
+                if self.state == State::Streaming && self.clock == StampClock::Other => {}
             Command::Ping { host_ns } if self.state == State::Streaming => {
                 LineRequest::Probe { host_ns }.put(out);
             }

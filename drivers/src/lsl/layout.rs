@@ -1,5 +1,7 @@
 //! What streams become: markers of frames, groups of sampled channels, or events.
 
+use std::collections::HashMap;
+
 use super::{
     convention::{length_unit, marker_of, position_axis},
     description::{ChannelDescription, StreamDescription},
@@ -151,12 +153,28 @@ impl Layout {
                 "the stream '{name}' has no source_id: after an outage it is known by its name alone"
             ));
         }
+        if let Some(rate) = &stream.odd_rate {
+            self.remarks.push(format!(
+                "the stream '{name}' states a rate of '{rate}' Hz, which counts as no fixed rate"
+            ));
+        }
         if stream.format == ValueFormat::Text {
             return Ok(StreamRole::Events);
         }
         let columns = marker_columns(stream, query)?;
+        let n_positions = stream.channels.iter().filter(|c| position_axis(c).is_some()).count();
+        if n_positions > 3 * columns.len() {
+            self.remarks.push(format!(
+                "the stream '{name}' has {} channels of positions without the two other axes of their marker: they are \
+                 recorded as sampled channels",
+                n_positions - 3 * columns.len()
+            ));
+        }
         let is_regular = stream.rate_hz > 0.0;
-        let rate_millihertz = match query.rate_millihertz.filter(|_| !is_regular) {
+        let rate_millihertz = match query
+            .rate_millihertz
+            .filter(|_| !is_regular && !columns.is_empty())
+        {
             Some(rate) => rate,
             None if is_regular => (stream.rate_hz * 1000.0).round() as u32,
             None if columns.is_empty() => {
@@ -262,11 +280,12 @@ fn marker_columns(
         }
     }
     let mut markers: Vec<MarkerColumns> = Vec::new();
+    let mut names = Names::default();
     for (name, columns) in found {
         let [Some(x), Some(y), Some(z)] = columns else { continue };
         let factor = factor(stream, query, [x, y, z])?;
-        let taken = |label: &str| markers.iter().any(|marker| marker.label == label);
-        let label = unique(shortened(name, LABEL_BYTES_MAX), taken);
+        let name = if name.is_empty() { "marker" } else { name };
+        let label = names.unique(name, LABEL_BYTES_MAX);
         markers.push(MarkerColumns { label, columns: [x, y, z], factor });
     }
     Ok(markers)
@@ -313,7 +332,7 @@ fn groups(
         ));
     }
     let mut groups = Vec::new();
-    let mut names: Vec<String> = Vec::new();
+    let mut names = Names::default();
     for columns in columns.chunks(SAMPLED_CHANNELS_MAX) {
         if *n_groups >= GROUPS_MAX {
             return Err(format!(
@@ -328,10 +347,7 @@ fn groups(
             } else {
                 stated.label.clone()
             };
-            let name = unique(shortened(&name, TEXT_BYTES_MAX), |name| {
-                names.iter().any(|known| known == name)
-            });
-            names.push(name.clone());
+            let name = names.unique(&name, TEXT_BYTES_MAX);
             SampledChannelInfo {
                 name,
                 unit: shortened(&stated.unit, UNIT_BYTES_MAX),
@@ -360,14 +376,30 @@ fn shortened(text: &str, bytes_max: usize) -> String {
     text.get(..end.unwrap_or(0)).unwrap_or_default().to_owned()
 }
 
-/// A name that is not taken: as it is, or with a number.
-fn unique(name: String, taken: impl Fn(&str) -> bool) -> String {
-    if !taken(&name) {
-        return name;
+/// Names that are taken, each with the number of the last one that had to differ from it.
+#[derive(Debug, Default)]
+struct Names(HashMap<String, usize>);
+
+impl Names {
+    /// A name of at most so many bytes that is not taken yet: as it is, or with a number.
+    fn unique(&mut self, name: &str, bytes_max: usize) -> String {
+        let name = shortened(name, bytes_max);
+        let mut last = match self.0.get(&name) {
+            Some(last) => *last,
+            None => {
+                self.0.insert(name.clone(), 1);
+                return name;
+            }
+        };
+        loop {
+            last += 1;
+            let suffix = format!(" ({last})");
+            let numbered = shortened(&name, bytes_max.saturating_sub(suffix.len())) + &suffix;
+            if !self.0.contains_key(&numbered) {
+                self.0.insert(name, last);
+                self.0.insert(numbered.clone(), 1);
+                return numbered;
+            }
+        }
     }
-    let numbered = |n: usize| {
-        let suffix = format!(" ({n})");
-        format!("{}{suffix}", shortened(&name, TEXT_BYTES_MAX.saturating_sub(suffix.len())))
-    };
-    (2..).map(numbered).find(|name| !taken(name)).unwrap_or(name)
 }

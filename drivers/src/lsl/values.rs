@@ -60,8 +60,8 @@ impl ValueFormat {
 const WITHOUT_TIME: u8 = 1;
 const WITH_TIME: u8 = 2;
 
-/// Longest text of a channel that is recorded; a sender of a longer one is not one of markers.
-pub(super) const TEXT_BYTES_MAX: usize = 1 << 16;
+/// Longest text of a channel: settings as XML and pictures in base64 have been seen, of which an event has the beginning.
+pub(super) const TEXT_BYTES_MAX: usize = 1 << 20;
 
 /// What is agreed about a feed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

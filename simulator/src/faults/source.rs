@@ -86,7 +86,7 @@ impl SourceFaults {
         let mut early_ns = 0.0;
         for (index, scheduled) in self.script.active(since_ns) {
             if let Fault::StampJitter { ms } = scheduled.fault {
-                early_ns += ms * 1e6 * stream(&self.script, index, since_ns).unit();
+                early_ns += ms as f64 * 1e6 * stream(&self.script, index, since_ns).unit();
                 self.counts.add(Kind::StampJitter, 1);
             }
         }

@@ -26,8 +26,12 @@ const OTHERS_TIMEOUT: Duration = Duration::from_millis(500);
 /// Time between two questions.
 const WAVE_INTERVAL: Duration = Duration::from_millis(400);
 
-/// Streams that are kept, several times those of the busiest laboratory; more may be an attack.
+/// Time between two questions for a stream that is over while others are read.
+const AGAIN_INTERVAL: Duration = Duration::from_secs(2);
+
+/// Streams that are kept, several times those of the busiest laboratory, and those of other names, for an error.
 const FOUND_MAX: usize = 512;
+const OTHERS_MAX: usize = 64;
 
 /// Streams that an error names.
 const NAMED_MAX: usize = 8;
@@ -65,12 +69,26 @@ impl FoundStream {
         (port != 0).then_some(address)
     }
 
-    /// The URI that opens it.
+    /// The URI that opens it and none of the others; `None` if no URI does.
     #[must_use]
-    pub fn uri(&self) -> String {
-        let source_id = Some(self.description.source_id.clone()).filter(|id| !id.is_empty());
-        let names = vec![self.description.name.clone()];
-        StreamQuery { names, source_id, ..StreamQuery::default() }.to_string()
+    pub fn uri_among(&self, all: &[FoundStream]) -> Option<String> {
+        let of = &self.description;
+        let names = vec![of.name.clone()];
+        let by_name = StreamQuery { names, ..StreamQuery::default() };
+        let kind = Some(of.kind.clone()).filter(|kind| !kind.is_empty());
+        let source_id = Some(of.source_id.clone()).filter(|id| !id.is_empty());
+        let hostname = Some(of.hostname.clone()).filter(|name| !name.is_empty());
+        let queries = [
+            by_name.clone(),
+            StreamQuery { source_id: source_id.clone(), ..by_name.clone() },
+            StreamQuery { kind: kind.clone(), ..by_name.clone() },
+            StreamQuery { kind, source_id, hostname, ..by_name },
+        ];
+        let is_only = |query: &&StreamQuery| {
+            choose(query, all).is_ok_and(|chosen| matches!(&chosen[..], [only] if only == self))
+        };
+        let found = queries.iter().find(is_only).filter(|_| !of.name.is_empty());
+        found.map(ToString::to_string)
     }
 }
 
@@ -79,7 +97,7 @@ impl FoundStream {
 /// # Errors
 /// `Io` when the system gives no socket.
 pub fn streams(wait: Duration) -> Result<Vec<FoundStream>, TransportError> {
-    let mut search = Search::open()?;
+    let mut search = Search::open(&[])?;
     search.run(wait, |_| false);
     Ok(search.found)
 }
@@ -89,7 +107,7 @@ pub fn streams(wait: Duration) -> Result<Vec<FoundStream>, TransportError> {
 /// # Errors
 /// `Unreachable`, which says what was found and what to do.
 pub(super) fn find(query: &StreamQuery) -> Result<Vec<FoundStream>, TransportError> {
-    let mut search = Search::open()?;
+    let mut search = Search::open(&query.names)?;
     search.run(FIND_TIMEOUT, |found| choose(query, found).is_ok());
     search.run(OTHERS_TIMEOUT.saturating_sub(search.began.elapsed()), |_| false);
     choose(query, &search.found)
@@ -153,14 +171,17 @@ fn summaries(streams: &[&FoundStream]) -> String {
 }
 
 /// A search that asks again until it is over.
-struct Search {
+pub(super) struct Search {
     began: Instant,
     next_wave: Instant,
     legs: Vec<Leg>,
     /// The question's number, by which its answers are known.
     id: String,
     buffer: Vec<u8>,
+    /// Names to look for; empty for all.
+    names: Vec<String>,
     found: Vec<FoundStream>,
+    n_others: usize,
 }
 
 /// The sockets of one version of the Internet Protocol.
@@ -172,8 +193,14 @@ struct Leg {
     groups: Vec<SocketAddr>,
 }
 
+impl std::fmt::Debug for Search {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Search").field("found", &self.found).finish_non_exhaustive()
+    }
+}
+
 impl Search {
-    fn open() -> Result<Self, TransportError> {
+    pub(super) fn open(names: &[String]) -> Result<Self, TransportError> {
         let settings = config::get();
         let peers = peers(&settings.known_peers);
         let families = [(settings.allow_ipv4, false), (settings.allow_ipv6, true)];
@@ -192,20 +219,45 @@ impl Search {
             legs,
             id: make_query_id(),
             buffer: vec![0; ANSWER_BYTES_MAX],
+            names: names.to_vec(),
             found: Vec::new(),
+            n_others: 0,
         })
+    }
+
+    /// Asks, if it is time to, and takes the answers that have come. Waits for nothing. Returns a stream that is the same as
+    /// one that is over, and has begun since.
+    pub(super) fn again(&mut self, lost: &StreamDescription) -> Option<FoundStream> {
+        if Instant::now() >= self.next_wave {
+            self.next_wave = Instant::now() + AGAIN_INTERVAL;
+            // Answers to earlier questions may be of streams that are over.
+            self.found.clear();
+            self.n_others = 0;
+            self.ask();
+        }
+        self.listen();
+        let is_same = |found: &&FoundStream| {
+            let of = &found.description;
+            of.uid != lost.uid
+                && (&of.name, &of.source_id, &of.kind, &of.hostname)
+                    == (&lost.name, &lost.source_id, &lost.kind, &lost.hostname)
+                && (of.n_channels, of.format) == (lost.n_channels, lost.format)
+        };
+        self.found.iter().find(is_same).cloned()
+    }
+
+    fn ask(&self) {
+        let session = &config::get().session_id;
+        self.legs.iter().for_each(|leg| leg.ask(&format!("session_id='{session}'"), &self.id));
     }
 
     /// Asks and listens for this long, or until the answers suffice.
     fn run(&mut self, wait: Duration, suffices: impl Fn(&[FoundStream]) -> bool) {
         let until = Instant::now() + wait;
-        while Instant::now() < until && self.found.len() < FOUND_MAX {
+        while Instant::now() < until {
             if Instant::now() >= self.next_wave {
                 self.next_wave = Instant::now() + WAVE_INTERVAL;
-                let session = &config::get().session_id;
-                self.legs
-                    .iter()
-                    .for_each(|leg| leg.ask(&format!("session_id='{session}'"), &self.id));
+                self.ask();
             }
             let before = self.found.len();
             if !self.listen() {
@@ -228,7 +280,15 @@ impl Search {
             let Ok(description) = StreamDescription::parse(&answer.xml) else { continue };
             let is_known = self.found.iter().any(|known| known.description.uid == description.uid);
             let found = FoundStream { description, machine: sender };
-            if !is_known && found.data_address().is_some() && self.found.len() < FOUND_MAX {
+            if is_known || found.data_address().is_none() {
+                continue;
+            }
+            let is_other = !self.names.is_empty() && !self.names.contains(&found.description.name);
+            let n_wanted = self.found.len() - self.n_others;
+            if is_other && self.n_others < OTHERS_MAX {
+                self.n_others += 1;
+                self.found.push(found);
+            } else if !is_other && n_wanted < FOUND_MAX {
                 self.found.push(found);
             }
         }
@@ -357,7 +417,13 @@ mod tests {
         assert_eq!(names("?type=MoCap&hostname=lab"), "2");
         assert_eq!(all[0].data_address(), "192.0.2.1:16572".parse().ok());
         assert_eq!(all[0].service_address(), None);
-        assert_eq!(all[2].uri(), "lsl:A?source_id=3");
+        assert_eq!(all[1].uri_among(&all).as_deref(), Some("lsl:B"));
+        assert_eq!(all[2].uri_among(&all).as_deref(), Some("lsl:A?source_id=3"));
+        let twins = [
+            found("A", "EEG", "1"),
+            FoundStream { machine: "192.0.2.2:9".parse().unwrap(), ..found("A", "EEG", "1") },
+        ];
+        assert_eq!(twins[0].uri_among(&twins), None);
     }
 
     #[test]

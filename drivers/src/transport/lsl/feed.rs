@@ -24,13 +24,10 @@ use rustix::time::{ClockId, clock_gettime};
 use crate::lsl::{DESCRIPTION_BYTES_MAX, StreamDescription, ValueFormat, clean};
 
 /// Time-out of a connection and of each read of its handshake: a machine on a local network answers in milliseconds.
-const TIMEOUT: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Time for a whole answer, whatever its sender does meanwhile.
-const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
-
-/// Bytes of a handshake: headers of some hundred, and two samples of 4096 doubles.
-const HANDSHAKE_BYTES_MAX: usize = 1 << 20;
+/// Bytes of a handshake: headers of some hundred, and two samples of 4096 doubles or short texts.
+const HANDSHAKE_BYTES_MAX: usize = 1 << 19;
 
 /// How long the sender keeps samples that we do not read, in seconds, and how many of a stream without a rate.
 const KEPT_S: f64 = 60.0;
@@ -47,14 +44,14 @@ pub(super) fn monotonic_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// Asks a stream for its whole description, an XML document.
+/// Asks a stream for its whole description, an XML document, which has to be complete at this time.
 ///
 /// # Errors
 /// A phrase that says what went wrong.
-pub(super) fn whole_description(address: SocketAddr) -> Result<String, String> {
+pub(super) fn whole_description(address: SocketAddr, until: Instant) -> Result<String, String> {
     let mut stream = connect(address)?;
     stream.write_all(b"LSL:fullinfo\r\n").map_err(|error| broken(&error))?;
-    let (until, mut bytes) = (Instant::now() + ANSWER_TIMEOUT, Vec::new());
+    let mut bytes = Vec::new();
     while read_more(&mut stream, &mut bytes, until)? {
         if bytes.len() > DESCRIPTION_BYTES_MAX {
             return Err(format!("its description has more than {DESCRIPTION_BYTES_MAX} bytes"));
@@ -95,13 +92,14 @@ pub(super) struct Feed {
 }
 
 impl Feed {
-    /// Opens the feed of a stream at this address.
+    /// Opens the feed of a stream at this address, which has to be done at this time.
     ///
     /// # Errors
     /// A phrase that says what went wrong.
     pub(super) fn open(
         description: &StreamDescription,
         address: SocketAddr,
+        until: Instant,
     ) -> Result<Self, String> {
         let mut stream = connect(address)?;
         let format = wire_format(description.format);
@@ -115,7 +113,7 @@ impl Feed {
         };
         let (mut client, request) = FeedClient::start(params, format, description.n_channels);
         stream.write_all(&request).map_err(|error| broken(&error))?;
-        let (until, mut rest) = (Instant::now() + ANSWER_TIMEOUT, Vec::new());
+        let mut rest = Vec::new();
         while client.state() != State::Streaming {
             let Some(used) = advance(&mut client, &rest)? else {
                 if !read_more(&mut stream, &mut rest, until)? {
@@ -186,5 +184,59 @@ fn wire_format(format: ValueFormat) -> Format {
         ValueFormat::Int16 => Format::Int16,
         ValueFormat::Int32 => Format::Int32,
         ValueFormat::Int64 => Format::Int64,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{net::TcpListener, thread};
+
+    use super::*;
+
+    /// The address of a peer that answers each connection so.
+    fn peer(answer: impl Fn(TcpStream) + Send + 'static) -> SocketAddr {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        thread::Builder::new()
+            .spawn(move || listener.incoming().flatten().for_each(answer))
+            .unwrap();
+        address
+    }
+
+    fn description() -> StreamDescription {
+        StreamDescription { uid: "u".to_owned(), n_channels: 4, ..StreamDescription::default() }
+    }
+
+    /// Why neither a description nor a feed can be had, within 300 ms and one read.
+    fn failures(address: SocketAddr) -> [String; 2] {
+        let began = Instant::now();
+        let until = || Instant::now() + Duration::from_millis(300);
+        let found = [
+            whole_description(address, until()).unwrap_err(),
+            Feed::open(&description(), address, until()).unwrap_err(),
+        ];
+        assert!(began.elapsed() < 2 * (Duration::from_millis(600) + TIMEOUT), "{found:?}");
+        found
+    }
+
+    #[test]
+    fn peers_that_dribble_flood_or_hang_up_cost_bounded_time_and_memory() {
+        let dribbling = peer(|mut stream| {
+            while stream.write_all(b"<").is_ok() {
+                thread::sleep(Duration::from_millis(50));
+            }
+        });
+        assert!(failures(dribbling).iter().all(|text| text.contains("too long")));
+        let flooding = peer(|mut stream| while stream.write_all(&[b'x'; 65_536]).is_ok() {});
+        let [of_description, of_feed] = failures(flooding);
+        assert!(of_description.contains("more than 1048576 bytes"), "{of_description}");
+        assert!(
+            of_feed.contains("something else than LSL") || of_feed.contains("too long"),
+            "{of_feed}"
+        );
+        let refusing = peer(|mut stream| drop(stream.write_all(b"LSL/110 404 Not found\r\n\r\n")));
+        assert!(failures(refusing)[1].contains("refuses"));
+        let silent = peer(|stream| drop((thread::sleep(Duration::from_secs(3)), stream)));
+        assert!(failures(silent)[0].contains("does not answer"));
     }
 }

@@ -7,13 +7,14 @@ use std::{
     collections::VecDeque,
     io::Read,
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
+    time::{Duration, Instant},
 };
 
 use labstream_core::proto::timesync::{build_probe, parse_answer};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use self::{
-    discovery::is_retry,
+    discovery::{Search, is_retry},
     feed::{Feed, monotonic_ns, whole_description},
 };
 pub use discovery::{FoundStream, streams};
@@ -33,6 +34,13 @@ const PROBES_MAX: usize = 16;
 /// Bytes of one read of a feed: what one message holds at most.
 const READ_BYTES: usize = 1 << 15;
 
+/// Time in which all streams have to be described, and all feeds to be open: a reader that must show signs of life every 10 s
+/// waits for it, after the search.
+const SETUP_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// The same for one stream that is back, while others are read.
+const RETURN_TIMEOUT: Duration = Duration::from_millis(500);
+
 /// A stream of this line.
 #[derive(Debug)]
 struct LineStream {
@@ -45,6 +53,12 @@ struct LineStream {
 pub struct LslTransport {
     name: String,
     streams: Vec<LineStream>,
+    /// The stream of frames, without which there is no recording.
+    frames: usize,
+    /// Why the stream of frames is over: the connection ends when its last samples were read.
+    over: Option<String>,
+    /// The search for other streams that are over.
+    search: Option<Search>,
     /// Messages that wait for the next read.
     waiting: VecDeque<u8>,
     probes: Option<UdpSocket>,
@@ -67,7 +81,9 @@ impl LslTransport {
         let mut waiting = Vec::new();
         let mut descriptions = Vec::new();
         let mut streams = Vec::new();
-        for (number, mut found) in discovery::find(query)?.into_iter().enumerate() {
+        let all = discovery::find(query)?;
+        let until = Instant::now() + SETUP_TIMEOUT;
+        for (number, mut found) in all.into_iter().enumerate() {
             let unreachable = |remedy| TransportError::Unreachable {
                 device: format!("{name} {}", found.description.summary()),
                 remedy,
@@ -77,19 +93,27 @@ impl LslTransport {
                     "it states no port for data: restart its program".to_owned(),
                 ));
             };
-            let xml = whole_description(address).map_err(unreachable)?;
+            let xml = whole_description(address, until).map_err(unreachable)?;
             let whole = StreamDescription::parse(&xml).map_err(unreachable)?;
+            if whole.uid != found.description.uid {
+                return Err(unreachable(
+                    "it is over, and another one answers at its port".to_owned(),
+                ));
+            }
             put_message(Message::Description { stream: number as u8, xml: &xml }, &mut waiting);
             found.description = whole.clone();
             descriptions.push(whole);
             streams.push(LineStream { found, feed: None });
         }
-        Layout::new(query, &descriptions).map_err(TransportError::Unsupported)?;
+        let layout = Layout::new(query, &descriptions).map_err(TransportError::Unsupported)?;
         put_message(Message::Found, &mut waiting);
         let service = streams.iter().find_map(|stream| stream.found.service_address());
         Ok(Self {
             name,
             streams,
+            frames: layout.frames.0,
+            over: None,
+            search: None,
             waiting: waiting.into(),
             probes: service.and_then(probe_socket),
             next_probe: 1,
@@ -109,6 +133,13 @@ impl LslTransport {
         self.waiting.extend(bytes);
     }
 
+    fn put_data(&mut self, stream: u8, bytes: &[u8]) {
+        let read_ns = monotonic_ns();
+        for bytes in bytes.chunks(READ_BYTES) {
+            self.put(Message::Data { stream, read_ns, bytes });
+        }
+    }
+
     fn execute(&mut self, request: LineRequest) -> Result<(), TransportError> {
         match request {
             LineRequest::Begin => self.begin(),
@@ -125,6 +156,7 @@ impl LslTransport {
 
     /// Opens the feeds that are not open.
     fn begin(&mut self) -> Result<(), TransportError> {
+        let until = Instant::now() + SETUP_TIMEOUT;
         for number in 0..self.streams.len() {
             let Some(stream) = self.streams.get_mut(number).filter(|stream| stream.feed.is_none())
             else {
@@ -133,7 +165,7 @@ impl LslTransport {
             let LineStream { found, .. } = &*stream;
             let failed = |cause| format!("the stream '{}': {cause}", found.description.name);
             let opened = match found.data_address() {
-                Some(address) => Feed::open(&found.description, address).map_err(failed),
+                Some(address) => Feed::open(&found.description, address, until).map_err(failed),
                 None => Err(failed("it states no port for data".to_owned())),
             };
             let mut feed = match opened {
@@ -144,10 +176,9 @@ impl LslTransport {
             stream.feed = Some(feed);
             self.put(Message::Feed { stream: number as u8, is_big_endian });
             if !rest.is_empty() {
-                let read_ns = monotonic_ns();
                 // Behind Started, so that the recorder has begun.
                 self.put(Message::Started);
-                self.put(Message::Data { stream: number as u8, read_ns, bytes: &rest });
+                self.put_data(number as u8, &rest);
             }
         }
         self.put(Message::Started);
@@ -156,6 +187,7 @@ impl LslTransport {
 
     /// Reads what has arrived, and closes the feeds.
     fn end(&mut self) {
+        self.search = None;
         for number in 0..self.streams.len() {
             let Some(mut feed) = self.streams.get_mut(number).and_then(|stream| stream.feed.take())
             else {
@@ -238,23 +270,48 @@ impl LslTransport {
         let n_max = content.len().min(READ_BYTES);
         let read = feed.stream.read(content.get_mut(..n_max).unwrap_or_default());
         let read_ns = monotonic_ns();
-        let name = &stream.found.description.name;
-        match read {
-            Ok(0) => {
-                let cause = format!("the stream '{name}' is over: its program ended or closed it");
-                Err(self.lost(cause))
-            }
+        let name = stream.found.description.name.clone();
+        let cause = match read {
+            Ok(0) => format!("the stream '{name}' is over: its program ended or closed it"),
             Ok(n) => {
                 header.copy_from_slice(&data_header(number as u8, read_ns, n));
                 self.arrival = Arrival { is_datagram: false, host_ns: Some(read_ns) };
-                Ok(DATA_HEADER_BYTES + n)
+                return Ok(DATA_HEADER_BYTES + n);
             }
-            Err(error) if is_retry(&error) => Ok(0),
-            Err(error) => {
-                let cause = format!("the stream '{name}' cannot be read any more ({error})");
-                Err(self.lost(cause))
-            }
+            Err(error) if is_retry(&error) => return Ok(0),
+            Err(error) => format!("the stream '{name}' cannot be read any more ({error})"),
+        };
+        stream.feed = None;
+        self.put(Message::Lost { stream: number as u8 });
+        if number == self.frames {
+            self.over = Some(cause);
+        } else {
+            // Without it there are frames all the same.
+            self.search = Search::open(std::slice::from_ref(&name)).ok();
         }
+        Ok(self.waiting.read(buf).unwrap_or(0))
+    }
+
+    /// Opens the feeds of streams that were over and are back.
+    fn look_for_lost(&mut self) {
+        let Some(mut search) = self.search.take() else { return };
+        for number in 0..self.streams.len() {
+            let Some(stream) = self.streams.get_mut(number).filter(|stream| stream.feed.is_none())
+            else {
+                continue;
+            };
+            let Some(found) = search.again(&stream.found.description) else { continue };
+            let Some(address) = found.data_address() else { continue };
+            // One that cannot be opened is asked for again.
+            let until = Instant::now() + RETURN_TIMEOUT;
+            let Ok(mut feed) = Feed::open(&found.description, address, until) else { continue };
+            let (rest, is_big_endian) = (std::mem::take(&mut feed.rest), feed.is_big_endian);
+            *stream = LineStream { found, feed: Some(feed) };
+            self.put(Message::Feed { stream: number as u8, is_big_endian });
+            self.put_data(number as u8, &rest);
+        }
+        let is_missing = self.streams.iter().any(|stream| stream.feed.is_none());
+        self.search = Some(search).filter(|_| is_missing);
     }
 }
 
@@ -275,12 +332,18 @@ fn probe_socket(to: SocketAddr) -> Option<UdpSocket> {
 impl Transport for LslTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         self.arrival = Arrival::default();
+        self.look_for_lost();
         if self.waiting.is_empty() {
+            if let Some(cause) = self.over.take() {
+                return Err(self.lost(cause));
+            }
             let ready = self.wait()?;
             let n = self.streams.len();
             if ready.get(n).is_some_and(|ready| *ready) {
                 self.read_reply();
-            } else {
+            }
+            // Datagrams, however many, do not keep samples waiting.
+            if self.waiting.is_empty() {
                 let turns = (0..n).map(|at| (self.turn + at) % n.max(1));
                 let next = turns.into_iter().find(|at| ready.get(*at).is_some_and(|ready| *ready));
                 let Some(number) = next else { return Ok(0) };
