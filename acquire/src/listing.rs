@@ -1,8 +1,13 @@
 //! Attached devices, for `devices --json` and the API.
 
+use std::time::Duration;
+
 use mocapd_drivers::{
     registry::{self, AttachedDevice, Claim},
-    transport::{Access, TransportError},
+    transport::{
+        Access, TransportError,
+        lsl::{self, FoundStream},
+    },
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -43,6 +48,33 @@ impl From<AttachedDevice> for ListedDevice {
     }
 }
 
+/// How long streams have to answer: LSL's own limit for answers by multicast.
+const STREAMS_WAIT: Duration = Duration::from_millis(500);
+
+/// The streams of the Lab Streaming Layer that answer; none where the system gives no network.
+fn streams() -> Vec<ListedDevice> {
+    let found = lsl::streams(STREAMS_WAIT).unwrap_or_default();
+    found.iter().map(|stream| listed_stream(stream, &found)).collect()
+}
+
+fn listed_stream(stream: &FoundStream, all: &[FoundStream]) -> ListedDevice {
+    let of = &stream.description;
+    let uri = stream.uri_among(all);
+    let problem = uri.is_none().then(|| {
+        "another stream has the same name, type and source id: give them different source ids"
+            .to_owned()
+    });
+    ListedDevice {
+        device: uri.unwrap_or_else(|| format!("lsl:{}", of.name)),
+        manufacturer: Some(of.hostname.clone()),
+        product: Some(of.kind.clone()),
+        serial: Some(of.source_id.clone()).filter(|id| !id.is_empty()),
+        driver: Some("lsl".to_owned()),
+        certain: true,
+        problem,
+    }
+}
+
 /// Lists the attached devices. It opens none of them.
 ///
 /// # Errors
@@ -51,9 +83,9 @@ pub fn devices() -> Result<Vec<ListedDevice>, TransportError> {
     Ok(registry::devices()?.into_iter().map(ListedDevice::from).collect())
 }
 
-/// Searches the networks of this machine for servers of motion-capture systems. It connects to none of them. Where the
+/// Searches the networks of this machine for servers of motion-capture systems and for streams. It connects to none of them. Where the
 /// network cannot be asked, there are none.
 #[must_use]
 pub fn servers() -> Vec<ListedDevice> {
-    registry::network_devices().into_iter().map(ListedDevice::from).collect()
+    registry::network_devices().into_iter().map(ListedDevice::from).chain(streams()).collect()
 }

@@ -29,7 +29,7 @@ const FAMILY: Family = Family {
     claims: |candidate| match (&candidate.location, &candidate.product) {
         (Location::Serial { .. }, Some(product)) if product.contains("Beacon") => Claim::Certain,
         (Location::Serial { .. }, _) => Claim::Possible,
-        (Location::Usb { .. } | Location::Network(_), _) => Claim::No,
+        (Location::Usb { .. } | Location::Network(_) | Location::Streams(_), _) => Claim::No,
     },
     protocol: |_| Box::new(Beacon::default()),
 };

@@ -158,6 +158,15 @@ pub struct Trigger {
     pub kind: u8,
 }
 
+/// A moment that the device reports with a text.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mark<'a> {
+    /// Device clock at that moment, in ticks.
+    pub device_ticks: u64,
+    /// One line of text.
+    pub text: &'a str,
+}
+
 /// Reply to a ping. Together with its arrival time it relates the device clock to the host clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Pong {
@@ -207,6 +216,8 @@ pub enum DeviceEvent<'a> {
     EndOfPoses(EndOfPoses),
     /// A trigger edge.
     Trigger(Trigger),
+    /// A moment with a text.
+    Mark(Mark<'a>),
     /// Counters and temperature.
     Status(Status),
     /// One line of text for the operator about the device or its line. Sent rarely: at most once per Start

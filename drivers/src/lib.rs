@@ -3,7 +3,7 @@
 //!
 //! A [`device::Protocol`] is sans-io: it turns received bytes into events and commands into bytes. A
 //! [`transport::Transport`] moves those bytes. [`registry`] pairs the two for a device URI, and
-//! [`link`], [`ndi`], [`qtm`] and [`natnet`] are the families so far.
+//! [`link`], [`lsl`], [`ndi`], [`qtm`] and [`natnet`] are the families so far.
 //!
 //! One frame, encoded at the device's end of a link and decoded at the host's:
 //!
@@ -37,6 +37,7 @@ mod bytes;
 pub mod device;
 mod frame_axis;
 pub mod link;
+pub mod lsl;
 mod marker_ids;
 pub mod natnet;
 pub mod ndi;
@@ -44,5 +45,6 @@ pub mod plain_file;
 pub mod qtm;
 pub mod raw_log;
 pub mod registry;
+pub mod stream_query;
 pub mod transport;
 pub mod uri;

@@ -7,9 +7,11 @@ use serialport::SerialPortType;
 pub use crate::device::{Candidate, Claim, Family};
 use crate::{
     device::Protocol,
-    link, natnet, ndi, qtm,
+    link, lsl, natnet, ndi, qtm,
     transport::{
-        Access, Transport, TransportError, access, network,
+        Access, Transport, TransportError, access,
+        lsl::LslTransport,
+        network,
         serial::SerialTransport,
         usb::{self, UsbDevice, UsbTransport},
     },
@@ -17,7 +19,8 @@ use crate::{
 };
 
 /// All device families. Register a new one here.
-pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY, qtm::FAMILY, natnet::FAMILY];
+pub static FAMILIES: &[Family] =
+    &[link::FAMILY, ndi::FAMILY, qtm::FAMILY, natnet::FAMILY, lsl::FAMILY];
 
 /// Returns the family with the highest claim on a device; of two equal claims, the first in [`FAMILIES`].
 #[must_use]
@@ -54,7 +57,9 @@ pub fn devices() -> Result<Vec<AttachedDevice>, TransportError> {
     let ports = serial.into_iter().map(|candidate| {
         let access = match &candidate.location {
             Location::Serial { path, .. } => access(path),
-            Location::Usb { .. } | Location::Network(_) => Access::Accessible,
+            Location::Usb { .. } | Location::Network(_) | Location::Streams(_) => {
+                Access::Accessible
+            }
         };
         list_device(candidate, access)
     });
@@ -197,16 +202,20 @@ pub fn open_with_wrapper(
 fn uses(family: &str, location: &Location) -> bool {
     match location {
         Location::Network(address) => address.family == family,
+        Location::Streams(_) => family == lsl::FAMILY.name,
         Location::Serial { .. } | Location::Usb { .. } => !is_on_network(family),
     }
 }
 
 fn is_on_network(family: &str) -> bool {
-    NETWORK_FAMILIES.iter().any(|(name, _)| *name == family)
+    family == lsl::FAMILY.name || NETWORK_FAMILIES.iter().any(|(name, _)| *name == family)
 }
 
 /// The form of a family's URIs, for an error.
 fn line_of(family: &str) -> String {
+    if family == lsl::FAMILY.name {
+        return "give lsl:NAME".to_owned();
+    }
     if is_on_network(family) {
         return format!("give {family}:HOST[:PORT]");
     }
@@ -242,7 +251,7 @@ fn current_location(location: &Location, identity: &Candidate) -> Location {
                 _ => location.clone(),
             }
         }
-        Location::Serial { .. } | Location::Network(_) => location.clone(),
+        Location::Serial { .. } | Location::Network(_) | Location::Streams(_) => location.clone(),
     }
 }
 
@@ -266,6 +275,7 @@ fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportEr
             Ok(Box::new(UsbTransport::open(*vid, *pid, serial.as_deref())?))
         }
         Location::Network(address) => network::open(address),
+        Location::Streams(query) => Ok(Box::new(LslTransport::open(query)?)),
     }
 }
 
@@ -281,7 +291,7 @@ fn candidate_at(location: &Location) -> Candidate {
             });
             return same.as_ref().map_or_else(unknown, usb_candidate);
         }
-        Location::Network(_) => return unknown(),
+        Location::Network(_) | Location::Streams(_) => return unknown(),
     };
     let Ok(real_path) = path.canonicalize() else { return unknown() };
     let ports = serial_candidates().unwrap_or_default();

@@ -1,7 +1,9 @@
-//! Device URIs: `serial:PATH[@BAUD]`, `usb:VID:PID[:SERIAL]`, `qtm:HOST[:PORT][?transport=udp]` or
-//! `natnet:HOST[:PORT][?local=IF&mode=multicast]`, with an optional `?driver=NAME`.
+//! Device URIs: `serial:PATH[@BAUD]`, `usb:VID:PID[:SERIAL]`, `qtm:HOST[:PORT][?transport=udp]`,
+//! `natnet:HOST[:PORT][?local=IF&mode=multicast]` or `lsl:NAME[?...]`, with an optional `?driver=NAME`.
 
 use std::{fmt, path::PathBuf, str::FromStr};
+
+use crate::stream_query::StreamQuery;
 
 /// The port, USB address or network address of a device.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -24,6 +26,8 @@ pub enum Location {
     },
     /// A device on the network.
     Network(NetworkAddress),
+    /// Streams of the Lab Streaming Layer, which are found by name.
+    Streams(StreamQuery),
 }
 
 /// Families whose devices are on the network, each with the port that a URI may omit. A family's name is the scheme.
@@ -121,7 +125,7 @@ pub struct DeviceUri {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "invalid device URI '{text}': {reason}: write serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT][?transport=udp] or \
-     natnet:HOST[:PORT][?local=IF&mode=multicast|unicast], with ?driver=NAME where needed"
+     natnet:HOST[:PORT][?local=IF&mode=multicast|unicast] or lsl:NAME, with ?driver=NAME where needed"
 )]
 pub struct UriError {
     text: String,
@@ -138,6 +142,9 @@ impl FromStr for DeviceUri {
 
 fn parse(text: &str) -> Result<DeviceUri, String> {
     let (base, query) = text.split_once('?').map_or((text, None), |(base, q)| (base, Some(q)));
+    if let Some(names) = base.strip_prefix("lsl:") {
+        return parse_streams(names, query);
+    }
     let network = base.split_once(':').and_then(|(scheme, rest)| {
         let (family, port) = NETWORK_FAMILIES.iter().find(|(family, _)| *family == scheme)?;
         Some((*family, *port, rest))
@@ -155,11 +162,24 @@ fn parse(text: &str) -> Result<DeviceUri, String> {
         Some(("usb", rest)) => parse_usb(rest),
         _ if base.starts_with('/') => Err(format!("a path needs a scheme: serial:{base}")),
         Some((scheme, _)) => {
-            Err(format!("unknown scheme '{scheme}', expected serial, usb, qtm or natnet"))
+            Err(format!("unknown scheme '{scheme}', expected serial, usb, qtm, natnet or lsl"))
         }
         None => Err("the scheme is missing".to_owned()),
     };
     Ok(DeviceUri { location: location?, driver })
+}
+
+/// Parses the names of LSL streams and what follows the `?`.
+fn parse_streams(names: &str, query: Option<&str>) -> Result<DeviceUri, String> {
+    let parts = query.into_iter().flat_map(|query| query.split('&'));
+    let (drivers, rest): (Vec<&str>, Vec<&str>) =
+        parts.partition(|part| part.starts_with("driver="));
+    let driver = drivers.last().and_then(|part| part.strip_prefix("driver="));
+    if driver == Some("") {
+        return Err("expected driver=NAME after '?', found 'driver='".to_owned());
+    }
+    let location = Location::Streams(StreamQuery::parse(names, &rest)?);
+    Ok(DeviceUri { location, driver: driver.map(str::to_owned) })
 }
 
 /// What follows the `?` of a URI.
@@ -288,6 +308,7 @@ impl fmt::Display for Location {
                 let options = address.options();
                 if options.is_empty() { Ok(()) } else { write!(f, "?{}", options.join("&")) }
             }
+            Self::Streams(query) => write!(f, "{query}"),
         }
     }
 }
@@ -295,9 +316,7 @@ impl fmt::Display for Location {
 impl fmt::Display for DeviceUri {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let location = self.location.to_string();
-        let has_options =
-            matches!(&self.location, Location::Network(address) if !address.options().is_empty());
-        let joint = if has_options { '&' } else { '?' };
+        let joint = if location.contains('?') { '&' } else { '?' };
         write!(f, "{location}")?;
         self.driver.as_ref().map_or(Ok(()), |driver| write!(f, "{joint}driver={driver}"))
     }
@@ -306,6 +325,7 @@ impl fmt::Display for DeviceUri {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stream_query::LengthUnit;
 
     fn serial(path: &str, baud: Option<u32>) -> Location {
         Location::Serial { path: path.into(), baud }
@@ -330,6 +350,10 @@ mod tests {
             Location::Network(NetworkAddress { local, mode, ..address })
         };
         let (multicast, unicast) = (Some(StreamMode::Multicast), Some(StreamMode::Unicast));
+        let streams = |names: &[&str]| {
+            let names = names.iter().map(|&name| name.to_owned()).collect();
+            Location::Streams(StreamQuery { names, ..StreamQuery::default() })
+        };
         for (text, location, driver) in [
             ("serial:/dev/ttyUSB0", serial("/dev/ttyUSB0", None), None),
             ("serial:/dev/ttyUSB0@921600", serial("/dev/ttyUSB0", Some(921_600)), None),
@@ -349,6 +373,18 @@ mod tests {
                 Some("natnet"),
             ),
             ("natnet:m?mode=unicast", natnet("m", 1510, None, unicast), None),
+            ("lsl:Rig A,EMG%2C left", streams(&["Rig A", "EMG, left"]), None),
+            (
+                "lsl:?type=MoCap&hostname=lab&rate=119.88&unit=cm&driver=lsl",
+                Location::Streams(StreamQuery {
+                    kind: Some("MoCap".to_owned()),
+                    hostname: Some("lab".to_owned()),
+                    rate_millihertz: Some(119_880),
+                    unit: Some(LengthUnit::Centimetres),
+                    ..StreamQuery::default()
+                }),
+                Some("lsl"),
+            ),
         ] {
             let uri: DeviceUri = text.parse().unwrap();
             assert_eq!(uri.location, location, "{text}");
@@ -383,6 +419,14 @@ mod tests {
             ("qtm:lab:0", "'0'"),
             ("qtm:lab:65536", "'65536'"),
             ("qtm:[::1]22223", "'22223'"),
+            ("lsl:", "name"),
+            ("lsl:A,A", "'A'"),
+            ("lsl:A,B?type=EEG", "type="),
+            ("lsl:A?rate=fast", "rate=fast"),
+            ("lsl:A?unit=inch", "unit=inch"),
+            ("lsl:A?port=1", "'port=1'"),
+            ("lsl:A%G1", "%"),
+            ("lsl:A?driver=", "'driver='"),
         ] {
             let error = text.parse::<DeviceUri>().unwrap_err();
             assert!(error.reason.contains(reason), "{text}: {error}");

@@ -13,6 +13,7 @@ pub mod gadget;
 pub mod generator;
 pub mod line;
 pub mod log_device;
+pub mod lsl;
 pub mod natnet;
 pub mod ndi;
 pub mod pty;

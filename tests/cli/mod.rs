@@ -19,6 +19,7 @@ mod forces;
 mod full_disk;
 mod gaps;
 mod imports;
+mod lsl;
 mod manual;
 mod many_files;
 mod natnet;

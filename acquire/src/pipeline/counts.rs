@@ -239,7 +239,7 @@ impl Counts {
         let n = self.events_dropped;
         if n > 0 {
             let events = if n == 1 { "1 event is".to_owned() } else { format!("{n} events are") };
-            contradictions.push(format!("{events} missing from the take: the disk stalled"));
+            contradictions.push(format!("{events} missing from the take: the disk stalled, or more than a thousand came at once"));
         }
         let dropped_by_device = dropped.min(missing);
         Ledger {

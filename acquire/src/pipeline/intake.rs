@@ -338,6 +338,14 @@ impl Intake {
         self.event_at(self.next_row, event);
     }
 
+    /// Records an event of the device at the row of its device time, as far as that row is in the open stretch: the event may
+    /// have come later than the frames of its time.
+    pub fn device_event(&mut self, event: Event) {
+        let back = self.counter.frames_back(event.device_ticks).map_or(0, |back| back + 1);
+        let row = self.next_row.saturating_sub(back).max(self.open_first_row.min(self.next_row));
+        self.event_at(row, event);
+    }
+
     fn event_at(&mut self, row: u64, event: Event) {
         let event = Event { row, ..event };
         // The queue is full only after the disk stalled through a thousand events.

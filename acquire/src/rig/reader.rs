@@ -8,7 +8,10 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, Pong, Status, Trigger},
+    device::{
+        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, Mark, MarkerInfo, Pong,
+        SampledGroupInfo, Status, Trigger,
+    },
     transport::TransportError,
 };
 use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};
@@ -483,6 +486,10 @@ impl Reader<'_> {
                 let kind = if kind == 0 { EventKind::Trigger } else { EventKind::SyncPulse };
                 let event = Event::new(kind, arrival_ns, "");
                 self.intake.event(Event { device_ticks, input, ..event });
+            }
+            DeviceEvent::Mark(Mark { device_ticks, text }) => {
+                let event = Event::new(EventKind::Mark, arrival_ns, text);
+                self.intake.device_event(Event { device_ticks, ..event });
             }
             // A late answer to a command of the handshake.
             DeviceEvent::Hello(hello) if self.started.is_some() => {

@@ -1,6 +1,7 @@
 //! Transports: byte streams to devices over serial lines, USB bulk endpoints and the network.
 
 mod access;
+pub mod lsl;
 pub mod network;
 pub mod polled;
 pub mod serial;

@@ -315,6 +315,6 @@ fn is_attached(uri: &DeviceUri) -> bool {
             })
         }),
         // Only a connection attempt shows.
-        Location::Network(_) => true,
+        Location::Network(_) | Location::Streams(_) => true,
     }
 }

@@ -278,7 +278,8 @@ impl Device {
         }
         let present = fill_samples(&self.table, &self.row, &mut self.samples);
         self.add_ghosts(since_ns);
-        let device_ticks = self.ticks(at_ns);
+        let early_ns = self.faults.as_mut().map_or(0, |faults| faults.stamp_jitter_ns(since_ns));
+        let device_ticks = self.ticks(at_ns).saturating_add_signed(-early_ns / NS_PER_TICK);
         let frame = Frame { seq, device_ticks, timecode: None, markers: &self.samples };
         let n_markers_max = usize::from(self.hello.markers_max);
         let mut dropped = !self.outbox.has_room(frame_bytes_max(n_markers_max));

@@ -129,6 +129,8 @@ kinds! {
         at_s: f64 = AT,
         by_s: f64 = key("by_s", "s", -TIME_MAX_S, TIME_MAX_S)
     }
+    /// Time stamps of frames are early, each by another time.
+    StampJitter = "stamp-jitter", windowed: true, { ms: u64 = key("ms", "ms", 0.0, 1000.0) }
     /// The cable is pulled and plugged in again; the device keeps running.
     Unplug = "unplug", windowed: false, { at_s: f64 = AT, for_s: f64 = FOR }
     /// The device loses its power: counter and clock restart.

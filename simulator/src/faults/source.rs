@@ -83,6 +83,19 @@ impl SourceFaults {
         self.script.faults.iter().map(offset_ns).sum::<f64>().round() as i64
     }
 
+    /// How early the time stamp of a frame at this time is, nanoseconds: a stamp is never later than what it stands for was
+    /// sent.
+    pub(crate) fn stamp_jitter_ns(&mut self, since_ns: u64) -> i64 {
+        let mut early_ns = 0.0;
+        for (index, scheduled) in self.script.active(since_ns) {
+            if let Fault::StampJitter { ms } = scheduled.fault {
+                early_ns += ms as f64 * 1e6 * stream(&self.script, index, since_ns).unit();
+                self.counts.add(Kind::StampJitter, 1);
+            }
+        }
+        early_ns.round() as i64
+    }
+
     /// The frame counter that the device sends; `number` is the true one.
     pub(crate) fn counter(&mut self, number: u32, since_ns: u64) -> u32 {
         for (index, scheduled) in self.script.faults.iter().enumerate() {

@@ -375,7 +375,7 @@ impl QtmDevice {
             faults.positions(since_ns, &mut self.row);
             faults.count_clock_faults(since_ns);
             faults.add_ghosts(since_ns, &mut self.ghosts);
-            ahead_ns = faults.clock_offset_ns(since_ns);
+            ahead_ns = faults.clock_offset_ns(since_ns) - faults.stamp_jitter_ns(since_ns);
         }
         self.fill_markers();
         let present = self.row.iter().filter(|position| !is_gap(**position)).count();

@@ -176,6 +176,7 @@ impl Bench {
             | DeviceEvent::Samples(_)
             | DeviceEvent::EndOfPoses(_)
             | DeviceEvent::Trigger(_)
+            | DeviceEvent::Mark(_)
             | DeviceEvent::RateSet(_) => {}
         });
     }

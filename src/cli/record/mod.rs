@@ -42,7 +42,7 @@ pub(crate) const KEEP_FREE: &str = "256MiB";
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Device to record: serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT] or natnet:HOST[:PORT], with ?driver=NAME to choose a driver
+    /// Device to record: serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT], natnet:HOST[:PORT] or lsl:NAME, with ?driver=NAME to choose a driver
     #[arg(short, long, value_name = "URI")]
     device: String,
     /// The take to write; it must not exist
@@ -124,7 +124,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         remote::refuse_recording(raw)?;
         paths::check_output(raw)?;
-        if matches!(&uri.location, Location::Network(at) if !at.datagrams) {
+        let is_stream = match &uri.location {
+            Location::Network(at) => !at.datagrams,
+            Location::Streams(_) => true,
+            Location::Serial { .. } | Location::Usb { .. } => false,
+        };
+        if is_stream {
             notify(
                 "a raw log of a device on the network cannot be replayed: it shows what was sent",
             );

@@ -26,6 +26,7 @@ const RULES: &[Rule] = &[
             "cli/src/stop.rs",
             // Looking up a name cannot be cancelled, and may take longer than a reader can wait.
             "drivers/src/transport/network/connect.rs",
+            "drivers/src/transport/lsl/discovery.rs",
             "simulator/src/cli/generate.rs",
             "store/src/cloud/connect.rs",
         ],
@@ -50,6 +51,7 @@ const RULES: &[Rule] = &[
             "src/",
             "simulator/src/line/",
             "simulator/src/gadget/",
+            "simulator/src/lsl/serve.rs",
             "cli/src/stop.rs",
             "simulator/src/cli/output.rs",
             "drivers/src/transport/",
@@ -107,6 +109,8 @@ const RULES: &[Rule] = &[
             "simulator/src/pty/",
             "simulator/src/gadget/",
             "drivers/src/transport/",
+            // The crate of LSL calls so what has its descriptions.
+            "simulator/src/lsl/",
             "simulator/src/qtm/serve.rs",
             "store/src/cloud/connect.rs",
             "store/src/local.rs",

@@ -4,6 +4,7 @@ mod faces;
 mod meshes;
 mod natnet;
 mod network;
+mod streams;
 
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_drivers::{
@@ -49,6 +50,7 @@ pub fn targets() -> Vec<Target> {
         target("read_file", crate::read_file, files()),
         target("hear", crate::hear, wires()),
         target("read_qtm", crate::read_qtm, network::packets()),
+        target("read_lsl", crate::read_lsl, streams::messages()),
         target("read_natnet", crate::read_natnet, natnet::messages()),
         target("config", crate::config, configs()),
         target("read_mesh", crate::read_mesh, meshes::files()),

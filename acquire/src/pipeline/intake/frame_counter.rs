@@ -51,6 +51,13 @@ impl FrameCounter {
         })
     }
 
+    /// How many frames before the last one the device's clock showed `ticks`; `None` without a frame, or a clock that jumped.
+    pub(super) fn frames_back(&self, ticks: u64) -> Option<u64> {
+        let (_, last_ticks) = self.last?;
+        let frames = last_ticks.checked_sub(ticks)? as f64 / self.frame_ticks;
+        (frames < f64::from(MISSING_MAX)).then_some(frames.round() as u64)
+    }
+
     /// The first frame after an outage: the number of frames missing in between, or `None` when counter and clock do
     /// not continue from where they were, because the device lost its power.
     pub(super) fn rejoin(&mut self, seq: u32, device_ticks: u64) -> Option<u32> {
@@ -100,6 +107,16 @@ mod tests {
         assert_eq!(counter.step(2, 50), SeqStep::Stale);
         assert_eq!(counter.step(1, 40), SeqStep::Stale);
         assert_eq!(counter.step(3, 60), SeqStep::Next { missing: 0 });
+    }
+
+    #[test]
+    fn a_time_is_that_of_an_earlier_frame() {
+        let mut counter = FrameCounter::new(100.0, 1000);
+        assert_eq!(counter.frames_back(5), None, "no frame yet");
+        counter.step(7, 500);
+        assert_eq!(counter.frames_back(500), Some(0));
+        assert_eq!(counter.frames_back(476), Some(2));
+        assert_eq!(counter.frames_back(511), None, "after the last frame");
     }
 
     #[test]

@@ -102,8 +102,8 @@ pub(super) fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
     file.take(at_most).read_to_string(&mut text).with_context(cannot_read)?;
     let name = path.display().to_string();
     let script = Script::parse(&name, &text).map_err(Failure::usage)?;
-    let is_natnet = args.protocol == DeviceProtocol::Natnet;
-    if script.unplugs() && !args.line.has_stable_name() && !is_natnet {
+    let is_named = matches!(args.protocol, DeviceProtocol::Natnet | DeviceProtocol::Lsl);
+    if script.unplugs() && !args.line.has_stable_name() && !is_named {
         let message = "the script unplugs the device, which needs a stable name: use --pty PATH";
         return Err(Failure::usage_message(format!("{}: {message}", path.display())));
     }

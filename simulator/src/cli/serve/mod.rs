@@ -28,6 +28,7 @@ mod line;
 mod natnet;
 mod network;
 mod report;
+mod streams;
 
 pub(super) const EXAMPLES: &str = "\
 Examples:
@@ -37,7 +38,9 @@ Examples:
   mocapd-sim serve jump.c3d --protocol qtm --tcp=22223
   mocapd record --device qtm:127.0.0.1 --output jump.take       in another terminal
   mocapd-sim serve jump.c3d --protocol natnet --udp 1510 --multicast
-  mocapd record --device natnet:127.0.0.1 --output jump.take    in another terminal";
+  mocapd record --device natnet:127.0.0.1 --output jump.take    in another terminal
+  mocapd-sim serve --generate jump --loop --protocol lsl
+  mocapd record --device lsl:mocapd-sim-SIM0001 --output jump.take     in another terminal";
 
 #[derive(Debug, Args)]
 pub(super) struct ServeArgs {
@@ -207,6 +210,8 @@ enum DeviceProtocol {
     Qtm,
     /// The NatNet protocol of OptiTrack's Motive.
     Natnet,
+    /// Streams of the Lab Streaming Layer.
+    Lsl,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -226,6 +231,9 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     natnet::check_unused(args)?;
     if args.protocol == DeviceProtocol::Natnet {
         return natnet::run(args);
+    }
+    if args.protocol == DeviceProtocol::Lsl {
+        return streams::run(args);
     }
     if args.protocol == DeviceProtocol::Qtm || args.line.tcp.is_some() {
         return network::run(args);
@@ -331,7 +339,7 @@ fn device(
             );
         }
         // It is on no line.
-        DeviceProtocol::Qtm | DeviceProtocol::Natnet => {
+        DeviceProtocol::Qtm | DeviceProtocol::Natnet | DeviceProtocol::Lsl => {
             return usage("it is on the network, not on a line");
         }
         DeviceProtocol::Ndi => {

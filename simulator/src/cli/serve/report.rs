@@ -86,7 +86,7 @@ impl SentReport {
         let why = match protocol {
             DeviceProtocol::Dvmc => "queue full",
             DeviceProtocol::Ndi => "not fetched before the next",
-            DeviceProtocol::Qtm => "client too slow",
+            DeviceProtocol::Qtm | DeviceProtocol::Lsl => "client too slow",
             DeviceProtocol::Natnet => "too large, or too many wait",
         };
         let mut text = format!(
@@ -97,7 +97,9 @@ impl SentReport {
         if protocol == DeviceProtocol::Ndi {
             text.push_str(&format!(", {unasked} after the last request (unknown to any recorder)"));
         }
-        if matches!(protocol, DeviceProtocol::Qtm | DeviceProtocol::Natnet) {
+        let is_on_network =
+            matches!(protocol, DeviceProtocol::Qtm | DeviceProtocol::Natnet | DeviceProtocol::Lsl);
+        if is_on_network {
             text.push_str(&format!(", {unasked} that no client requested"));
         }
         if let Some(faults) = &self.faults_text {

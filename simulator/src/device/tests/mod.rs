@@ -111,6 +111,7 @@ impl Bench {
                 DeviceEvent::Note(note) => panic!("the link protocol has no notes: {note}"),
                 DeviceEvent::EndOfStream(status) => Event::End(status),
                 DeviceEvent::Trigger(_) => panic!("no trigger was sent"),
+                DeviceEvent::Mark(_) => panic!("the link protocol has no marks"),
             });
         });
         assert_eq!(self.host.counters().bytes_skipped, 0);

@@ -1,0 +1,46 @@
+//! Streams of the Lab Streaming Layer (LSL): `docs/lsl.md`.
+//!
+//! Discovery, the handshake of a feed and time probes are those of the crate `labstream-core`, sans-io; bounds and what
+//! becomes of samples are here. The [transport](crate::transport::lsl) finds the streams and merges what they send into one
+//! stream of [messages](Message), which [`LslHost`] decodes.
+
+mod axis;
+mod convention;
+mod decoder;
+mod description;
+mod envelope;
+mod host;
+mod layout;
+mod values;
+
+pub(crate) use self::{
+    description::clean,
+    envelope::{DATA_HEADER_BYTES, data_header},
+};
+pub use self::{
+    description::{ChannelDescription, DESCRIPTION_BYTES_MAX, StreamDescription},
+    envelope::{LineRequest, Message, MessageReader, put_message},
+    host::LslHost,
+    layout::{GroupLayout, Layout, MarkerColumns, StreamRole},
+    values::ValueFormat,
+};
+use crate::{
+    device::{Claim, Family},
+    stream_query::StreamQuery,
+    uri::Location,
+};
+
+pub(crate) const FAMILY: Family = Family {
+    name: "lsl",
+    claims: |candidate| match candidate.location {
+        Location::Streams(_) => Claim::Certain,
+        _ => Claim::No,
+    },
+    protocol: |location| {
+        let query = match location {
+            Location::Streams(query) => query.clone(),
+            _ => StreamQuery::default(),
+        };
+        Box::new(LslHost::new(query))
+    },
+};

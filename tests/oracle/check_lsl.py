@@ -1,0 +1,423 @@
+"""Talks to our side of the Lab Streaming Layer with one that is not ours: liblsl, through pylsl. XDF files are read by pyxdf.
+
+    python check_lsl.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
+
+All checks run side by side, in an LSL session of their own. One line a check; the last line is `N passed, N failed`; exit code 1
+when one failed.
+"""
+
+import argparse
+import concurrent.futures
+import contextlib
+import csv
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+SESSION = f"mocapd-{os.getpid()}"
+CONFIGURATION = f"""[multicast]
+ResolveScope=machine
+[lab]
+KnownPeers={{127.0.0.1}}
+SessionID={SESSION}
+"""
+
+RATE_HZ = 240
+N_MARKERS = 64
+LABELS = tuple(f"marker {k:02} <&>" for k in range(N_MARKERS))
+N_FRAMES = 480
+
+# It names its streams as soon as it has opened them; a machine under load may take seconds to start it.
+FIRST_WORD_WITHIN_S = 30.0
+
+
+def expect(holds, complaint):
+    if not holds:
+        raise AssertionError(complaint)
+
+
+def positions_mm():
+    """N_FRAMES x markers x 3, exactly as float32 has them; marker 1 is hidden for a while."""
+    frame = np.arange(N_FRAMES)[:, None, None]
+    marker = np.arange(N_MARKERS)[None, :, None]
+    start = np.array([10.1, -20.7, 5.0]) * marker + np.array([0.0, 0.0, 1000.3])
+    positions = (start + np.array([0.5, 0.25, 0.0]) * frame).astype(np.float32)
+    positions[100:150, 1] = np.nan
+    return positions
+
+
+def write_motion(path):
+    names = [f"{label}.{axis}" for label in LABELS for axis in "xyz"]
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "time_s", *names])
+        for frame, row in enumerate(positions_mm()):
+            cells = ["" if np.isnan(value) else repr(float(value)) for value in row.ravel()]
+            writer.writerow([frame, f"{frame / RATE_HZ:.9f}", *cells])
+
+
+@contextlib.contextmanager
+def simulator(options, *more):
+    """A simulated source of streams: the names of its streams."""
+    command = [options.mocapd_sim, "serve", *more, "--protocol", "lsl"]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
+    silent.start()
+    try:
+        uri = process.stdout.readline().strip()
+        silent.cancel()
+        expect(uri.startswith("lsl:"), f"the simulator names no stream: {uri!r}")
+        yield uri.removeprefix("lsl:").split(",")
+    finally:
+        silent.cancel()
+        process.terminate()
+        process.wait(10)
+
+
+@contextlib.contextmanager
+def publisher(kind, name, *more):
+    """An outlet of pylsl in a process of its own."""
+    command = [sys.executable, __file__, "--publish", kind, name, *(str(word) for word in more)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        expect(process.stdout.readline().strip() == "open", f"no outlet {name}")
+        yield process
+    finally:
+        process.kill()
+        process.wait(10)
+
+
+def record(options, uri, take, *more):
+    command = [options.mocapd, "record", "-d", uri, "-o", take, "--lossless", "--json", *more]
+    return subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=120, check=False)
+
+
+def recorded(options, uri, take, *more, code=0):
+    ran = record(options, uri, take, *more)
+    expect(ran.returncode == code, f"exit code {ran.returncode}: {ran.stderr}")
+    report = json.loads(ran.stdout)
+    expect(report["ledger"]["closes"], ran.stdout)
+    return report, ran.stderr
+
+
+def xdf_of(options, take):
+    """The streams of a take's XDF file by their types."""
+    import pyxdf
+    path = Path(take).with_suffix(".xdf")
+    subprocess.run([str(options.mocapd), "export", str(take), "-o", str(path)], check=True, capture_output=True)
+    streams, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False)
+    return {stream["info"]["type"][0]: stream for stream in streams}
+
+
+def info_of(options, take):
+    ran = subprocess.run([str(options.mocapd), "info", str(take), "--json"], check=True, capture_output=True, text=True)
+    return json.loads(ran.stdout)
+
+
+# Outlets of pylsl, in processes of their own.
+
+def described(info, labels, kind, unit, marker=None):
+    channels = info.desc().append_child("channels")
+    for label in labels:
+        channel = channels.append_child("channel")
+        channel.append_child_value("label", label)
+        if marker:
+            channel.append_child_value("marker", marker(label))
+        channel.append_child_value("type", kind(label))
+        channel.append_child_value("unit", unit)
+    return info
+
+
+def value(sample, channel):
+    """What every publisher of numbers sends."""
+    return np.float32(0.001 * sample + 0.1 * channel - 1.0)
+
+
+def paced(outlet, rate_hz, seconds, samples_of):
+    import pylsl
+    outlet.wait_for_consumers(60)
+    start_s = pylsl.local_clock()
+    for number in range(int(rate_hz * seconds)):
+        at_s = start_s + number / rate_hz
+        time.sleep(max(0.0, at_s - pylsl.local_clock()))
+        outlet.push_sample(samples_of(number), at_s)
+
+
+def publish(kind, name, rest):
+    import pylsl
+    source_id = f"source {name}"
+    if kind == "mocap":
+        n, unit = 9, rest[0] if rest else "millimeters"
+        labels = [f"M{k}.{axis}" for k in range(3) for axis in "xyz"]
+        info = pylsl.StreamInfo(name, "MoCap", n, 100, "float32", source_id)
+        described(info, labels, lambda label: f"Position{label[-1].upper()}", unit, lambda label: label[:-2])
+    elif kind == "eeg":
+        n = 70
+        info = pylsl.StreamInfo(name, "EEG", n, 500, "double64", source_id)
+        described(info, [f"E{k}" for k in range(n)], lambda _: "EEG", "microvolts")
+    elif kind == "irregular":
+        n = 2
+        info = pylsl.StreamInfo(name, "Gaze", n, 0, "float32", source_id)
+    else:
+        n = 1
+        info = pylsl.StreamInfo(name, "Markers", 1, 0, "string", source_id)
+    outlet = pylsl.StreamOutlet(info)
+    print("open", flush=True)
+    rate_hz = {"mocap": 100, "eeg": 500}.get(kind, 10)
+    if kind == "strings":
+        paced(outlet, rate_hz, 600, lambda number: [f"mark {number} äöü"])
+    elif kind == "irregular":
+        import random
+        outlet.wait_for_consumers(60)
+        for number in range(6000):
+            outlet.push_sample([value(number, channel) for channel in range(n)])
+            time.sleep(random.uniform(0.01, 0.15))
+    else:
+        paced(outlet, rate_hz, 600, lambda number: [value(number, channel) for channel in range(n)])
+
+
+def inlet_of(name):
+    import pylsl
+    found = pylsl.resolve_byprop("name", name, 1, 20)
+    expect(len(found) == 1, f"pylsl finds {len(found)} streams {name}")
+    inlet = pylsl.StreamInlet(found[0])
+    inlet.open_stream(20)
+    return inlet
+
+
+def pulled(inlet, seconds):
+    """Samples and time stamps of so many seconds."""
+    samples, stamps, until = [], [], time.monotonic() + seconds
+    while time.monotonic() < until:
+        more, at = inlet.pull_chunk(timeout=0.1, max_samples=4096)
+        samples += more
+        stamps += at
+    return samples, np.array(stamps)
+
+
+def channels_of(description):
+    """Label, marker, type and unit of each channel, from a description by pylsl."""
+    channel, found = description.desc().child("channels").child("channel"), []
+    while not channel.empty():
+        found.append(tuple(channel.child_value(key) for key in ("label", "marker", "type", "unit")))
+        channel = channel.next_sibling("channel")
+    return found
+
+
+def check_outlet(options, folder):
+    """pylsl reads our stream of positions: every sample, bit for bit, with its name and time."""
+    with simulator(options, folder / "motion.csv", "--loop", "--serial", "outlet") as names:
+        inlet = inlet_of(names[0])
+        expected = [(f"{label}.{axis.lower()}", label, f"Position{axis}", "meters") for label in LABELS for axis in "XYZ"]
+        description = inlet.info(10)
+        expect(channels_of(description) == expected, "the channels")
+        expect((description.nominal_srate(), description.type()) == (RATE_HZ, "MoCap"), description.as_xml()[:400])
+        samples, stamps = pulled(inlet, options.seconds)
+    metres = (positions_mm().astype(np.float64) / 1000).astype(np.float32)
+    got = np.array(samples, dtype=np.float32).reshape(len(samples), N_MARKERS, 3)
+    expect(len(got) > 0.9 * RATE_HZ * (options.seconds - 1.5), f"{len(got)} samples")
+    wanted = metres[np.arange(len(got)) % N_FRAMES]
+    wrong = np.flatnonzero(~((got == wanted) | (np.isnan(got) & np.isnan(wanted))).all(axis=(1, 2)))
+    expect(len(wrong) == 0, f"samples {wrong[:5]} of {len(got)} differ")
+    steps = np.diff(stamps) * RATE_HZ
+    expect(np.abs(steps - 1).max() < 1e-3, f"steps of {steps.min()} to {steps.max()} periods")
+    return f"{len(got)} samples"
+
+
+def check_same_stream(options, folder):
+    """One stream of positions, recorded by pylsl and by us: the same samples, and times within 1 ms."""
+    name, take = f"same {SESSION}", folder / "same.take"
+    with publisher("mocap", name):
+        inlet = inlet_of(name)
+        with concurrent.futures.ThreadPoolExecutor(1) as pool:
+            theirs = pool.submit(pulled, inlet, 9)
+            report, _ = recorded(options, f"lsl:{name}", take, "--seconds", "4s")
+            samples, stamps = theirs.result()
+    stream = xdf_of(options, take)["MoCap"]
+    ours = np.array(stream["time_series"], dtype=np.float32)
+    theirs = np.array(samples, dtype=np.float32)
+    expect(380 <= len(ours) == report["frames"], f"{len(ours)} samples, {report['frames']} frames")
+    first = int(round((float(ours[0][0]) + 1.0) / 0.001))
+    sent = np.array([[value(first + k, c) for c in range(9)] for k in range(len(ours))], dtype=np.float32)
+    expect((ours == sent).all(), "we have other samples than were sent")
+    at = int(np.flatnonzero((theirs == ours[0]).all(axis=1))[0])
+    expect((theirs[at:at + len(ours)] == ours).all(), "pylsl has other samples than we")
+    stamps = stamps[at:at + len(ours)]
+    apart = np.abs((stamps - stamps[0]) - np.array(stream["time_stamps"]))
+    expect(apart.max() < 1e-3, f"times differ by {1e3 * apart.max()} ms")
+    labels = [channel["label"][0] for channel in stream["info"]["desc"][0]["channels"][0]["channel"]]
+    expect(labels == [f"M{k}.{axis}" for k in range(3) for axis in "xyz"], labels)
+    clock = info_of(options, take)["clock"]
+    ahead_ns = clock["at"]["host_ns"] - clock["at"]["device_ticks"]
+    expect(clock["method"] == "round trips" and abs(ahead_ns) < 1e6, f"one machine's clocks are {ahead_ns} ns apart: {clock}")
+    expect(abs(ahead_ns) <= 1e3 * clock["bound_us"], f"{ahead_ns} ns is not within the stated bound: {clock}")
+    return f"{len(ours)} samples, times within {1e6 * apart.max():.0f} us"
+
+
+def check_units(options, folder):
+    """Metres are converted once; positions without a unit need one."""
+    name, take = f"units {SESSION}", folder / "units.take"
+    with publisher("mocap", name, "meters"):
+        recorded(options, f"lsl:{name}", take, "--seconds", "2s")
+    ours = np.array(xdf_of(options, take)["MoCap"]["time_series"], dtype=np.float32)
+    first = int(round((float(ours[0][0]) / 1000 + 1.0) / 0.001))
+    sent = np.array([[value(first + k, c) for c in range(9)] for k in range(len(ours))], dtype=np.float32)
+    expect((ours == (sent.astype(np.float64) * 1000).astype(np.float32)).all(), "not the floats sent, times 1000")
+    with publisher("mocap", f"{name} none", ""):
+        ran = record(options, f"lsl:{name} none", folder / "none.take", "--seconds", "1s")
+        expect(ran.returncode == 1 and "?unit=m" in ran.stderr, ran.stderr)
+        recorded(options, f"lsl:{name} none?unit=mm", folder / "given.take", "--seconds", "1s")
+    return f"{len(ours)} samples"
+
+
+def check_eeg_and_events(options, folder):
+    """70 channels of doubles and a stream of texts in one take, read back from its XDF file."""
+    eeg, marks, take = f"eeg {SESSION}", f"marks {SESSION}", folder / "eeg.take"
+    with publisher("eeg", eeg), publisher("strings", marks):
+        report, _ = recorded(options, f"lsl:{eeg},{marks}", take, "--seconds", "4s")
+    info = info_of(options, take)
+    groups = info["sampled_groups"]
+    expect([len(group["channels"]) for group in groups] == [64, 6], groups)
+    expect(all(group["samples"] >= 1900 and group["rate_hz"] == 500 for group in groups), groups)
+    expect(groups[0]["channels"][3]["name"] == "E3" and groups[0]["channels"][3]["unit"] == "microvolts", groups[0])
+    expect(info["sample_ledger"]["closes"], info["sample_ledger"])
+    marks = [event for event in info["events"] if event["kind"] == "mark"]
+    texts = [event["text"] for event in marks]
+    first = int(texts[0].split()[1])
+    # They were sent every 100 ms, and have their own time stamps.
+    steps_ns = np.diff([event["device_ticks"] for event in marks])
+    expect(np.abs(steps_ns - 1e8).max() < 1e3, f"{steps_ns} ns from event to event")
+    expect(np.abs(np.diff([event["frame"] for event in marks]) - 10).max() <= 1, [event["frame"] for event in marks])
+    expect(len(texts) >= 30 and texts == [f"mark {first + k} äöü" for k in range(len(texts))], texts)
+    expect(report["ledger"]["recorded"] >= 380, report)
+    return f"{groups[0]['samples']} samples, {len(texts)} events"
+
+
+def check_irregular(options, folder):
+    """Samples without a rate are events with their values; they need another stream beside them."""
+    gaze, mocap, take = f"gaze {SESSION}", f"beside {SESSION}", folder / "gaze.take"
+    with publisher("irregular", gaze), publisher("mocap", mocap):
+        _, notes = recorded(options, f"lsl:{mocap},{gaze}", take, "--seconds", "3s")
+        alone = record(options, f"lsl:{gaze}", folder / "alone.take", "--seconds", "1s")
+    expect(alone.returncode == 1 and "events alone are no recording" in alone.stderr, alone.stderr)
+    expect("states no rate" in notes, notes)
+    texts = [event["text"] for event in info_of(options, take)["events"] if event["kind"] == "mark"]
+    first = int(round((float(texts[0].split()[0]) + 1.0) / 0.001))
+    sent = [[value(first + k, channel) for channel in range(2)] for k in range(len(texts))]
+    got = [[np.float32(number) for number in text.split()] for text in texts]
+    expect(len(got) >= 15 and got == sent, f"{got[:3]}, not {sent[:3]}")
+    return f"{len(texts)} events"
+
+
+def check_outage(options, folder):
+    """A stream that dies and comes back is an outage with its cause; the take goes on."""
+    name, take = f"dies {SESSION}", folder / "dies.take"
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        with publisher("mocap", name):
+            ours = pool.submit(recorded, options, f"lsl:{name}", take, "--seconds", "10s", code=3)
+            time.sleep(4)
+        time.sleep(1.5)
+        with publisher("mocap", name):
+            report, notes = ours.result()
+    expect("is over" in notes and "the device is back" in notes, notes)
+    expect(report["outages"]["count"] == 1, report)
+    ledger = report["ledger"]
+    away = ledger["frames_sent"] - ledger["recorded"]
+    expect(100 <= away and ledger["recorded"] >= 400, ledger)
+    return f"{ledger['recorded']} frames, {away} while it was away"
+
+
+def check_others_go_on(options, folder):
+    """A stream of events that dies and comes back ends nothing: frames go on, and its texts come again."""
+    mocap, marks, take = f"goes on {SESSION}", f"comes back {SESSION}", folder / "others.take"
+    with publisher("mocap", mocap), concurrent.futures.ThreadPoolExecutor(1) as pool:
+        with publisher("strings", marks):
+            ours = pool.submit(recorded, options, f"lsl:{mocap},{marks}", take, "--seconds", "9s")
+            time.sleep(3.5)
+        time.sleep(1)
+        with publisher("strings", marks):
+            report, notes = ours.result()
+    expect(f"'{marks}' is over" in notes and f"'{marks}' is back" in notes, notes)
+    expect(report["ledger"]["recorded"] >= 880 and report["outages"]["count"] == 0, report)
+    numbers = [int(event["text"].split()[1]) for event in info_of(options, take)["events"] if event["kind"] == "mark"]
+    begins = [at for at, number in enumerate(numbers) if number == 0]
+    expect(len(begins) == 1 and 10 <= begins[0] <= len(numbers) - 10, numbers)
+    return f"{report['ledger']['recorded']} frames, {len(numbers)} events"
+
+
+def check_names(options, folder):
+    """Errors say what was found and what to do."""
+    name = f"names {SESSION}"
+    with publisher("strings", name), publisher("mocap", name):
+        nobody = record(options, "lsl:nobody", folder / "x.take", "--seconds", "1s")
+        expect(nobody.returncode == 1 and "no stream 'nobody'" in nobody.stderr and name in nobody.stderr, nobody.stderr)
+        several = record(options, f"lsl:{name}", folder / "x.take", "--seconds", "1s")
+        expect(several.returncode == 1 and "2 streams match" in several.stderr, several.stderr)
+        recorded(options, f"lsl:{name}?type=MoCap", folder / "one.take", "--seconds", "1s")
+    return "3 answers"
+
+
+def check_convention(options, folder):
+    """Our stream and our XDF file describe the same motion in the same way; only the unit differs."""
+    with simulator(options, folder / "motion.csv", "--loop", "--serial", "convention") as names:
+        inlet = inlet_of(names[0])
+        ours = channels_of(inlet.info(10))
+        recorded(options, f"lsl:{names[0]}", folder / "convention.take", "--seconds", "2s")
+    stream = xdf_of(options, folder / "convention.take")["MoCap"]
+    channels = stream["info"]["desc"][0]["channels"][0]["channel"]
+    written = [tuple(channel[key][0] for key in ("label", "marker", "type", "unit")) for channel in channels]
+    expect([channel[:3] for channel in ours] == [channel[:3] for channel in written], "labels, markers or types")
+    expect({channel[3] for channel in ours} == {"meters"} and {channel[3] for channel in written} == {"millimeters"}, "units")
+    got = np.array(stream["time_series"], dtype=np.float32).reshape(-1, N_MARKERS, 3)
+    metres = (positions_mm().astype(np.float64) / 1000).astype(np.float32)
+    millimetres = (metres.astype(np.float64) * 1000).astype(np.float32)
+    first = int(np.flatnonzero((millimetres[:, 0] == got[0, 0]).all(axis=1))[0])
+    wanted = millimetres[(first + np.arange(len(got))) % N_FRAMES]
+    expect(((got == wanted) | (np.isnan(got) & np.isnan(wanted))).all(), "positions")
+    return f"{len(got)} samples"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mocapd-sim", required=True, type=Path)
+    parser.add_argument("--mocapd", required=True, type=Path)
+    parser.add_argument("--seconds", type=float, default=20, help="how long our stream is read")
+    parser.add_argument("--only", help="run checks whose name contains this")
+    options = parser.parse_args()
+    options.mocapd, options.mocapd_sim = options.mocapd.resolve(), options.mocapd_sim.resolve()
+    checks = [check_outlet, check_same_stream, check_units, check_eeg_and_events, check_irregular, check_outage,
+              check_others_go_on, check_names,
+              check_convention]
+    checks = [check for check in checks if options.only is None or options.only in check.__name__]
+    passed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        configuration = folder / "lsl.cfg"
+        configuration.write_text(CONFIGURATION)
+        os.environ["LSLAPICFG"] = str(configuration)
+        write_motion(folder / "motion.csv")
+        with concurrent.futures.ThreadPoolExecutor(len(checks)) as pool:
+            running = {pool.submit(check, options, folder): check for check in checks}
+            for done in concurrent.futures.as_completed(running):
+                name = running[done].__name__.removeprefix("check_")
+                try:
+                    print(f"ok   {name}: {done.result()}", flush=True)
+                    passed += 1
+                except Exception as problem:  # any failure is this check's, the others still count
+                    print(f"FAIL {name}: {type(problem).__name__}: {problem}", flush=True)
+    print(f"{passed} passed, {len(checks) - passed} failed")
+    sys.exit(passed != len(checks))
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 3 and sys.argv[1] == "--publish":
+        publish(sys.argv[2], sys.argv[3], sys.argv[4:])
+    else:
+        main()
