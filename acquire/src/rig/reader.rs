@@ -9,8 +9,7 @@ use std::{
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
     device::{
-        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, Mark, MarkerInfo, Pong,
-        SampledGroupInfo, Status, Trigger,
+        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, Mark, Pong, Status, Trigger,
     },
     transport::TransportError,
 };
