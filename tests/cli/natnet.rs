@@ -150,7 +150,11 @@ fn a_recording_equals_the_floats_on_the_wire_bit_for_bit() {
 fn ledger_agrees(stream: ServedStream, text: &str, code: Option<i32>) -> (Value, String) {
     let folder = Folder::new();
     let script = Script::parse("script", &format!("seed = 1\n{text}")).unwrap();
-    let settings = NatNetSettings { faults: Some(Arc::new(script)), ..NatNetSettings::new(stream) };
+    let settings = NatNetSettings {
+        faults: Some(Arc::new(script)),
+        looping: true,
+        ..NatNetSettings::new(stream)
+    };
     let served = Served::new(motion(), settings);
     let ran = record(&folder, &served.uri, "a.take", &[]);
     if let Some(code) = code {
@@ -218,12 +222,13 @@ fn definitions_that_change_open_a_channel_and_lose_no_frame() {
 
 #[test]
 fn definitions_that_come_late_and_frames_that_come_early_cost_nothing_else() {
-    let script = "[[fault]]\nkind = \"late-model\"\nfor_s = 2.5\n[[fault]]\nkind = \"early-frames\"\ncount = 20\n";
+    let script = "[[fault]]\nkind = \"late-model\"\nfor_s = 2.3\n[[fault]]\nkind = \"early-frames\"\ncount = 20\n";
     let (info, context) = ledger_agrees(streams()[1], script, None);
     let labels: Vec<_> =
         info["channels"].as_array().unwrap().iter().map(|c| c["label"].clone()).collect();
-    let named = motion().info.markers.iter().filter(|m| m.labelled).count();
-    let found = motion().info.markers.iter().filter(|m| labels.contains(&Value::from(&*m.label)));
+    let motion = motion();
+    let named = motion.info.markers.iter().filter(|m| m.labelled).count();
+    let found = motion.info.markers.iter().filter(|m| labels.contains(&Value::from(&*m.label)));
     assert_eq!(found.count(), named, "{labels:?}\n{context}");
     assert_mentions(&info["events"].to_string(), &["has not sent its definitions yet"]);
 }

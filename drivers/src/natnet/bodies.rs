@@ -1,9 +1,8 @@
 //! Rigid bodies as the recorder numbers them.
 
 use super::{
-    frame::{FrameOfData, WireBody},
+    frame::{FrameOfData, WireBody, in_mm},
     model::{AssetKind, Model},
-    run::in_mm,
 };
 use crate::device::{BODIES_MAX, BodyInfo, Pose, PoseStatus};
 

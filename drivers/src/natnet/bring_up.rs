@@ -4,7 +4,7 @@
 use super::{
     COMMAND_PORT, DATA_PORT, GROUP,
     frame::FrameOfData,
-    host::{MS, NatNetHost, REPLY_TIMEOUT_NS, SessionState, Step},
+    host::{HostPhase, MS, NatNetHost, REPLY_TIMEOUT_NS, SetupStep},
     message::{Bitstream, Message, MessageKind, ServerInfo, put_message},
     model::{AssetKind, Model, ModelError},
     names::MarkerNames,
@@ -39,13 +39,13 @@ impl NatNetHost {
     pub(super) fn begin_bring_up(&mut self) {
         self.reset_remarks();
         self.line.send(LineCommand::StopListening);
-        self.ask(Step::Connect);
+        self.ask(SetupStep::Connect);
     }
 
-    fn ask(&mut self, step: Step) {
-        self.state = SessionState::BringUp(step);
+    fn ask(&mut self, step: SetupStep) {
+        self.state = HostPhase::BringUp(step);
         self.step_ns = self.line.now_ns();
-        if step == Step::FirstFrame
+        if step == SetupStep::FirstFrame
             && let Some(source) = self.source
         {
             self.line.send(LineCommand::Listen(source));
@@ -53,26 +53,26 @@ impl NatNetHost {
         self.send_request(step);
     }
 
-    fn send_request(&mut self, step: Step) {
+    fn send_request(&mut self, step: SetupStep) {
         match step {
-            Step::Connect => self.send_text(MessageKind::Connect, "Ping"),
-            Step::Bitstream => {
+            SetupStep::Connect => self.send_text(MessageKind::Connect, "Ping"),
+            SetupStep::Bitstream => {
                 self.send_text(MessageKind::Request, &format!("Bitstream,{}", Bitstream::NEWEST));
             }
-            Step::FrameRate => self.send_text(MessageKind::Request, "FrameRate"),
-            Step::Model => self.send_empty(MessageKind::RequestModel),
-            Step::SamplesPerFrame => {
+            SetupStep::FrameRate => self.send_text(MessageKind::Request, "FrameRate"),
+            SetupStep::Model => self.send_empty(MessageKind::RequestModel),
+            SetupStep::SamplesPerFrame => {
                 self.send_text(MessageKind::Request, "AnalogSamplesPerMocapFrame");
             }
-            Step::FirstFrame => {}
+            SetupStep::FirstFrame => {}
         }
     }
 
     /// Repeats the request of a step whose reply is overdue, or gives it up.
-    pub(super) fn tick_bring_up(&mut self, step: Step, waited_ns: u64, is_overdue: bool) {
+    pub(super) fn tick_bring_up(&mut self, step: SetupStep, waited_ns: u64, is_overdue: bool) {
         let timeout_ns = match step {
-            Step::Model => MODEL_TIMEOUT_NS,
-            Step::FirstFrame => FIRST_FRAME_TIMEOUT_NS,
+            SetupStep::Model => MODEL_TIMEOUT_NS,
+            SetupStep::FirstFrame => FIRST_FRAME_TIMEOUT_NS,
             _ => REPLY_TIMEOUT_NS,
         };
         if waited_ns <= timeout_ns {
@@ -82,7 +82,7 @@ impl NatNetHost {
             return;
         }
         match step {
-            Step::Connect => self.fail(&match self.line.stranger() {
+            SetupStep::Connect => self.fail(&match self.line.stranger() {
                 Some(stranger) => format!(
                     "no NatNet server answers at this address, but datagrams come from {}: use natnet:{}",
                     stranger.ip(),
@@ -94,12 +94,12 @@ impl NatNetHost {
                  {COMMAND_PORT}; local= names another interface of this machine"
                 ),
             }),
-            Step::Bitstream => self.ask(Step::FrameRate),
-            Step::FrameRate => self.fail(
+            SetupStep::Bitstream => self.ask(SetupStep::FrameRate),
+            SetupStep::FrameRate => self.fail(
                 "the server answers, but does not state its frame rate: it may be busy with another task; try again, or \
                  restart it",
             ),
-            Step::Model => {
+            SetupStep::Model => {
                 self.remarks.push(
                     "the server has not sent its definitions yet: markers get their names when it does".to_owned(),
                 );
@@ -108,23 +108,23 @@ impl NatNetHost {
                 self.use_model();
                 self.after_model();
             }
-            Step::SamplesPerFrame => self.ask(Step::FirstFrame),
-            Step::FirstFrame => self.set_ready(None),
+            SetupStep::SamplesPerFrame => self.ask(SetupStep::FirstFrame),
+            SetupStep::FirstFrame => self.set_ready(None),
         }
     }
 
     pub(super) fn on_bring_up_reply(
         &mut self,
-        step: Step,
+        step: SetupStep,
         kind: MessageKind,
         message: &Message<'_>,
     ) {
         match (step, kind) {
-            (Step::Connect, MessageKind::ServerInfo) => match ServerInfo::read(message.body) {
+            (SetupStep::Connect, MessageKind::ServerInfo) => match ServerInfo::read(message.body) {
                 Some(server) => self.on_server_info(server),
                 None => self.counters.messages_damaged += 1,
             },
-            (Step::Bitstream, MessageKind::Response | MessageKind::Unrecognized) => {
+            (SetupStep::Bitstream, MessageKind::Response | MessageKind::Unrecognized) => {
                 // Servers reply with 0, or with the version.
                 let is_granted = kind == MessageKind::Response
                     && (message.body == [0; 4] || message.text().starts_with("Bitstream"));
@@ -134,29 +134,32 @@ impl NatNetHost {
                         Bitstream::NEWEST
                     ));
                 }
-                self.ask(Step::FrameRate);
+                self.ask(SetupStep::FrameRate);
             }
-            (Step::FrameRate, MessageKind::Response) => {
+            (SetupStep::FrameRate, MessageKind::Response) => {
                 let rate_hz = f32::decode(message.body).filter(|hz| RATE_HZ.contains(hz));
                 if let Some(rate_hz) = rate_hz {
                     self.hello.rate_millihertz = (f64::from(rate_hz) * 1000.0).round() as u32;
-                    self.ask(Step::Model);
+                    self.ask(SetupStep::Model);
                 }
             }
-            (Step::Model, MessageKind::Model) => {
+            (SetupStep::Model, MessageKind::Model) => {
                 self.read_model(message.body);
                 self.use_model();
                 self.after_model();
             }
-            (Step::SamplesPerFrame, MessageKind::Response) => {
+            (SetupStep::SamplesPerFrame, MessageKind::Response) => {
                 // A late reply to an earlier request is a float, which is a large number here.
                 let n_samples = u32::decode(message.body);
-                if let Some(n) = n_samples.filter(|n| (1..=SAMPLES_PER_FRAME_MAX).contains(n)) {
-                    self.samples_per_frame = Some(n);
-                    self.ask(Step::FirstFrame);
+                if let Some(n) = n_samples.filter(|n| *n <= SAMPLES_PER_FRAME_MAX) {
+                    // Motive states 0 while it takes none.
+                    self.samples_per_frame = Some(n).filter(|n| *n > 0);
+                    self.ask(SetupStep::FirstFrame);
                 }
             }
-            (Step::SamplesPerFrame, MessageKind::Unrecognized) => self.ask(Step::FirstFrame),
+            (SetupStep::SamplesPerFrame, MessageKind::Unrecognized) => {
+                self.ask(SetupStep::FirstFrame)
+            }
             _ => {}
         }
     }
@@ -201,16 +204,16 @@ impl NatNetHost {
         self.version = stated.min(Bitstream::NEWEST);
         self.server = Some(server);
         if stated == self.version {
-            return self.ask(Step::FrameRate);
+            return self.ask(SetupStep::FrameRate);
         }
         if is_multicast {
             self.remarks.push(format!(
                 "the server sends bitstream {stated}, which is read as {}: what is unknown in it is skipped",
                 self.version
             ));
-            return self.ask(Step::FrameRate);
+            return self.ask(SetupStep::FrameRate);
         }
-        self.ask(Step::Bitstream);
+        self.ask(SetupStep::Bitstream);
     }
 
     /// Reads definitions in the layout that is in use, or in another one that fits.
@@ -276,8 +279,8 @@ impl NatNetHost {
         // Before 3.0 force plates are not described.
         match (self.version.has_ticks(), self.model.sampled.is_empty()) {
             (true, true) => self.set_ready(None),
-            (true, false) => self.ask(Step::SamplesPerFrame),
-            (false, _) => self.ask(Step::FirstFrame),
+            (true, false) => self.ask(SetupStep::SamplesPerFrame),
+            (false, _) => self.ask(SetupStep::FirstFrame),
         }
     }
 
@@ -320,7 +323,7 @@ impl NatNetHost {
         self.axis = FrameAxis::new(rate_millihertz);
         self.line.send(LineCommand::StopListening);
         self.first_version = self.version;
-        self.state = SessionState::Ready;
+        self.state = HostPhase::Ready;
     }
 
     /// The server's clock in nanoseconds: a take states one rate of the clock, and a server that comes back may have another.

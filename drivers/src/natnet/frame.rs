@@ -26,9 +26,14 @@ pub const ACTIVE: u16 = 0x20;
 /// Models have changed since the frame before.
 pub const MODELS_CHANGED: u16 = 0x02;
 
+/// Metres as millimetres, rounded once.
+pub(super) fn in_mm(position_m: [f32; 3]) -> [f32; 3] {
+    position_m.map(|metres| (f64::from(metres) * 1000.0) as f32)
+}
+
 /// A marker of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct WireMarker {
+pub struct NatNetMarker {
     /// Its asset in the upper half, and its number in the asset, from 1 on, in the lower one; of an unlabelled marker what
     /// identifies it between frames.
     pub id: u32,
@@ -42,7 +47,7 @@ pub struct WireMarker {
     pub residual_m: f32,
 }
 
-impl WireMarker {
+impl NatNetMarker {
     /// Bytes of a marker.
     fn bytes(version: Bitstream) -> usize {
         22 + if version.has_ticks() { 4 } else { 0 }
@@ -283,11 +288,11 @@ fn walk_skeleton(cursor: &mut Cursor<'_>, version: Bitstream) -> Option<()> {
 fn walk_asset(cursor: &mut Cursor<'_>, version: Bitstream) -> Option<()> {
     cursor.get::<u32>()?;
     walk_counted(cursor, BODY_BYTES)?;
-    walk_counted(cursor, WireMarker::bytes(version))
+    walk_counted(cursor, NatNetMarker::bytes(version))
 }
 
 fn walk_marker(cursor: &mut Cursor<'_>, version: Bitstream) -> Option<()> {
-    cursor.bytes(WireMarker::bytes(version)).map(|_| ())
+    cursor.bytes(NatNetMarker::bytes(version)).map(|_| ())
 }
 
 fn walk_sampled(cursor: &mut Cursor<'_>, _: Bitstream) -> Option<()> {
@@ -339,9 +344,9 @@ impl<'a> FrameOfData<'a> {
     }
 
     /// Labelled markers; from bitstream 3.0 on the unlabelled ones, too.
-    pub fn markers(&self) -> impl Iterator<Item = WireMarker> + use<'a> {
+    pub fn markers(&self) -> impl Iterator<Item = NatNetMarker> + use<'a> {
         let (mut cursor, version) = (Cursor::new(self.labelled), self.version);
-        std::iter::from_fn(move || WireMarker::read(&mut cursor, version))
+        std::iter::from_fn(move || NatNetMarker::read(&mut cursor, version))
     }
 
     /// Rigid bodies; none if those of a later version have another size.
@@ -487,9 +492,9 @@ pub struct FrameToSend<'a> {
     /// Ids of skeletons, which are sent without bones.
     pub skeletons: &'a [u32],
     /// Labelled markers.
-    pub labelled: &'a [WireMarker],
+    pub labelled: &'a [NatNetMarker],
     /// Unlabelled markers. Before bitstream 3.0 only their positions are sent.
-    pub unlabelled: &'a [WireMarker],
+    pub unlabelled: &'a [NatNetMarker],
     /// The force plates.
     pub plates: &'a [SampledToSend<'a>],
     /// Other devices; not before bitstream 2.11.

@@ -5,8 +5,8 @@ use super::{
     message::{Bitstream, Message, MessageKind, ServerInfo, put_echo, put_message, put_text},
     model::Model,
     names::MarkerNames,
-    run::StreamRun,
     sampled::SampledGroups,
+    stream_run::NatNetRun,
 };
 use crate::{
     device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerSample, Pong, Protocol},
@@ -22,7 +22,7 @@ use crate::{
 pub(super) const MS: u64 = 1_000_000;
 
 /// Receiver of the decoded events.
-pub(super) type EventSink<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
+pub(super) type Events<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
 
 /// Time after which a request is repeated: a datagram may be lost. Servers reply in milliseconds.
 pub(super) const REPEAT_NS: u64 = 250 * MS;
@@ -42,7 +42,7 @@ const KEEP_ALIVE_NS: u64 = 1_000 * MS;
 
 /// What the driver waits for while it is set up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Step {
+pub(super) enum SetupStep {
     Connect,
     /// Whether the server changes to the newest bitstream that is known.
     Bitstream,
@@ -56,13 +56,13 @@ pub(super) enum Step {
 
 /// State of the driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum SessionState {
+pub(super) enum HostPhase {
     /// Not begun.
     Off,
     /// Failed: nothing that arrives is decoded.
     Over,
     /// Asking for what has to be known.
-    BringUp(Step),
+    BringUp(SetupStep),
     /// Set up; frames are not wanted.
     Ready,
     /// Frames are wanted from the reply to a request on: what waits in front of it was sent before.
@@ -73,7 +73,7 @@ pub(super) enum SessionState {
 
 /// Commands of the recorder that are not completed yet.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct UnfinishedCommands {
+pub(super) struct OpenCommands {
     hello: bool,
     start: bool,
     stop: bool,
@@ -89,8 +89,8 @@ pub struct NatNetHost {
     pub(super) name: String,
     /// How frames are to travel, if the user says so.
     pub(super) wanted_mode: Option<StreamMode>,
-    pub(super) state: SessionState,
-    todo: UnfinishedCommands,
+    pub(super) state: HostPhase,
+    todo: OpenCommands,
     /// When the last request was sent, and when the step began that it belongs to.
     request_ns: u64,
     pub(super) step_ns: u64,
@@ -122,7 +122,7 @@ pub struct NatNetHost {
     /// The frame, counted from 1, in which each labelled marker was last.
     pub(super) seen: Vec<u64>,
     pub(super) axis: FrameAxis,
-    pub(super) run: StreamRun,
+    pub(super) run: NatNetRun,
     /// What the server leaves open: one line each, for the take.
     pub(super) remarks: Vec<String>,
     /// The system's remark about the line.
@@ -143,8 +143,8 @@ impl NatNetHost {
             line,
             wanted_mode: address.mode,
             name: Location::Network(address).to_string(),
-            state: SessionState::Off,
-            todo: UnfinishedCommands::default(),
+            state: HostPhase::Off,
+            todo: OpenCommands::default(),
             request_ns: 0,
             step_ns: 0,
             last_message_ns: 0,
@@ -169,7 +169,7 @@ impl NatNetHost {
             samples: Vec::new(),
             seen: Vec::new(),
             axis: FrameAxis::default(),
-            run: StreamRun::default(),
+            run: NatNetRun::default(),
             remarks: Vec::new(),
             line_remark: None,
             unsent_end: None,
@@ -212,13 +212,13 @@ impl NatNetHost {
 
     /// Nothing is decoded from here on. If the queue is full of requests, the end waits for the next read.
     fn end_session(&mut self, command: LineCommand) {
-        self.state = SessionState::Over;
+        self.state = HostPhase::Over;
         if !self.line.send(command.clone()) {
             self.unsent_end = Some(command);
         }
     }
 
-    fn on_message(&mut self, message: &Message<'_>, on_event: EventSink<'_>) {
+    fn on_message(&mut self, message: &Message<'_>, on_event: Events<'_>) {
         let Some(kind) = message.kind else {
             self.counters.messages_unknown += 1;
             return;
@@ -227,32 +227,32 @@ impl NatNetHost {
         self.last_message_ns = self.line.now_ns();
         self.check_ns = None;
         match (kind, self.state) {
-            (_, SessionState::Off | SessionState::Over) => {}
-            (MessageKind::Frame, SessionState::Streaming) => self.on_frame(message.body, on_event),
-            (MessageKind::Frame, SessionState::BringUp(Step::FirstFrame)) => {
+            (_, HostPhase::Off | HostPhase::Over) => {}
+            (MessageKind::Frame, HostPhase::Streaming) => self.on_frame(message.body, on_event),
+            (MessageKind::Frame, HostPhase::BringUp(SetupStep::FirstFrame)) => {
                 self.on_first_frame(message.body);
             }
-            (MessageKind::Model, SessionState::Streaming) => self.on_new_model(message, on_event),
-            (MessageKind::EchoReply, SessionState::Streaming) => self.on_echo(message, on_event),
-            (MessageKind::Model, SessionState::Starting) => self.on_new_model(message, on_event),
-            (MessageKind::Response, SessionState::Starting) => {
-                self.state = SessionState::Streaming;
+            (MessageKind::Model, HostPhase::Streaming) => self.on_new_model(message, on_event),
+            (MessageKind::EchoReply, HostPhase::Streaming) => self.on_echo(message, on_event),
+            (MessageKind::Model, HostPhase::Starting) => self.on_new_model(message, on_event),
+            (MessageKind::Response, HostPhase::Starting) => {
+                self.state = HostPhase::Streaming;
                 self.report_started(on_event);
             }
 
-            (MessageKind::DisconnectByTimeout, SessionState::Streaming) => {
+            (MessageKind::DisconnectByTimeout, HostPhase::Streaming) => {
                 self.note("the server took mocapd for gone: connecting again", on_event);
                 self.send_text(MessageKind::Connect, "Ping");
             }
-            (MessageKind::Text, SessionState::Streaming) => {
+            (MessageKind::Text, HostPhase::Streaming) => {
                 self.note(&format!("the server says: {}", message.text()), on_event);
             }
-            (_, SessionState::BringUp(step)) => self.on_bring_up_reply(step, kind, message),
+            (_, HostPhase::BringUp(step)) => self.on_bring_up_reply(step, kind, message),
             _ => {}
         }
     }
 
-    fn on_echo(&mut self, message: &Message<'_>, on_event: EventSink<'_>) {
+    fn on_echo(&mut self, message: &Message<'_>, on_event: Events<'_>) {
         match super::message::read_echo_reply(message.body) {
             Some((host_ns, ticks)) => {
                 let device_ticks = self.in_ns(ticks);
@@ -263,7 +263,7 @@ impl NatNetHost {
     }
 
     /// What is due by the clock.
-    fn tick(&mut self, on_event: EventSink<'_>) {
+    fn tick(&mut self, on_event: Events<'_>) {
         if let Some(command) = self.unsent_end.take() {
             self.end_session(command);
         }
@@ -271,24 +271,22 @@ impl NatNetHost {
         let since = |at_ns: u64| now_ns.saturating_sub(at_ns);
         let is_overdue = since(self.request_ns) > REPEAT_NS;
         match self.state {
-            SessionState::BringUp(step) => {
+            HostPhase::BringUp(step) => {
                 self.tick_bring_up(step, since(self.step_ns), is_overdue);
             }
-            SessionState::Starting if since(self.step_ns) > REPLY_TIMEOUT_NS => {
+            HostPhase::Starting if since(self.step_ns) > REPLY_TIMEOUT_NS => {
                 self.lose("the server does not answer any more".to_owned());
             }
-            SessionState::Starting if is_overdue => self.send_fence(),
-            SessionState::Streaming => {
+            HostPhase::Starting if is_overdue => self.send_fence(),
+            HostPhase::Streaming => {
                 self.tick_stream(on_event);
                 self.check_silence();
             }
             _ => {}
         }
         let is_alone = self.server.is_some() && self.source.is_none();
-        let is_up = matches!(
-            self.state,
-            SessionState::Ready | SessionState::Starting | SessionState::Streaming
-        );
+        let is_up =
+            matches!(self.state, HostPhase::Ready | HostPhase::Starting | HostPhase::Streaming);
         if is_alone && is_up && since(self.keep_alive_ns) > KEEP_ALIVE_NS {
             self.keep_alive_ns = now_ns;
             let request_ns = self.request_ns;
@@ -326,8 +324,8 @@ impl NatNetHost {
     }
 
     /// Completes pending commands as soon as the state permits.
-    fn complete_commands(&mut self, on_event: EventSink<'_>) {
-        if self.state != SessionState::Ready {
+    fn complete_commands(&mut self, on_event: Events<'_>) {
+        if self.state != HostPhase::Ready {
             return;
         }
         if std::mem::take(&mut self.todo.hello) {
@@ -348,11 +346,11 @@ impl NatNetHost {
             on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks: self.run.last_ticks }));
         }
         if std::mem::take(&mut self.todo.start) {
-            self.run = StreamRun::default();
+            self.run = NatNetRun::default();
             self.seen.clear();
             self.awaits_model_ns = None;
             self.model_request_ns = self.line.now_ns();
-            self.state = SessionState::Starting;
+            self.state = HostPhase::Starting;
             self.step_ns = self.line.now_ns();
             if let Some(source) = self.source {
                 self.line.send(LineCommand::Listen(source));
@@ -385,14 +383,14 @@ impl Protocol for NatNetHost {
         let (sender, receiver) = line_command_channel();
         self.line = sender;
         self.line_remark = line.remark();
-        self.state = SessionState::Off;
-        self.todo = UnfinishedCommands::default();
+        self.state = HostPhase::Off;
+        self.todo = OpenCommands::default();
         self.server = None;
         self.check_ns = None;
         (self.last_message_ns, self.keep_alive_ns) = (0, 0);
         (self.awaits_model_ns, self.model_request_ns) = (None, 0);
         self.unsent_end = None;
-        self.run = StreamRun::default();
+        self.run = NatNetRun::default();
         Box::new(PolledTransport::new(line, receiver))
     }
 
@@ -416,7 +414,7 @@ impl Protocol for NatNetHost {
         match command {
             Command::Identify => {
                 self.todo.hello = true;
-                if !matches!(self.state, SessionState::BringUp(_)) {
+                if !matches!(self.state, HostPhase::BringUp(_)) {
                     self.begin_bring_up();
                 }
             }
@@ -424,17 +422,17 @@ impl Protocol for NatNetHost {
             Command::Stop => {
                 self.todo.start = false;
                 match self.state {
-                    SessionState::Starting | SessionState::Streaming => {
+                    HostPhase::Starting | HostPhase::Streaming => {
                         self.todo.stop = true;
-                        self.state = SessionState::Ready;
+                        self.state = HostPhase::Ready;
                         self.line.send(LineCommand::StopListening);
                     }
-                    SessionState::Ready => self.todo.stop = true,
-                    SessionState::Off | SessionState::Over | SessionState::BringUp(_) => {}
+                    HostPhase::Ready => self.todo.stop = true,
+                    HostPhase::Off | HostPhase::Over | HostPhase::BringUp(_) => {}
                 }
             }
             Command::SetRate(rate_millihertz) => self.todo.set_rate = Some(rate_millihertz),
-            Command::Ping { host_ns } if self.state == SessionState::Streaming => {
+            Command::Ping { host_ns } if self.state == HostPhase::Streaming => {
                 if self.has_clock() {
                     put_echo(host_ns, None, out);
                 }

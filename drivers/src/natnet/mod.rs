@@ -14,6 +14,7 @@ mod names;
 mod run;
 mod sampled;
 mod server;
+mod stream_run;
 
 use std::net::Ipv4Addr;
 
@@ -21,8 +22,8 @@ pub use self::{
     discovery::find_servers,
     frame::{
         ACTIVE, ChannelSamples, FrameEnd, FrameOfData, FrameToSend, HAS_MODEL, MEASURED,
-        MODEL_FILLED, MODELS_CHANGED, OCCLUDED, SampledData, SampledToSend, SetPositions,
-        SetToSend, UNLABELLED, WireBody, WireMarker, put_frame,
+        MODEL_FILLED, MODELS_CHANGED, NatNetMarker, OCCLUDED, SampledData, SampledToSend,
+        SetPositions, SetToSend, UNLABELLED, WireBody, put_frame,
     },
     host::NatNetHost,
     message::{

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 
 use super::{
-    frame::{ACTIVE, FrameOfData, HAS_MODEL, OCCLUDED, UNLABELLED, WireMarker},
+    frame::{ACTIVE, FrameOfData, HAS_MODEL, NatNetMarker, OCCLUDED, UNLABELLED},
     message::text_of,
     model::Model,
 };
@@ -36,7 +36,7 @@ pub(super) struct MarkerNames {
 const LEARNED_MAX: usize = 1 << 14;
 
 /// Whether a marker of a frame has a label: flags tell it, and before bitstream 3.0 the asset in its id.
-pub(super) fn is_labelled(marker: &WireMarker, has_flags: bool) -> bool {
+pub(super) fn is_labelled(marker: &NatNetMarker, has_flags: bool) -> bool {
     match has_flags {
         true if marker.flags & UNLABELLED != 0 => false,
         // Not all servers set the flag.

@@ -2,13 +2,13 @@
 
 use super::{
     DATA_PORT,
-    frame::{FrameOfData, MODEL_FILLED, MODELS_CHANGED, OCCLUDED, WireMarker},
-    host::{EventSink, MS, NO_FRAMES_NS, NatNetHost, REPEAT_NS},
+    frame::{FrameOfData, MODEL_FILLED, MODELS_CHANGED, NatNetMarker, OCCLUDED, in_mm},
+    host::{Events, MS, NO_FRAMES_NS, NatNetHost, REPEAT_NS},
     message::{Bitstream, Message, MessageKind},
     names::{MarkerNames, is_labelled},
 };
 use crate::{
-    device::{DeviceEvent, Frame, LinkBudget, MarkerSample, PoseFrame, Status},
+    device::{DeviceEvent, Frame, LinkBudget, MarkerSample, PoseFrame},
     transport::{DatagramSource, polled::LineCommand},
 };
 
@@ -42,65 +42,9 @@ const BY_PLACE: u64 = 1 << 33;
 /// The frame counter in the middle of all: the device may begin again at a lower one.
 const INDEX_BASE: u64 = 1 << 40;
 
-/// The state of a stream.
-#[derive(Debug, Default)]
-pub(super) struct StreamRun {
-    /// When the last frame came, or frames were wanted; and when their group was joined again.
-    last_frame_ns: u64,
-    joined_ns: u64,
-    /// Number and stamps of the last frame.
-    last_key: Option<(u32, [u64; 3])>,
-    /// Whether definitions were requested because they changed.
-    had_change: bool,
-    is_stranger_noted: bool,
-    /// Counter of the first frame, and of the last that was not late; the latter also as the number of the frame.
-    first: Option<u32>,
-    last: u32,
-    index: u64,
-    /// The server's clock at the last frame.
-    pub(super) last_ticks: u64,
-    frames: u64,
-    notes: u32,
-    is_idle_noted: bool,
-    is_port_open: bool,
-    /// Frames whose sets were searched for names.
-    searches: u32,
-    /// Number of the last frame that was not late.
-    number: u32,
-    /// Whether the definitions may have changed.
-    doubts_model: bool,
-    /// Frames that wait for definitions, each with its layout.
-    held: Vec<(Bitstream, Vec<u8>)>,
-    /// Frames of an unknown layout.
-    misfits: u64,
-    /// Frames without the time of their exposure.
-    without_exposure: u64,
-    /// Markers whose positions are computed, and those without a channel.
-    filled: u64,
-    excess: u64,
-    /// Markers whose label was in their frame already.
-    repeated: u64,
-}
-
-impl StreamRun {
-    /// The final counters. The server does not state how many frames it made: these are frames by their numbers.
-    pub(super) fn status(&self) -> Status {
-        let produced = self.first.map_or(0, |first| u64::from(self.last.wrapping_sub(first)) + 1);
-        // A count that began again tells nothing.
-        let frames_produced =
-            if produced > u64::from(u32::MAX / 2) { self.frames } else { produced };
-        Status { frames_produced, frames_dropped: 0, temperature_c_100: i16::MIN }
-    }
-}
-
-/// Metres as millimetres, rounded once.
-pub(super) fn in_mm(position_m: [f32; 3]) -> [f32; 3] {
-    position_m.map(|metres| (f64::from(metres) * 1000.0) as f32)
-}
-
 impl NatNetHost {
     /// Frames come from now on.
-    pub(super) fn report_started(&mut self, on_event: EventSink<'_>) {
+    pub(super) fn report_started(&mut self, on_event: Events<'_>) {
         self.run.last_frame_ns = self.line.now_ns();
         on_event(DeviceEvent::Started(LinkBudget {
             needed_bytes_per_s: 0,
@@ -110,13 +54,13 @@ impl NatNetHost {
         self.pass_remarks(on_event);
     }
 
-    fn pass_remarks(&mut self, on_event: EventSink<'_>) {
+    fn pass_remarks(&mut self, on_event: Events<'_>) {
         for remark in std::mem::take(&mut self.remarks) {
             self.note(&remark, on_event);
         }
     }
 
-    pub(super) fn note(&mut self, text: &str, on_event: EventSink<'_>) {
+    pub(super) fn note(&mut self, text: &str, on_event: Events<'_>) {
         if self.run.notes < NOTES_MAX {
             self.run.notes += 1;
             on_event(DeviceEvent::Note(text));
@@ -143,7 +87,7 @@ impl NatNetHost {
         Some(frame)
     }
 
-    pub(super) fn on_frame(&mut self, body: &[u8], on_event: EventSink<'_>) {
+    pub(super) fn on_frame(&mut self, body: &[u8], on_event: Events<'_>) {
         let before = self.version;
         let Some(frame) = self.read_frame(body) else {
             return self.on_misfit(on_event);
@@ -188,7 +132,7 @@ impl NatNetHost {
     }
 
     /// A frame of an unknown layout. After many in a row the server has changed to another one.
-    fn on_misfit(&mut self, on_event: EventSink<'_>) {
+    fn on_misfit(&mut self, on_event: Events<'_>) {
         self.counters.messages_damaged += 1;
         self.run.misfits += 1;
         if self.run.misfits > MISFITS_MAX {
@@ -219,7 +163,7 @@ impl NatNetHost {
     }
 
     /// Decodes the frames that waited for definitions.
-    fn release_held(&mut self, on_event: EventSink<'_>) {
+    fn release_held(&mut self, on_event: Events<'_>) {
         self.awaits_model_ns = None;
         for (version, body) in std::mem::take(&mut self.run.held) {
             match FrameOfData::read(&body, version) {
@@ -230,7 +174,7 @@ impl NatNetHost {
     }
 
     /// The definitions came again.
-    pub(super) fn on_new_model(&mut self, message: &Message<'_>, on_event: EventSink<'_>) {
+    pub(super) fn on_new_model(&mut self, message: &Message<'_>, on_event: Events<'_>) {
         let before = self.labels.markers();
         let (sampled, bodies) = (self.model.sampled.clone(), self.bodies.infos.clone());
         self.read_model(message.body);
@@ -255,7 +199,7 @@ impl NatNetHost {
         self.release_held(on_event);
     }
 
-    fn decode(&mut self, frame: &FrameOfData<'_>, on_event: EventSink<'_>) {
+    fn decode(&mut self, frame: &FrameOfData<'_>, on_event: Events<'_>) {
         self.samples.clear();
         self.unlabelled.begin_frame();
         self.find_names(frame);
@@ -301,7 +245,7 @@ impl NatNetHost {
 
     /// Where markers have labels that no definition tells: their sets may have the same positions, or the definitions are old.
     fn find_names(&mut self, frame: &FrameOfData<'_>) {
-        let is_unknown = |names: &MarkerNames, marker: &WireMarker| {
+        let is_unknown = |names: &MarkerNames, marker: &NatNetMarker| {
             is_labelled(marker, frame.has_flags()) && names.label(marker.id).is_none()
         };
         let has_unknown = |names: &MarkerNames| frame.markers().any(|m| is_unknown(names, &m));
@@ -318,7 +262,7 @@ impl NatNetHost {
         self.request_model(false);
     }
 
-    fn add_marker(&mut self, marker: &WireMarker, has_flags: bool) {
+    fn add_marker(&mut self, marker: &NatNetMarker, has_flags: bool) {
         // Metres per ray as hundredths of a millimetre; a negative one and NaN become 0.
         let residual_10um = (marker.residual_m * 1e5).round().clamp(0.0, 255.0) as u8;
         let is_seen = marker.flags & OCCLUDED == 0;
@@ -383,7 +327,7 @@ impl NatNetHost {
     }
 
     /// What is due by the clock during a stream.
-    pub(super) fn tick_stream(&mut self, on_event: EventSink<'_>) {
+    pub(super) fn tick_stream(&mut self, on_event: Events<'_>) {
         let now_ns = self.line.now_ns();
         if self.awaits_model_ns.is_some_and(|at_ns| now_ns.saturating_sub(at_ns) > MODEL_WAIT_NS) {
             self.release_held(on_event);
@@ -430,7 +374,7 @@ impl NatNetHost {
     }
 
     /// Explains, once for each silence, why no frame comes.
-    fn note_idle(&mut self, on_event: EventSink<'_>) {
+    fn note_idle(&mut self, on_event: Events<'_>) {
         if std::mem::replace(&mut self.run.is_idle_noted, true) {
             return;
         }
@@ -461,7 +405,7 @@ fn timecode(bits: u32) -> Option<[u8; 4]> {
 
 impl NatNetHost {
     /// Reports at the end of a stream what was unusual in it.
-    pub(super) fn report_end(&mut self, on_event: EventSink<'_>) {
+    pub(super) fn report_end(&mut self, on_event: Events<'_>) {
         self.release_held(on_event);
         let run = &mut self.run;
         if run.frames > 0 && !self.bodies.infos.is_empty() {

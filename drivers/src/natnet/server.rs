@@ -51,7 +51,7 @@ pub struct ServerSettings {
 }
 
 #[derive(Debug)]
-struct Client {
+struct StreamClient {
     address: SocketAddr,
     version: Bitstream,
     last_ns: u64,
@@ -70,7 +70,7 @@ pub struct ServerDatagram {
 #[derive(Debug)]
 pub struct NatNetServer {
     settings: ServerSettings,
-    clients: Vec<Client>,
+    clients: Vec<StreamClient>,
     datagrams: Vec<ServerDatagram>,
     /// Requests for definitions are not replied to.
     withholds_model: bool,
@@ -211,7 +211,7 @@ impl NatNetServer {
                 }
             }
             let version = self.settings.bitstream;
-            self.clients.push(Client { address: from, version, last_ns: now_ns });
+            self.clients.push(StreamClient { address: from, version, last_ns: now_ns });
         }
     }
 

@@ -6,8 +6,8 @@ use std::net::Ipv4Addr;
 
 use mocapd_drivers::natnet::{
     AssetKind, Bitstream, FrameEnd, FrameOfData, FrameToSend, HAS_MODEL, MEASURED, Message,
-    MessageKind, Model, OCCLUDED, ServerInfo, SetToSend, StreamInfo, UNLABELLED, WireBody,
-    WireMarker, put_discovery, put_echo, put_frame, put_message, read_echo_reply,
+    MessageKind, Model, NatNetMarker, OCCLUDED, ServerInfo, SetToSend, StreamInfo, UNLABELLED,
+    WireBody, put_discovery, put_echo, put_frame, put_message, read_echo_reply,
 };
 
 const V3_0: Bitstream = Bitstream::new(3, 0);
@@ -30,10 +30,10 @@ fn floats<const N: usize>(bits: [u32; N]) -> [f32; N] {
     bits.map(f32::from_bits)
 }
 
-fn marker(id: u32, bits: [u32; 4], flags: u16, residual: u32) -> WireMarker {
+fn marker(id: u32, bits: [u32; 4], flags: u16, residual: u32) -> NatNetMarker {
     let [x, y, z, size_m] = floats(bits);
     let residual_m = f32::from_bits(residual);
-    WireMarker { id, position_m: [x, y, z], size_m, flags, residual_m }
+    NatNetMarker { id, position_m: [x, y, z], size_m, flags, residual_m }
 }
 
 #[test]

@@ -9,8 +9,8 @@ use mocapd_drivers::{
     },
     natnet::{
         Asset, AssetKind, Bitstream, FrameEnd, FrameToSend, HAS_MODEL, MEASURED, MarkerSet, Model,
-        NatNetHost, NatNetServer, OCCLUDED, SampledDescription, SampledToSend, ServedStream,
-        ServerSettings, SetToSend, UNLABELLED, WireMarker,
+        NatNetHost, NatNetMarker, NatNetServer, OCCLUDED, SampledDescription, SampledToSend,
+        ServedStream, ServerSettings, SetToSend, UNLABELLED,
     },
     transport::{
         DatagramSource,
@@ -216,7 +216,7 @@ pub(crate) fn position_m(number: u32, column: u32) -> [f32; 3] {
 /// The message of a frame.
 pub(crate) fn frame_bytes(number: u32, unlabelled: &[u32], flags: u16, server: &mut NatNetServer) {
     let version_has_ticks = server.settings().bitstream.has_ticks();
-    let marker = |id: u32, column: u32, flags: u16| WireMarker {
+    let marker = |id: u32, column: u32, flags: u16| NatNetMarker {
         id,
         position_m: position_m(number, column),
         size_m: 0.014,
@@ -224,7 +224,7 @@ pub(crate) fn frame_bytes(number: u32, unlabelled: &[u32], flags: u16, server: &
         residual_m: if version_has_ticks { 0.0025 } else { 0.0 },
     };
     let hidden =
-        WireMarker { position_m: [0.0; 3], ..marker(7 << 16 | 2, 1, HAS_MODEL | OCCLUDED) };
+        NatNetMarker { position_m: [0.0; 3], ..marker(7 << 16 | 2, 1, HAS_MODEL | OCCLUDED) };
     let labelled = [
         marker(7 << 16 | 1, 0, HAS_MODEL | MEASURED),
         if number % 5 == 3 { hidden } else { marker(7 << 16 | 2, 1, HAS_MODEL | MEASURED) },

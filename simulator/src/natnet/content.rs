@@ -4,8 +4,8 @@ use mocapd_drivers::{
     device::MarkerSample,
     natnet::{
         Asset, AssetKind, Bitstream, FrameEnd, FrameToSend, HAS_MODEL, MEASURED, MESSAGE_BYTES_MAX,
-        MarkerSet, Model, NatNetServer, OCCLUDED, SampledDescription, SampledToSend, SetToSend,
-        UNLABELLED, WireBody, WireMarker,
+        MarkerSet, Model, NatNetMarker, NatNetServer, OCCLUDED, SampledDescription, SampledToSend,
+        SetToSend, UNLABELLED, WireBody,
     },
 };
 use mocapd_take::motion::{Motion, Position, is_gap};
@@ -47,8 +47,8 @@ pub(super) struct Content {
     devices: Vec<SampledDevice>,
     positions_m: Vec<Vec<[f32; 3]>>,
     bodies: Vec<WireBody>,
-    labelled: Vec<WireMarker>,
-    unlabelled: Vec<WireMarker>,
+    labelled: Vec<NatNetMarker>,
+    unlabelled: Vec<NatNetMarker>,
     /// Samples of each device: one channel after another.
     samples: Vec<Vec<f32>>,
 }
@@ -217,7 +217,7 @@ impl Content {
             for (member, column) in columns.iter().enumerate() {
                 let position_m = seen(*column).map(in_m);
                 positions_m.push(position_m.unwrap_or_default());
-                self.labelled.push(WireMarker {
+                self.labelled.push(NatNetMarker {
                     id: ((index as u32 + 1) << 16) | (member as u32 + 1),
                     position_m: position_m.unwrap_or_default(),
                     size_m: MARKER_SIZE_M,
@@ -226,7 +226,7 @@ impl Content {
                 });
             }
         }
-        let unlabelled = |id: u32, position_mm: Position| WireMarker {
+        let unlabelled = |id: u32, position_mm: Position| NatNetMarker {
             id: FIRST_ID + id,
             position_m: in_m(position_mm),
             size_m: MARKER_SIZE_M,

@@ -157,7 +157,7 @@ const QUEUE_MAX: usize = 1 << 14;
 
 /// What the faults of a script do to one frame on its way.
 #[derive(Debug, Clone, Copy)]
-struct FrameFaults {
+struct DatagramFaults {
     is_lost: bool,
     copies: usize,
     late_by: Option<u32>,
@@ -465,7 +465,7 @@ impl NatNetDevice {
         self.release(1);
     }
 
-    fn send_frame(&mut self, sent: SentFrame, way: FrameFaults, at_ns: u64) {
+    fn send_frame(&mut self, sent: SentFrame, way: DatagramFaults, at_ns: u64) {
         let flags = if std::mem::take(&mut self.model_changed) { MODELS_CHANGED } else { 0 };
         let end = FrameEnd {
             timestamp_s: sent.device_ticks as f64 / CLOCK_HZ as f64,
@@ -523,8 +523,8 @@ impl NatNetDevice {
         due.into_iter().for_each(|(_, datagrams)| self.queue(datagrams.into_iter()));
     }
 
-    fn faults_on_the_way(&self, since_ns: u64) -> FrameFaults {
-        let mut way = FrameFaults { is_lost: false, copies: 1, late_by: None };
+    fn faults_on_the_way(&self, since_ns: u64) -> DatagramFaults {
+        let mut way = DatagramFaults { is_lost: false, copies: 1, late_by: None };
         let Some(script) = &self.settings.faults else { return way };
         let number = self.counters.frames_produced;
         for (index, scheduled) in script.active(since_ns) {

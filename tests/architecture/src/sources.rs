@@ -111,10 +111,13 @@ const RULES: &[Rule] = &[
             "drivers/src/transport/",
             // The crate of LSL calls so what has its descriptions.
             "simulator/src/lsl/",
+            "simulator/src/natnet/serve.rs",
             "simulator/src/qtm/serve.rs",
             "store/src/cloud/connect.rs",
             "store/src/local.rs",
             // Addresses, which are plain data.
+            "drivers/src/natnet/",
+            "simulator/src/natnet/mod.rs",
             "drivers/src/qtm/command.rs",
             "drivers/src/qtm/server/",
             "simulator/src/qtm/mod.rs",

@@ -2,7 +2,7 @@
 
 use mocapd_drivers::natnet::{
     Asset, AssetKind, Bitstream, FrameToSend, HAS_MODEL, MEASURED, MarkerSet, MessageKind, Model,
-    SampledDescription, SampledToSend, SetToSend, WireBody, WireMarker, put_echo, put_frame,
+    NatNetMarker, SampledDescription, SampledToSend, SetToSend, WireBody, put_echo, put_frame,
     put_text,
 };
 
@@ -63,7 +63,7 @@ fn model() -> Model {
 fn frame(version: Bitstream) -> Vec<u8> {
     let position_m = [0.5, 1.5, -0.25];
     let flags = HAS_MODEL | MEASURED;
-    let marker = WireMarker { id: 0x1_0001, position_m, flags, ..WireMarker::default() };
+    let marker = NatNetMarker { id: 0x1_0001, position_m, flags, ..NatNetMarker::default() };
     let body = WireBody {
         id: 1,
         position_m,
@@ -76,7 +76,7 @@ fn frame(version: Bitstream) -> Vec<u8> {
         bodies: &[body],
         skeletons: &[2],
         labelled: &[marker],
-        unlabelled: &[WireMarker { id: 1000, flags: 0x12, ..marker }],
+        unlabelled: &[NatNetMarker { id: 1000, flags: 0x12, ..marker }],
         plates: &[SampledToSend { id: 1, n_channels: 2, samples: &[1.0, 2.0] }],
         ..FrameToSend::default()
     };
