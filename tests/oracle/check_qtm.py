@@ -515,8 +515,8 @@ def main():
     options = parser.parse_args()
     options.mocapd = options.mocapd.resolve()
     if options.memory:
-        more = ("jump", "--markers", "200", "--rate", "1000", "--seconds", "10s", "--loop")
-        with simulator(options.mocapd_sim.resolve(), ["--generate"], *more) as port:
+        more = ("--markers", "200", "--rate", "1000", "--seconds", "10s", "--loop")
+        with simulator(options.mocapd_sim.resolve(), ["--generate", "jump"], *more) as port:
             asyncio.run(measure_memory(port, options))
         return
     endless = [check_stream, check_divisor, check_frequency, check_identity, check_settings, check_one_frame,
