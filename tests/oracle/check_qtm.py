@@ -1,8 +1,10 @@
-"""Talks to `mocapd-sim serve --protocol qtm` with a client that is not ours: Qualisys's own, qtm-rt.
+"""Talks to `mocapd-sim serve --protocol qtm`, and to the service with `[publish.qtm]`, with a client that is not ours:
+Qualisys's own, qtm-rt.
 
     python check_qtm.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
 
 qtm-rt has no streams over UDP: they are requested through its connection, and its own parser reads the datagrams.
+With --memory it measures instead what eight clients at 200 markers and 1000 Hz add to the memory of the service.
 One line a check; the last line is `N passed, N failed`; exit code 1 when one failed.
 """
 
@@ -22,6 +24,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import qtm_rt
+from qtm_rt.discovery import QRTDiscoveryProtocol
 from qtm_rt.packet import QRTComponentType, QRTEvent, QRTPacket
 
 RATE_HZ = 240
@@ -64,7 +67,7 @@ def write_motion(path):
 @contextlib.contextmanager
 def simulator(program, motion, *more):
     """A simulated QTM in a process of its own: its port."""
-    command = [program, "serve", motion, "--tcp", "--protocol", "qtm", *more]
+    command = [program, "serve", *motion, "--tcp", "--protocol", "qtm", *more]
     process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE,
                                stderr=subprocess.DEVNULL, text=True)
     silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
@@ -293,6 +296,163 @@ async def check_control(port, _):
         connection.disconnect()
 
 
+async def check_samples(port, _):
+    """Force plates and electrodes: settings, and every sample once."""
+    connection = await connected(port)
+    analog = ET.fromstring(await connection.get_parameters(["analog"])).find("Analog/Device")
+    expect((analog.findtext("Channels"), analog.findtext("Frequency")) == ("5", "2000"), "the analog device")
+    labels = [(channel.findtext("Label"), channel.findtext("Unit")) for channel in analog.iter("Channel")]
+    expect(labels == [(f"EMG{k}", "V") for k in range(1, 6)], labels)
+    plates = list(ET.fromstring(await connection.get_parameters(["force"])).iter("Plate"))
+    expect([plate.findtext("Plate_ID") for plate in plates] == ["1", "2"], "the plates")
+    numbers, problems, loads = {}, [], []
+
+    def follow(key, first, count):
+        if key in numbers and numbers[key] != first:
+            problems.append(f"{key}: {first} after {numbers[key]}")
+        numbers[key] = first + count
+
+    def on_packet(packet):
+        _, channels = packet.get_analog()
+        for index, (device, (first,), channel) in enumerate(channels):
+            # One entry a channel, of one device.
+            if index == 0:
+                follow(("analog", device.id), first, device.sample_count)
+            if len(channel[0]) != device.sample_count:
+                problems.append("a channel is short")
+        _, forces = packet.get_force()
+        for plate, values in forces:
+            follow(("plate", plate.id), plate.force_number, plate.force_count)
+            loads.extend(value.z for value in values)
+
+    await connection.stream_frames("allframes", ["3d", "analog", "force"], on_packet)
+    await asyncio.sleep(2)
+    await connection.stream_frames_stop()
+    connection.disconnect()
+    expect(not problems, problems[:3])
+    expect(set(numbers) == {("analog", 1), ("plate", 1), ("plate", 2)}, numbers)
+    expect(numbers["analog", 1] > 3000 and numbers["plate", 1] > 1500, numbers)
+    expect(max(loads) > 100, "nobody stands on the plates")
+
+
+async def check_discovery(port, _):
+    """Ours answers on the loopback, as the documents say."""
+    asking = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    asking.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    asking.bind(("0.0.0.0", 0))
+    asking.settimeout(3)
+    asking.sendto(struct.pack("<II", 10, 7) + struct.pack(">H", asking.getsockname()[1]), ("127.255.255.255", 22226))
+    found = []
+    receiver = QRTDiscoveryProtocol(receiver=found.append)
+    with contextlib.suppress(TimeoutError):
+        while not any(answer.port + 1 == port for answer in found):
+            receiver.datagram_received(*asking.recvfrom(1024))
+    asking.close()
+    ours = [answer for answer in found if answer.port + 1 == port]
+    expect(len(ours) == 1 and ours[0].info.startswith(b"localhost, mocapd-sim "), found)
+
+
+@contextlib.contextmanager
+def service(options, source, folder):
+    """A service that records a QTM and publishes it: its port."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    config = Path(folder) / "rig.toml"
+    config.write_text(f"""[device]
+uri = "qtm:127.0.0.1:{source}"
+[take]
+directory = "{folder}"
+keep_free = "0B"
+[http]
+listen = ""
+socket = "{folder}/rig.sock"
+[publish.qtm]
+enabled = true
+listen = "127.0.0.1:{port}"
+""")
+    log = (Path(folder) / "rig.log").open("w")
+    process = subprocess.Popen([str(options.mocapd), "run", "--config", str(config)], stdout=log, stderr=log)
+    try:
+        yield port, process.pid
+    finally:
+        process.terminate()
+        process.wait(20)
+        log.close()
+
+
+async def check_service(port, options):
+    """What the service records, published: every frame that it gets, with the source's floats."""
+    with tempfile.TemporaryDirectory() as folder, service(options, port, folder) as (published, _):
+        connection = None
+        for _ in range(100):
+            with contextlib.suppress(OSError, qtm_rt.QRTCommandException):
+                connection = await qtm_rt.connect("127.0.0.1", published)
+                if connection is not None:
+                    await connection.get_parameters(["3d"])
+                    break
+            await asyncio.sleep(0.2)
+        expect(connection is not None, (Path(folder) / "rig.log").read_text())
+        root = ET.fromstring(await connection.get_parameters(["3d"]))
+        expect([label.findtext("Name") for label in root.iter("Label")] == list(LABELS), "the labels")
+        # The row of a frame is the number that the source gave it, counted from the first.
+        numbers, problems = [], []
+
+        def on_packet(packet):
+            try:
+                for header, markers in (packet.get_3d_markers(), packet.get_3d_markers_residual()):
+                    expect(header.marker_count == N_LABELLED, header)
+                    check_labelled(markers, packet.framenumber)
+                numbers.append(packet.framenumber)
+            except AssertionError as problem:
+                problems.append(problem)
+
+        await connection.stream_frames("allframes", ["3d", "3dres"], on_packet)
+        start = [str(options.mocapd), "ctl", "--connect", f"unix:{folder}/rig.sock"]
+        subprocess.run([*start, "start", "--name", "published"], check=True, capture_output=True)
+        await asyncio.sleep(options.seconds)
+        stopped = json.loads(subprocess.run([*start, "stop", "--json"], check=True, capture_output=True).stdout)
+        status = json.loads(subprocess.run([*start, "status", "--json"], check=True, capture_output=True).stdout)
+        await connection.stream_frames_stop()
+        connection.disconnect()
+        if problems:
+            raise problems[0]
+        expect(stopped["ledger"]["closes"] and stopped["ledger"]["recorded"] > 0.9 * RATE_HZ * options.seconds, stopped)
+        missed = status["publish"]["clients"][0]["frames_missed"]
+        expect(numbers[-1] - numbers[0] + 1 == len(numbers) + missed, f"{len(numbers)} frames, {missed} missed")
+
+
+def resident_mb(pid):
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.partition("VmRSS:")[2].split()[0]) / 1024
+
+
+async def measure_memory(port, options):
+    """Eight clients, of which one does not read and one reads a byte a second."""
+
+    async def client(published, bytes_at_once, pause_s):
+        reader, writer = await asyncio.open_connection("127.0.0.1", published, limit=1 << 16)
+        for command in ("Version 1.28", "StreamFrames AllFrames 3DRes 3DNoLabelsRes"):
+            writer.write(struct.pack("<II", len(command) + 9, 1) + command.encode() + b"\0")
+        while await reader.read(bytes_at_once):
+            await asyncio.sleep(pause_s)
+
+    with tempfile.TemporaryDirectory() as folder, service(options, port, folder) as (published, pid):
+        await asyncio.sleep(15)
+        before = resident_mb(pid)
+        kinds = [(1 << 16, 0)] * 6 + [(1, 1), (1, 1e9)]
+        clients = [asyncio.create_task(client(published, *kind)) for kind in kinds]
+        await asyncio.sleep(options.seconds)
+        status = [str(options.mocapd), "ctl", "--connect", f"unix:{folder}/rig.sock", "status", "--json"]
+        status = json.loads(subprocess.run(status, check=True, capture_output=True).stdout)
+        added = resident_mb(pid) - before
+        for task in clients:
+            task.cancel()
+        missed = [found["frames_missed"] for found in status["publish"]["clients"]]
+        print(f"{before:.0f} MB, and {added:.0f} MB with eight clients; they missed {missed} frames; "
+              f"the recorder received {status['input']['frames']} frames and lost {status['input']['lost']}")
+
+
 async def check_end(port, _):
     """Without --loop: the file ends, and can be played again."""
     events, numbers = [], []
@@ -351,11 +511,18 @@ def main():
     parser.add_argument("--mocapd-sim", required=True, type=Path)
     parser.add_argument("--mocapd", required=True, type=Path)
     parser.add_argument("--seconds", type=float, default=5, help="how long each stream of all frames is read")
+    parser.add_argument("--memory", action="store_true", help="measure the memory of the service with eight clients")
     options = parser.parse_args()
     options.mocapd = options.mocapd.resolve()
+    if options.memory:
+        more = ("--markers", "200", "--rate", "1000", "--seconds", "10s", "--loop")
+        with simulator(options.mocapd_sim.resolve(), ["--generate", "jump"], *more) as port:
+            asyncio.run(measure_memory(port, options))
+        return
     endless = [check_stream, check_divisor, check_frequency, check_identity, check_settings, check_one_frame,
-               check_datagrams, check_control, check_crowd, check_recorder_beside]
+               check_datagrams, check_control, check_crowd, check_discovery, check_service, check_recorder_beside]
     jobs = [(check, ("--loop",)) for check in endless] + [(check_end, ())]
+    jobs += [(check_samples, ("--plates", "--emg", "5@2kHz"))]
     passed = 0
     with tempfile.TemporaryDirectory() as folder:
         motion = Path(folder) / "motion.csv"
@@ -363,7 +530,8 @@ def main():
         for check, more in jobs:
             name = check.__name__.removeprefix("check_")
             try:
-                with simulator(options.mocapd_sim.resolve(), motion, *more) as port:
+                played = ["--generate", "jump"] if check is check_samples else [motion]
+                with simulator(options.mocapd_sim.resolve(), played, *more) as port:
                     asyncio.run(check(port, options))
                 print(f"ok   {name}", flush=True)
                 passed += 1

@@ -127,6 +127,8 @@ impl QtmServer {
                 let from = from.and_then(|from| from.get(index).copied());
                 history.since(from.unwrap_or(history.frame_start), kind)
             });
+            // Qualisys's clients disagree on whether a device without samples has a sample number.
+            let devices = devices.filter(|device| !device.samples.is_empty());
             SampledComponent { kind, devices: devices.collect() }
         };
         let components = wanted.samples().map(of_kind);
