@@ -128,7 +128,7 @@ mod tests {
         };
         assert_eq!(good.checked().position_mm, good.position_mm);
         assert_eq!(good.checked().status, PoseStatus::Tracked);
-        let rotations = [[0.7072, 0.7071, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [1.009, 0.0, 0.0, 0.0]];
+        let rotations = [[0.8001, 0.6, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [1.009, 0.0, 0.0, 0.0]];
         for quaternion in rotations {
             assert_eq!(Pose { quaternion, ..good }.checked().status, PoseStatus::Tracked);
         }

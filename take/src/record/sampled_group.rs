@@ -105,7 +105,7 @@ impl Record for SampledGroup {
 const BOUNDED: u16 = 2;
 
 /// The version of a group of poses, with bounds or without: readers of versions 1 and 2 skip it.
-const POSES: u16 = 3;
+const OF_POSES: u16 = 3;
 
 /// Most samples of a channel, so that no sum overflows: 36 years at 1 MHz.
 pub(crate) const SAMPLES_MAX: u64 = 1 << 50;
@@ -124,7 +124,7 @@ impl SampledGroup {
         if self.bounds.0.is_empty() && !self.has_poses() {
             return Ok(deflate(version.to_vec(), body)?);
         }
-        let version = if self.has_poses() { POSES } else { BOUNDED };
+        let version = if self.has_poses() { OF_POSES } else { BOUNDED };
         let bounds = self.bounds.0.iter().flat_map(|bound| bound.to_le_bytes());
         let body: Vec<u8> = body.iter().copied().chain(bounds).collect();
         Ok(deflate(version.to_le_bytes().to_vec(), &body)?)
@@ -140,8 +140,8 @@ impl SampledGroup {
             return Err(corrupt("shorter than its version"));
         };
         let (found, supported) = (u16::from_le_bytes(*version), Self::VERSION);
-        if ![supported, BOUNDED, POSES].contains(&found) {
-            let supported = POSES;
+        if ![supported, BOUNDED, OF_POSES].contains(&found) {
+            let supported = OF_POSES;
             return Err(TakeError::Unsupported { what: Self::NAME, found, supported });
         }
         let body = inflate(deflated).ok_or_else(|| corrupt("invalid DEFLATE data"))?;
@@ -150,7 +150,8 @@ impl SampledGroup {
         } else {
             Self::with_bounds(&body).map_err(corrupt)?
         };
-        if (found == POSES) != group.has_poses() || (found == BOUNDED && group.bounds.0.is_empty())
+        if (found == OF_POSES) != group.has_poses()
+            || (found == BOUNDED && group.bounds.0.is_empty())
         {
             return Err(corrupt("its version is not that of its content"));
         }
@@ -189,7 +190,7 @@ impl SampledGroup {
             Err("it has more samples than a take can hold")
         } else if !matches!(self.bounds.0.len() as u64, n if n == 0 || n == n_channels) {
             Err("it does not have one bound for each channel")
-        } else if self.has_poses() && n_channels % POSE_CHANNELS as u64 != 0 {
+        } else if self.has_poses() && !n_channels.is_multiple_of(POSE_CHANNELS as u64) {
             Err("its channels are not those of bodies")
         } else if !self.bounds.0.iter().all(|bound| bound.is_finite() && *bound >= 0.0) {
             Err("a bound is negative or not finite")

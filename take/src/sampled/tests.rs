@@ -536,7 +536,7 @@ fn bounds_of_parts_round_trip() {
 fn poses_have_a_version_of_their_own(group: &SampledGroup, bounded: &[u8]) {
     let channels = group.channels.iter().cycle().take(8).cloned().collect();
     let poses = SampledGroup {
-        kind: POSES.to_owned(),
+        kind: crate::sampled::POSES.to_owned(),
         form: SampleForm::Float32,
         channels,
         part_channels: 72,
