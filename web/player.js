@@ -2,19 +2,30 @@
 // Where the frames come from is the source's matter: the service, or the page itself.
 
 import { CHOSEN_MAX, Charts } from "./charts.js";
-import { byId, setAttribute, setHidden, setText } from "./dom.js";
+import { Comparison, ERROR_CLASSES } from "./comparison.js";
+import { Curves } from "./curves.js";
+import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
 import { count, percentile, plural, roundedUp, takeTime } from "./format.js";
+import { Forces } from "./forces.js";
 import { FrameBuffer } from "./frame_buffer.js";
 import { Playback } from "./playback.js";
 import { installPlayerKeys } from "./player_keys.js";
 import { PlayerLists } from "./player_lists.js";
 import { TakeMotion } from "./take_motion.js";
-import { GapCounts, TimeAxis, gapBegins } from "./time_axis.js";
+import { GapCounts, TimeAxis, gapBegins, gapsThatBegin } from "./time_axis.js";
 import { View } from "./view.js";
 
 /** Charts and texts change less often than the scene while playing. */
 const CHARTS_MS = 100;
 const TEXTS_MS = 60;
+/** How often the list of markers says which are missing, while playing. */
+const MISSING_MS = 250;
+/** Columns of the force curve: one for each pixel of a time axis. */
+const COLUMNS = 1024;
+/** Poses of a face in a window. */
+const POSES_MAX = 1024;
+/** Markers that are named where a gap begins. */
+const NAMED_MAX = 4;
 /** How often the time axis states its value while playing. */
 const ANNOUNCE_MS = 1000;
 /** Drawings over which the script time is measured. */
@@ -25,6 +36,11 @@ export class Player {
   playback = new Playback(0, 1);
   gaps = new GapCounts();
   buffer = null;
+  /** The take that this one is compared with, and the force plates; null if there are none. */
+  comparison = null;
+  forces = null;
+  /** The poses of the subject's face, as frames of four markers: twelve numbers. */
+  #poses = null;
   /** Whether frames could not be read. */
   hasFailed = false;
   /** Statistics for the tests: the script time of drawings in milliseconds, rows drawn, rows skipped. */
@@ -38,8 +54,10 @@ export class Player {
   #announcedMs = 0;
   #tickMs = 0;
   #opened = 0;
-  /** The running search for a gap. */
+  /** The running search for a gap, and what it found. */
   #search = null;
+  #found = null;
+  #missingMs = 0;
 
   constructor() {
     this.view = new View(this.motion);
@@ -50,6 +68,7 @@ export class Player {
     this.view.onDrawn = () => this.#measure();
     this.axis = new TimeAxis({ onSeek: (row) => this.seek(row), onHint: (text) => this.#hint(text) });
     this.charts = new Charts();
+    this.curves = new Curves({ onSeek: (row) => this.seek(row) });
     this.lists = new PlayerLists({
       onChoose: (slots) => this.#choose(slots),
       onHover: (slot) => this.view.select({ hovered: slot }),
@@ -62,8 +81,8 @@ export class Player {
     requestAnimationFrame((now) => this.#tick(now));
   }
 
-  /** Opens the take of a source; what was open before is dropped. */
-  async open(source) {
+  /** Opens the take of a source, and compares it with that of another one; what was open before is dropped. */
+  async open(source, other = null) {
     this.#openedMs = performance.now();
     const opened = (this.#opened += 1);
     this.overview = null;
@@ -81,6 +100,8 @@ export class Player {
     }
     if (opened !== this.#opened) return;
     this.#show(overview, source);
+    await this.#showForces(source, opened);
+    if (other) await this.#compare(source, other, opened);
     await this.#countGaps(source, opened);
   }
 
@@ -89,6 +110,7 @@ export class Player {
     this.overview = overview;
     this.playback = new Playback(overview.frames, overview.rate_hz);
     this.gaps = new GapCounts();
+    [this.comparison, this.forces, this.#found] = [null, null, null];
     this.stats = { drawn: 0, skipped: 0, firstPictureMs: NaN, times: [] };
     this.motion.setTake(overview);
     this.view.settle();
@@ -97,9 +119,11 @@ export class Player {
       onLoaded: () => opened === this.#opened && this.#loaded(),
       onFailed: (error) => opened === this.#opened && this.#failed(error),
     });
+    this.#poses = this.#posesOf(source, overview, opened);
     const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
     this.axis.show(shown);
     this.charts.show(shown);
+    this.#showCurves();
     this.lists.show(overview, this.motion.labels);
     setText(byId("take-name"), overview.name);
     setText(byId("take-facts"), facts(overview));
@@ -111,6 +135,13 @@ export class Player {
     for (const id of ["play", "back", "forward"]) byId(id).disabled = overview.frames < 2;
     byId("next-event").disabled = overview.events.length === 0;
     this.seek(0);
+  }
+
+  #posesOf(source, overview, opened) {
+    if (!overview.face || !source.poses) return null;
+    const window = (firstRow, rows, every) => source.poses(firstRow, rows, every);
+    const table = { ...overview, markers: 4, window_frames_max: POSES_MAX };
+    return new FrameBuffer({ window }, table, { onLoaded: () => opened === this.#opened && this.#refresh() });
   }
 
   async #countGaps(source, opened) {
@@ -127,6 +158,100 @@ export class Player {
     } catch (error) {
       if (opened === this.#opened) this.#notice(`The gaps of this take cannot be read: ${error.message}`);
     }
+  }
+
+  /** The force plates of the take, if it has any: its loads around the current time, and its forces as a curve. */
+  async #showForces(source, opened) {
+    // A shared page has no forces.
+    if (!source.plates || this.overview.frames === 0) return;
+    try {
+      await this.buffer.idle();
+      const list = await source.plates();
+      if (opened !== this.#opened || list.plates.length === 0) return;
+      const { overview } = this;
+      const n = list.plates.length;
+      const window = (firstRow, rows, every) => source.forces(firstRow, rows, every, n);
+      // Nine numbers for each plate, as many as for three markers.
+      const table = { ...overview, markers: 3 * n, window_frames_max: list.window_frames_max };
+      const buffer = new FrameBuffer({ window }, table, { onLoaded: () => opened === this.#opened && this.#refresh() });
+      const columnFrames = Math.max(1, Math.ceil(overview.frames / COLUMNS));
+      this.forces = new Forces(list, buffer, overview.frames, columnFrames);
+      this.motion.forces = this.forces;
+      this.#showCurves();
+      this.#refresh();
+      for (let row = 0; row < overview.frames;) {
+        await this.buffer.idle();
+        const part = await window(row, overview.frames - row, columnFrames);
+        if (opened !== this.#opened || part.frames === 0) return;
+        this.forces.add(part);
+        this.curves.invalidate();
+        row += part.frames * part.every;
+      }
+    } catch (error) {
+      if (opened === this.#opened) this.#notice(`The forces of this take cannot be read: ${error.message}`);
+    }
+  }
+
+  /** Compares the take with another one, part by part. */
+  async #compare(source, other, opened) {
+    setText(byId("comparison-text"), `Comparing with ${other.name}`);
+    setHidden(byId("comparison"), false);
+    try {
+      const overview = await other.overview();
+      if (opened !== this.#opened) return;
+      const buffer = new FrameBuffer(other, overview, { onLoaded: () => opened === this.#opened && this.#refreshComparison() });
+      this.comparison = new Comparison(other.name, buffer);
+      this.motion.comparison = this.comparison;
+      this.#showCurves();
+      await source.difference(other.name, (part) => {
+        if (opened !== this.#opened) return false;
+        this.comparison.add(part);
+        this.#refreshComparison();
+        this.#showComparison();
+        return true;
+      }, () => this.buffer.idle());
+    } catch (error) {
+      if (opened !== this.#opened) return;
+      this.comparison = null;
+      this.motion.comparison = null;
+      this.#showCurves();
+      setText(byId("comparison-text"), `Not compared: ${error.message}`);
+    }
+  }
+
+  #refreshComparison() {
+    this.motion.compare();
+    this.curves.invalidate();
+    this.#refresh();
+  }
+
+  #showCurves() {
+    const { playback, forces, comparison } = this;
+    this.curves.show({ playback, forces, comparison });
+    setHidden(byId("forces-text"), forces === null);
+    setHidden(byId("comparison"), comparison === null);
+    byId("largest-error").disabled = true;
+    byId("comparison-scale").replaceChildren();
+  }
+
+  #showComparison() {
+    const { comparison, overview, motion } = this;
+    const { largest } = comparison;
+    setText(byId("comparison-text"), comparisonText(comparison, overview, motion.labels));
+    byId("largest-error").disabled = !largest;
+    if (!largest) return;
+    const classes = Array.from({ length: ERROR_CLASSES }, (_, i) =>
+      h("span", { class: `error-class error-${i + 1}` }, roundedUp((largest.error_mm * (i + 1)) / ERROR_CLASSES)));
+    byId("comparison-scale").replaceChildren("up to ", ...classes, " mm");
+  }
+
+  /** Goes to the largest distance from the other take. */
+  goToLargest() {
+    const { largest } = this.comparison ?? {};
+    if (!largest) return;
+    this.playback.pause();
+    this.seek(largest.frame);
+    this.view.select({ pinned: largest.marker });
   }
 
   /** Frames could not be read; they are tried again. */
@@ -155,7 +280,7 @@ export class Player {
   /** Goes to a row; playing goes on from there. */
   seek(row) {
     if (!this.overview) return;
-    this.#search = null;
+    this.#endSearch();
     if (this.hasFailed) this.buffer.retry();
     this.playback.seek(row);
     this.#isJump ||= Math.abs(this.playback.row - this.motion.row) > this.playback.rateHz / 2;
@@ -164,14 +289,22 @@ export class Player {
 
   step(rows) {
     if (!this.overview) return;
-    this.#search = null;
+    this.#endSearch();
     this.playback.step(rows);
     this.#refresh();
   }
 
+  /** What was found last, and a search that is running, are of no interest any more. */
+  #endSearch() {
+    this.#search = null;
+    if (this.#found === null) return;
+    this.#found = null;
+    this.#hint(null);
+  }
+
   toggle() {
     if (!this.overview) return;
-    this.#search = null;
+    this.#endSearch();
     if (this.hasFailed) this.buffer.retry();
     // A pause stays at the frame that is shown.
     const { row } = this.motion;
@@ -207,8 +340,20 @@ export class Player {
     const search = (this.#search = {});
     const found = await this.#findGap(direction, search);
     if (search !== this.#search) return;
-    if (found !== null) this.seek(found);
-    else this.#hint(direction > 0 ? "no gap begins after this frame" : "no gap begins before this frame");
+    if (found !== null) {
+      this.seek(found);
+      this.#found = this.#gapNames(found);
+      this.#hint(null);
+    } else this.#hint(direction > 0 ? "no gap begins after this frame" : "no gap begins before this frame");
+  }
+
+  /** Which markers have a gap that begins at a row, as a text. */
+  #gapNames(row) {
+    const { buffer, motion } = this;
+    const slots = gapsThatBegin(buffer.positionsAt(row) ?? [], row > 0 ? buffer.positionsAt(row - 1) : null);
+    const names = slots.slice(0, NAMED_MAX).map((slot) => motion.labels[slot]);
+    const more = slots.length > NAMED_MAX ? ` and ${count(slots.length - NAMED_MAX)} more` : "";
+    return `A gap of ${names.join(", ")}${more} begins here`;
   }
 
   async #findGap(direction, search) {
@@ -239,8 +384,7 @@ export class Player {
 
   #choose(slots) {
     this.charts.choose(slots);
-    const note = slots.length === 0 ? `choose up to ${CHOSEN_MAX} markers` : "10 s around the current time";
-    setText(byId("charts-note"), note);
+    if (slots.length === 0) setText(byId("charts-note"), `choose up to ${CHOSEN_MAX} markers`);
   }
 
   #tick(nowMs) {
@@ -269,9 +413,15 @@ export class Player {
 
   #draw(nowMs) {
     const { playback, buffer, motion } = this;
-    buffer.want(playback.row, playback.isPlaying ? playback.rowsPerSecond : 0, playback.loop);
+    const rowsPerSecond = playback.isPlaying ? playback.rowsPerSecond : 0;
+    buffer.want(playback.row, rowsPerSecond, playback.loop);
+    this.forces?.buffer.want(playback.row, rowsPerSecond, playback.loop);
+    this.#poses?.want(playback.row, rowsPerSecond, playback.loop);
+    this.comparison?.buffer.want(this.comparison.otherRow(playback.row), rowsPerSecond);
     if (motion.show(buffer.shownRow(playback.row), buffer.positionsAt)) {
       this.#message(null);
+      const pose = this.#poses?.positionsAt(motion.row) ?? null;
+      motion.facePose = pose && Number.isFinite(pose[0]) ? pose : null;
       if (this.#isJump) {
         // The camera looks for the markers again, at once.
         this.#isJump = false;
@@ -287,6 +437,7 @@ export class Player {
     if (nowMs - this.#chartsMs < CHARTS_MS) return;
     this.#chartsMs = Number.isFinite(nowMs) ? nowMs : 0;
     this.charts.invalidate();
+    this.curves.invalidate();
   }
 
   #showTexts(nowMs, isAll) {
@@ -295,7 +446,12 @@ export class Player {
     const { playback, motion } = this;
     const row = this.buffer.shownRow(playback.row);
     setText(byId("time"), takeTime(row / playback.rateHz));
-    setText(byId("frame"), `frame ${count(row)} of ${count(playback.lastRow)}`);
+    setText(byId("frame"), frameText(row, this.overview));
+    if (this.forces) setText(byId("forces-text"), this.forces.texts(row).join(" · "));
+    if (isAll || nowMs - this.#missingMs > MISSING_MS) {
+      this.#missingMs = Number.isFinite(nowMs) ? nowMs : 0;
+      this.lists.showMissing((slot) => motion.isSeen(slot));
+    }
     if (nowMs - this.#announcedMs > ANNOUNCE_MS) {
       this.#announcedMs = nowMs;
       this.axis.announce();
@@ -312,8 +468,9 @@ export class Player {
     const { stats } = this;
     stats.drawn += 1;
     if (Number.isNaN(stats.firstPictureMs)) stats.firstPictureMs = performance.now() - this.#openedMs;
-    stats.times.push(this.#tickMs + this.view.drawMs + this.axis.drawMs + this.charts.drawMs);
-    [this.axis.drawMs, this.charts.drawMs] = [0, 0];
+    const drawings = [this.axis, this.charts, this.curves].map(({ drawing }) => drawing);
+    stats.times.push(drawings.reduce((sum, { drawMs }) => sum + drawMs, this.#tickMs + this.view.drawMs));
+    for (const drawing of drawings) drawing.drawMs = 0;
     if (stats.times.length > TIMES_MAX) stats.times.shift();
     stats.p95Ms = percentile(stats.times, 0.95);
   }
@@ -339,7 +496,7 @@ export class Player {
 
   /** The text below the axis: what the pointer is over, or what is known about gaps. */
   #hint(text) {
-    setText(byId("axis-hint"), text ?? this.#gapText());
+    setText(byId("axis-hint"), text ?? this.#found ?? this.#gapText());
   }
 
   #gapText() {
@@ -351,6 +508,30 @@ export class Player {
     const found = `${plural(missing, "sample")} missing (bars), ${plural(lost, "frame")} lost (hatched)`;
     return share < 100 ? `${found} in the first ${share} %; reading on` : found;
   }
+}
+
+/** The number of a frame as its source counts, and its place in the take if that differs. Pure. */
+export function frameText(row, { frames, first_frame: first = 1 }) {
+  if (first === 1) return `frame ${count(row + 1)} of ${count(frames)}`;
+  return `frame ${count(first + row)}: ${count(row + 1)} of ${count(frames)}`;
+}
+
+/** What is known about the difference between two takes, as one line. Pure. */
+export function comparisonText(comparison, { frames, rate_hz: rateHz }, labels) {
+  const { other, largest, gapsDiffering, markersMissing, isDamaged, endRow } = comparison;
+  const known = [];
+  if (largest) {
+    const { error_mm: error, frame, marker } = largest;
+    known.push(`largest error ${roundedUp(error)} mm: ${labels[marker]} at ${takeTime(frame / rateHz)}`, `rms ${roundedUp(comparison.rmsMm)} mm`);
+  } else {
+    known.push("no sample is in both");
+  }
+  const onlyHere = comparison.markers.filter((marker) => marker === null).length;
+  if (onlyHere + markersMissing > 0) known.push(`${plural(onlyHere + markersMissing, "marker")} in only one of them`);
+  if (gapsDiffering > 0) known.push(`${plural(gapsDiffering, "sample")} in only one of them`);
+  if (isDamaged) known.push("one of them is damaged");
+  if (endRow < frames) known.push(`compared up to ${takeTime(endRow / rateHz)}`);
+  return `Compared with ${other}: ${known.join(" · ")}`;
 }
 
 /** The facts about a take, as one line. Pure. */

@@ -10,16 +10,32 @@ const TRIES = 20;
 
 /** Bytes before the frames of a window. */
 const HEADER_BYTES = 32;
-const MAGIC = 0x3157504d;
+const FRAMES_MAGIC = 0x3157504d;
+const FORCES_MAGIC = 0x3146504d;
+const POSES_MAGIC = 0x3150504d;
+/** Bytes of a marker, and of a force plate. */
+const MARKER_BYTES = 12;
+const PLATE_BYTES = 36;
+const POSE_BYTES = 48;
+/** Longest window that can be requested, in seconds. */
+const SECONDS_MAX = 3600;
 
-/** Parses a window, as docs/api.md describes it: {firstRow, every, frames, positions, isDamaged}. Pure. */
-export function parseWindow(buffer, n) {
+/** Parses a window of frames, as docs/api.md describes it: {firstRow, every, frames, positions, isDamaged}. Pure. */
+export const parseWindow = (buffer, markers) => parse(buffer, FRAMES_MAGIC, markers, MARKER_BYTES);
+
+/** Parses a window of forces likewise, nine numbers for each plate. Pure. */
+export const parseForces = (buffer, plates) => parse(buffer, FORCES_MAGIC, plates, PLATE_BYTES);
+
+/** Parses a window of the poses of a face likewise, twelve numbers each. Pure. */
+export const parsePoses = (buffer) => parse(buffer, POSES_MAGIC, 1, POSE_BYTES);
+
+function parse(buffer, magic, n, bytesEach) {
   const view = new DataView(buffer);
-  if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== MAGIC) throw new Error("this is not a window of a take");
-  const markers = view.getUint32(4, true);
+  if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== magic) throw new Error("this is not a window of a take");
+  const signals = view.getUint32(4, true);
   const [frames, every, flags] = [16, 20, 24].map((at) => view.getUint32(at, true));
-  if (markers !== n || buffer.byteLength !== HEADER_BYTES + 12 * frames * markers || every === 0) {
-    throw new Error(`a window of ${buffer.byteLength} bytes: expected ${frames} frames of ${n} markers`);
+  if (signals !== n || buffer.byteLength !== HEADER_BYTES + bytesEach * frames * n || every === 0) {
+    throw new Error(`a window of ${buffer.byteLength} bytes: expected ${frames} frames of ${n} markers or plates`);
   }
   return {
     firstRow: Number(view.getBigUint64(8, true)),
@@ -32,6 +48,7 @@ export function parseWindow(buffer, n) {
 
 export class ServiceSource {
   constructor(name) {
+    this.name = name;
     this.path = `/v1/takes/${encodeURIComponent(name)}`;
   }
 
@@ -55,6 +72,37 @@ export class ServiceSource {
     while (row < this.take.frames) {
       await isIdle();
       const part = await inTurn(() => get(`${this.path}/gaps?from=${row / this.take.rate_hz}`, TIMEOUT_MS));
+      if (!onPart(part) || part.end_frame <= row) return;
+      row = part.end_frame;
+    }
+  }
+
+  /** A window of the poses of the subject's face. */
+  async poses(firstRow, rows, every) {
+    const { rate_hz: rateHz } = this.take;
+    const query = `from=${firstRow / rateHz}&seconds=${Math.min(SECONDS_MAX, rows / rateHz)}&every=${every}`;
+    return parsePoses(await inTurn(() => getBytes(`${this.path}/face?${query}`, TIMEOUT_MS)));
+  }
+
+  /** The force plates of the take: {plates, window_frames_max}. */
+  plates() {
+    return inTurn(() => get(`${this.path}/plates`, TIMEOUT_MS));
+  }
+
+  /** A window of the forces of so many plates. */
+  async forces(firstRow, rows, every, plates) {
+    const { rate_hz: rateHz } = this.take;
+    const query = `from=${firstRow / rateHz}&seconds=${Math.min(SECONDS_MAX, rows / rateHz)}&every=${every}`;
+    return parseForces(await inTurn(() => getBytes(`${this.path}/forces?${query}`, TIMEOUT_MS)), plates);
+  }
+
+  /** Calls `onPart` with one part of the differences from another take after another, like `gaps`. */
+  async difference(other, onPart, isIdle = async () => {}) {
+    let row = 0;
+    while (row < this.take.frames) {
+      await isIdle();
+      const query = `against=${encodeURIComponent(other)}&from=${row / this.take.rate_hz}`;
+      const part = await inTurn(() => get(`${this.path}/difference?${query}`, TIMEOUT_MS));
       if (!onPart(part) || part.end_frame <= row) return;
       row = part.end_frame;
     }

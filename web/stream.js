@@ -42,6 +42,7 @@ function parseMessage(bytes) {
     return { kind: "table", table: JSON.parse(new TextDecoder().decode(bytes.subarray(1))) };
   }
   if (bytes[0] === 3) return parseFace(bytes);
+  if (bytes[0] === 4) return parseSamples(bytes);
   if (bytes[0] !== 2) return null;
   if (bytes.length < FRAME_HEADER || (bytes.length - FRAME_HEADER) % 12 !== 0) {
     throw new StreamError(`a frame of ${bytes.length} bytes: expected three floats per marker`);
@@ -60,6 +61,12 @@ function parseMessage(bytes) {
 function parseFace(bytes) {
   if (bytes.length !== 4 + 48) throw new StreamError(`a face pose of ${bytes.length} bytes: expected twelve floats`);
   return { kind: "face", pose: new Float32Array(bytes.buffer, 4) };
+}
+
+/** A column of a group of sampled channels: the least and the largest value of each. */
+function parseSamples(bytes) {
+  if (bytes.length < 4 || (bytes.length - 4) % 8 !== 0) throw new StreamError(`samples of ${bytes.length} bytes: expected two floats per channel`);
+  return { kind: "samples", group: bytes[1], ranges: new Float32Array(bytes.buffer, 4) };
 }
 
 /** Parses server-sent events from text split anywhere. */

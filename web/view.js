@@ -6,7 +6,8 @@ import { duration } from "./format.js";
 import { installPointer } from "./pointer.js";
 import { FADE_MS, draw, pick } from "./scene.js";
 
-const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "off", "marker", "stray", "selected"];
+const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "off", "marker", "stray", "selected", "force",
+  "error-1", "error-2", "error-3", "error-4", "error-5"];
 /** Time constants with which the camera follows the markers, and with which their box shrinks. */
 const FOLLOW_MS = 700;
 const SHRINK_MS = 6000;
@@ -143,7 +144,9 @@ export class View {
     const age = (this.timeOf(performance.now()) - motion.lastSeenMs[selected]) / 1000;
     const place = Number.isFinite(x) ? `x ${x.toFixed(1)}  y ${y.toFixed(1)}  z ${z.toFixed(1)} mm`
       : Number.isFinite(age) ? `not seen for ${duration(age).join(" ")}` : "not seen yet";
-    setText(byId("view-marker"), `${motion.labels[selected]}   ${place}`);
+    const error = motion.errors?.[selected];
+    const far = Number.isFinite(error) ? `   error ${error.toFixed(3)} mm` : "";
+    setText(byId("view-marker"), `${motion.labels[selected]}   ${place}${far}`);
   }
 
   /** Moves the camera for the user; it no longer follows the markers. */

@@ -20,6 +20,7 @@ from pathlib import Path
 import checks_finished
 import checks_page
 import checks_player
+import checks_sampled
 import checks_service
 import checks_subject
 import checks_view
@@ -42,7 +43,7 @@ def main():
         parser.error("chromium or chromedriver is missing: apt-get install chromium chromium-driver")
     if (args.mocapd is None) != (args.mocapd_sim is None):
         parser.error("--mocapd and --mocapd-sim go together")
-    checks = [*checks_page.CHECKS, *checks_player.CHECKS, *checks_finished.CHECKS]
+    checks = [*checks_page.CHECKS, *checks_player.CHECKS, *checks_sampled.CHECKS, *checks_finished.CHECKS]
     if args.mocapd:
         checks += checks_finished.checks(args.mocapd.resolve(), args.mocapd_sim.resolve())
         checks += checks_service.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(), args.picture)

@@ -42,6 +42,7 @@ pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
 pub use progress::{PipelineProgress, TakeProgress, lock};
 pub use ring::{PreviewFrame, PreviewReceiver};
+pub use sampled::{SampleRange, SampleTapReceiver};
 pub use split::{NextTake, Split, SplitAt, TakeSeries};
 
 use self::{
@@ -73,6 +74,8 @@ pub struct ArmedHandles {
     pub takes: CommandSender,
     /// Frames to preview.
     pub tap: PreviewReceiver,
+    /// Sampled channels to preview.
+    pub sample_tap: SampleTapReceiver,
     /// The visibility of each marker.
     pub seen: VisibilityCounters,
 }
@@ -156,7 +159,7 @@ impl Pipeline {
         groups.push(timeline_group);
 
         let buffers_back = groups.iter().map(|group| group.buffers_back.clone()).collect();
-        let (samples, sample_returns, sampling) = sampled::start(
+        let (samples, sample_returns, sampling, sample_tap) = sampled::start(
             &config.sampled,
             config.stretch,
             (config.tick_hz, config.workers),
@@ -189,7 +192,7 @@ impl Pipeline {
             drop(guard);
             written
         })?;
-        let armed = ArmedHandles { takes, tap, seen: visibility.unwrap_or_default() };
+        let armed = ArmedHandles { takes, tap, sample_tap, seen: visibility.unwrap_or_default() };
         Ok((intake, Self { pool, sampling, writer, progress, take: None }, armed))
     }
 

@@ -1,10 +1,10 @@
-import { chartRows, column, limits, speedAt } from "/charts.js";
+import { chartRows, column, limits, speedAt, tickSeconds } from "/charts.js";
 import { roundedUp, takeTime } from "/format.js";
 import { FrameBuffer } from "/frame_buffer.js";
 import { Playback } from "/playback.js";
 import { parseWindow } from "/service_source.js";
 import { TakeMotion } from "/take_motion.js";
-import { GapCounts, gapBegins, tickSeconds } from "/time_axis.js";
+import { GapCounts, gapBegins } from "/time_axis.js";
 import { equal, isTrue, near, test, throws } from "./harness.js";
 
 const always = () => true;

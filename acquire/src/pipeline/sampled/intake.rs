@@ -10,6 +10,7 @@ use super::{
     GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
     SampleWakes,
     counter::{BatchStep, SampleCounter},
+    tap::SampleTapSender,
 };
 use crate::pipeline::messages::BlockTime;
 
@@ -48,6 +49,7 @@ pub(in crate::pipeline) struct SampledIntake {
     /// Index of the group with each number; `None` for one that was not announced.
     by_id: [Option<u8>; 256],
     wakes: SampleWakes,
+    tap: SampleTapSender,
 }
 
 /// One group.
@@ -96,7 +98,7 @@ impl SampledIntake {
         plans: &[GroupPlan],
         rings: Vec<Rings>,
         tick_hz: u64,
-        wakes: SampleWakes,
+        (wakes, tap): (SampleWakes, SampleTapSender),
     ) -> Self {
         let mut by_id = [None; 256];
         let groups = infos.iter().zip(plans).zip(rings).enumerate();
@@ -125,7 +127,7 @@ impl SampledIntake {
                 has_early_block: false,
             }
         });
-        Self { groups: groups.collect(), by_id, wakes }
+        Self { groups: groups.collect(), by_id, wakes, tap }
     }
 
     fn group_mut(&mut self, id: u8) -> Option<&mut GroupIntake> {
@@ -167,10 +169,12 @@ impl SampledIntake {
             return BatchOutcome::Refused;
         }
         // While no stretch ends, nothing else wakes its thread.
-        if group.batch(batch, stretch, segment)
-            && let Some(index) = index
-        {
-            self.wakes.wake(index.into());
+        let is_block_ended = group.batch(batch, stretch, segment);
+        if let Some(index) = index.map(usize::from) {
+            if is_block_ended {
+                self.wakes.wake(index);
+            }
+            self.tap.offer(index, batch);
         }
         BatchOutcome::Counted
     }

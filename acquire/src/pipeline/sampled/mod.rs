@@ -16,6 +16,7 @@
 mod coder;
 mod counter;
 mod intake;
+mod tap;
 
 use std::{
     sync::{
@@ -36,6 +37,7 @@ use mocapd_take::{
 
 use self::coder::SampledGroupCoder;
 pub(super) use self::intake::{BatchOutcome, SampledIntake};
+pub use self::tap::{SampleRange, SampleTapReceiver};
 use super::{
     messages::{BlockTime, WriterInput},
     ring::{RingConsumer, RingProducer, ring},
@@ -186,7 +188,7 @@ pub(super) fn start(
     stretch: Duration,
     (tick_hz, workers): (u64, usize),
     to_writer: &Sender<WriterInput>,
-) -> anyhow::Result<(SampledIntake, SampleReturns, SamplingThreads)> {
+) -> anyhow::Result<(SampledIntake, SampleReturns, SamplingThreads, SampleTapReceiver)> {
     let plans: Vec<GroupPlan> = groups.iter().map(|group| GroupPlan::new(group, stretch)).collect();
     let bytes: usize = plans.iter().map(GroupPlan::block_bytes_max).sum();
     let n_buffers = (MEMORY_BYTES / bytes.max(1)).clamp(BUFFERS_MIN, BUFFERS_MAX);
@@ -222,10 +224,11 @@ pub(super) fn start(
         })?);
     }
     let wakes = SampleWakes(wakes);
-    let intake = SampledIntake::new(groups, &plans, rings, tick_hz, wakes.clone());
+    let (tap_in, tap) = tap::tap(groups);
+    let intake = SampledIntake::new(groups, &plans, rings, tick_hz, (wakes.clone(), tap_in));
     let block_bytes_max = plans.iter().map(GroupPlan::block_bytes_max).max().unwrap_or(0);
     let returns = SampleReturns { buffers, wakes, block_bytes_max, are_gone };
-    Ok((intake, returns, SamplingThreads(handles)))
+    Ok((intake, returns, SamplingThreads(handles), tap))
 }
 
 /// Tells the writer that a thread has ended, also if it panicked: takes then are not closed later than needed.
