@@ -1,4 +1,7 @@
-// How far a take is from another one: the distances of the markers in a frame, and the largest ones over time. Pure.
+// How far a take is from another one: the distances of the markers in a frame, and the largest ones over time. Pure but for
+// drawing.
+
+import { toZUp } from "./camera.js";
 
 /** Classes of distances, from the smallest to the largest; each has a colour and a size. */
 export const ERROR_CLASSES = 5;
@@ -83,4 +86,38 @@ export function distances(ours, theirs) {
     found[i] = Math.hypot(ours[3 * i] - theirs[3 * i], ours[3 * i + 1] - theirs[3 * i + 1], ours[3 * i + 2] - theirs[3 * i + 2]);
   }
   return found;
+}
+
+/**
+ * The distances from another take: the colour and the size of a marker show the class of its distance, and a line leads to
+ * where the other take has it.
+ */
+export function drawErrors({ comparison, errors, other }, ctx, motion, project, points, { colours }) {
+  const [place, at] = [[0, 0, 0], [0, 0, 0]];
+  const discs = Array.from({ length: ERROR_CLASSES }, () => new Path2D());
+  const lines = new Path2D();
+  errors.forEach((error, slot) => {
+    const [x, y, radius, seen] = points.subarray(4 * slot, 4 * slot + 4);
+    if (seen < 1 || Number.isNaN(error)) return;
+    const which = comparison.classOf(error);
+    const size = radius * (1 + 0.15 * which);
+    discs[which].moveTo(x + size, y);
+    discs[which].arc(x, y, size, 0, 2 * Math.PI);
+    toZUp(motion.upAxis, ...other.subarray(3 * slot, 3 * slot + 3), place, 0);
+    if (!project(...place, at) || Math.hypot(at[0] - x, at[1] - y) < 2) return;
+    lines.moveTo(x, y);
+    lines.lineTo(at[0], at[1]);
+    lines.moveTo(at[0] + 3, at[1]);
+    lines.arc(at[0], at[1], 3, 0, 2 * Math.PI);
+  });
+  ctx.strokeStyle = colours.text;
+  ctx.lineWidth = 1.5;
+  ctx.stroke(lines);
+  ctx.strokeStyle = colours.panel;
+  ctx.lineWidth = 1.2;
+  discs.forEach((disc, which) => {
+    ctx.fillStyle = colours[`error-${which + 1}`];
+    ctx.fill(disc);
+    ctx.stroke(disc);
+  });
 }

@@ -53,9 +53,7 @@ export class Forces {
 }
 
 /** The outlines of the plates, and the reaction forces on the subject at the centres of pressure. */
-export function drawForces(ctx, motion, project, { colours }) {
-  const { forces, row, upAxis } = motion;
-  if (!forces) return;
+export function drawForces(forces, ctx, { row, upAxis }, project, { colours }) {
   const loads = forces.at(row);
   const [from, to] = [[0, 0, 0], [0, 0, 0]];
   const point = (x, y, z, out) => {

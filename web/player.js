@@ -2,11 +2,8 @@
 // Where the frames come from is the source's matter: the service, or the page itself.
 
 import { CHOSEN_MAX, Charts } from "./charts.js";
-import { Comparison, ERROR_CLASSES } from "./comparison.js";
-import { Curves } from "./curves.js";
-import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
+import { byId, setAttribute, setHidden, setText } from "./dom.js";
 import { count, percentile, plural, roundedUp, takeTime } from "./format.js";
-import { Forces } from "./forces.js";
 import { FrameBuffer } from "./frame_buffer.js";
 import { Playback } from "./playback.js";
 import { installPlayerKeys } from "./player_keys.js";
@@ -20,10 +17,6 @@ const CHARTS_MS = 100;
 const TEXTS_MS = 60;
 /** How often the list of markers says which are missing, while playing. */
 const MISSING_MS = 250;
-/** Columns of the force curve: one for each pixel of a time axis. */
-const COLUMNS = 1024;
-/** Poses of a face in a window. */
-const POSES_MAX = 1024;
 /** Markers that are named where a gap begins. */
 const NAMED_MAX = 4;
 /** How often the time axis states its value while playing. */
@@ -36,11 +29,6 @@ export class Player {
   playback = new Playback(0, 1);
   gaps = new GapCounts();
   buffer = null;
-  /** The take that this one is compared with, and the force plates; null if there are none. */
-  comparison = null;
-  forces = null;
-  /** The poses of the subject's face, as frames of four markers: twelve numbers. */
-  #poses = null;
   /** Whether frames could not be read. */
   hasFailed = false;
   /** Statistics for the tests: the script time of drawings in milliseconds, rows drawn, rows skipped. */
@@ -59,7 +47,9 @@ export class Player {
   #found = null;
   #missingMs = 0;
 
-  constructor() {
+  /** `overlays` adds what only a service has; null for a shared page. */
+  constructor(overlays = null) {
+    this.overlays = overlays;
     this.view = new View(this.motion);
     this.view.isLive = false;
     // In a pause the camera does not move on to what is not quite in the picture.
@@ -68,7 +58,6 @@ export class Player {
     this.view.onDrawn = () => this.#measure();
     this.axis = new TimeAxis({ onSeek: (row) => this.seek(row), onHint: (text) => this.#hint(text) });
     this.charts = new Charts();
-    this.curves = new Curves({ onSeek: (row) => this.seek(row) });
     this.lists = new PlayerLists({
       onChoose: (slots) => this.#choose(slots),
       onHover: (slot) => this.view.select({ hovered: slot }),
@@ -77,6 +66,7 @@ export class Player {
     this.view.onSelected = () => {
       if (this.view.pinned >= 0 && this.view.hovered < 0) this.lists.add(this.view.pinned);
     };
+    this.overlays?.install(this);
     installPlayerKeys(this);
     requestAnimationFrame((now) => this.#tick(now));
   }
@@ -90,7 +80,7 @@ export class Player {
     this.#search = null;
     this.hasFailed = false;
     this.#message("Loading");
-    this.#notice(null);
+    this.notice(null);
     let overview;
     try {
       overview = await source.overview();
@@ -100,8 +90,7 @@ export class Player {
     }
     if (opened !== this.#opened) return;
     this.#show(overview, source);
-    await this.#showForces(source, opened);
-    if (other) await this.#compare(source, other, opened);
+    await this.overlays?.open(source, other, () => opened === this.#opened);
     await this.#countGaps(source, opened);
   }
 
@@ -110,7 +99,7 @@ export class Player {
     this.overview = overview;
     this.playback = new Playback(overview.frames, overview.rate_hz);
     this.gaps = new GapCounts();
-    [this.comparison, this.forces, this.#found] = [null, null, null];
+    this.#found = null;
     this.stats = { drawn: 0, skipped: 0, firstPictureMs: NaN, times: [] };
     this.motion.setTake(overview);
     this.view.settle();
@@ -119,11 +108,10 @@ export class Player {
       onLoaded: () => opened === this.#opened && this.#loaded(),
       onFailed: (error) => opened === this.#opened && this.#failed(error),
     });
-    this.#poses = this.#posesOf(source, overview, opened);
     const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
     this.axis.show(shown);
     this.charts.show(shown);
-    this.#showCurves();
+    this.overlays?.close();
     this.lists.show(overview, this.motion.labels);
     setText(byId("take-name"), overview.name);
     setText(byId("take-facts"), facts(overview));
@@ -135,13 +123,6 @@ export class Player {
     for (const id of ["play", "back", "forward"]) byId(id).disabled = overview.frames < 2;
     byId("next-event").disabled = overview.events.length === 0;
     this.seek(0);
-  }
-
-  #posesOf(source, overview, opened) {
-    if (!overview.face || !source.poses) return null;
-    const window = (firstRow, rows, every) => source.poses(firstRow, rows, every);
-    const table = { ...overview, markers: 4, window_frames_max: POSES_MAX };
-    return new FrameBuffer({ window }, table, { onLoaded: () => opened === this.#opened && this.#refresh() });
   }
 
   async #countGaps(source, opened) {
@@ -156,125 +137,31 @@ export class Player {
         return true;
       }, () => this.buffer.idle());
     } catch (error) {
-      if (opened === this.#opened) this.#notice(`The gaps of this take cannot be read: ${error.message}`);
+      if (opened === this.#opened) this.notice(`The gaps of this take cannot be read: ${error.message}`);
     }
-  }
-
-  /** The force plates of the take, if it has any: its loads around the current time, and its forces as a curve. */
-  async #showForces(source, opened) {
-    // A shared page has no forces.
-    if (!source.plates || this.overview.frames === 0) return;
-    try {
-      await this.buffer.idle();
-      const list = await source.plates();
-      if (opened !== this.#opened || list.plates.length === 0) return;
-      const { overview } = this;
-      const n = list.plates.length;
-      const window = (firstRow, rows, every) => source.forces(firstRow, rows, every, n);
-      // Nine numbers for each plate, as many as for three markers.
-      const table = { ...overview, markers: 3 * n, window_frames_max: list.window_frames_max };
-      const buffer = new FrameBuffer({ window }, table, { onLoaded: () => opened === this.#opened && this.#refresh() });
-      const columnFrames = Math.max(1, Math.ceil(overview.frames / COLUMNS));
-      this.forces = new Forces(list, buffer, overview.frames, columnFrames);
-      this.motion.forces = this.forces;
-      this.#showCurves();
-      this.#refresh();
-      for (let row = 0; row < overview.frames;) {
-        await this.buffer.idle();
-        const part = await window(row, overview.frames - row, columnFrames);
-        if (opened !== this.#opened || part.frames === 0) return;
-        this.forces.add(part);
-        this.curves.invalidate();
-        row += part.frames * part.every;
-      }
-    } catch (error) {
-      if (opened === this.#opened) this.#notice(`The forces of this take cannot be read: ${error.message}`);
-    }
-  }
-
-  /** Compares the take with another one, part by part. */
-  async #compare(source, other, opened) {
-    setText(byId("comparison-text"), `Comparing with ${other.name}`);
-    setHidden(byId("comparison"), false);
-    try {
-      const overview = await other.overview();
-      if (opened !== this.#opened) return;
-      const buffer = new FrameBuffer(other, overview, { onLoaded: () => opened === this.#opened && this.#refreshComparison() });
-      this.comparison = new Comparison(other.name, buffer);
-      this.motion.comparison = this.comparison;
-      this.#showCurves();
-      await source.difference(other.name, (part) => {
-        if (opened !== this.#opened) return false;
-        this.comparison.add(part);
-        this.#refreshComparison();
-        this.#showComparison();
-        return true;
-      }, () => this.buffer.idle());
-    } catch (error) {
-      if (opened !== this.#opened) return;
-      this.comparison = null;
-      this.motion.comparison = null;
-      this.#showCurves();
-      setText(byId("comparison-text"), `Not compared: ${error.message}`);
-    }
-  }
-
-  #refreshComparison() {
-    this.motion.compare();
-    this.curves.invalidate();
-    this.#refresh();
-  }
-
-  #showCurves() {
-    const { playback, forces, comparison } = this;
-    this.curves.show({ playback, forces, comparison });
-    setHidden(byId("forces-text"), forces === null);
-    setHidden(byId("comparison"), comparison === null);
-    byId("largest-error").disabled = true;
-    byId("comparison-scale").replaceChildren();
-  }
-
-  #showComparison() {
-    const { comparison, overview, motion } = this;
-    const { largest } = comparison;
-    setText(byId("comparison-text"), comparisonText(comparison, overview, motion.labels));
-    byId("largest-error").disabled = !largest;
-    if (!largest) return;
-    const classes = Array.from({ length: ERROR_CLASSES }, (_, i) =>
-      h("span", { class: `error-class error-${i + 1}` }, roundedUp((largest.error_mm * (i + 1)) / ERROR_CLASSES)));
-    byId("comparison-scale").replaceChildren("up to ", ...classes, " mm");
-  }
-
-  /** Goes to the largest distance from the other take. */
-  goToLargest() {
-    const { largest } = this.comparison ?? {};
-    if (!largest) return;
-    this.playback.pause();
-    this.seek(largest.frame);
-    this.view.select({ pinned: largest.marker });
   }
 
   /** Frames could not be read; they are tried again. */
   #failed(error) {
     this.hasFailed = true;
-    this.#notice(`Frames cannot be read: ${error.message}`);
+    this.notice(`Frames cannot be read: ${error.message}`);
   }
 
   #loaded() {
     if (this.hasFailed && this.buffer.has(this.playback.row)) {
       this.hasFailed = false;
-      this.#notice(null);
+      this.notice(null);
     }
     this.#noticeDamage();
-    this.#refresh();
+    this.refresh();
   }
 
   /** Damage within a take shows only when it is decoded. */
   #noticeDamage() {
     const { overview, buffer, gaps } = this;
     if (this.hasFailed) return;
-    if (overview.problems_total > 0) this.#notice(problemText(overview));
-    else if (buffer.isDamaged || gaps.isDamaged) this.#notice(DAMAGED);
+    if (overview.problems_total > 0) this.notice(problemText(overview));
+    else if (buffer.isDamaged || gaps.isDamaged) this.notice(DAMAGED);
   }
 
   /** Goes to a row; playing goes on from there. */
@@ -284,14 +171,14 @@ export class Player {
     if (this.hasFailed) this.buffer.retry();
     this.playback.seek(row);
     this.#isJump ||= Math.abs(this.playback.row - this.motion.row) > this.playback.rateHz / 2;
-    this.#refresh();
+    this.refresh();
   }
 
   step(rows) {
     if (!this.overview) return;
     this.#endSearch();
     this.playback.step(rows);
-    this.#refresh();
+    this.refresh();
   }
 
   /** What was found last, and a search that is running, are of no interest any more. */
@@ -310,18 +197,18 @@ export class Player {
     const { row } = this.motion;
     this.playback.toggle();
     if (!this.playback.isPlaying && row >= 0) this.playback.seek(row);
-    this.#refresh();
+    this.refresh();
   }
 
   setSpeed(speed) {
     this.playback.speed = speed;
-    this.#refresh();
+    this.refresh();
   }
 
   /** Changes the loop by a method of the position: loopFrom, loopTo, clearLoop. */
   changeLoop(method) {
     this.playback[method]();
-    this.#refresh();
+    this.refresh();
   }
 
   /** Goes to the next (1) or previous (-1) event. */
@@ -336,7 +223,7 @@ export class Player {
   async goToGap(direction) {
     if (!this.overview) return;
     this.playback.pause();
-    this.#refresh();
+    this.refresh();
     const search = (this.#search = {});
     const found = await this.#findGap(direction, search);
     if (search !== this.#search) return;
@@ -404,7 +291,7 @@ export class Player {
   }
 
   /** Shows the present state at once. */
-  #refresh() {
+  refresh() {
     if (!this.overview) return;
     this.#draw(Infinity);
     this.#showTexts(Infinity, true);
@@ -415,13 +302,10 @@ export class Player {
     const { playback, buffer, motion } = this;
     const rowsPerSecond = playback.isPlaying ? playback.rowsPerSecond : 0;
     buffer.want(playback.row, rowsPerSecond, playback.loop);
-    this.forces?.buffer.want(playback.row, rowsPerSecond, playback.loop);
-    this.#poses?.want(playback.row, rowsPerSecond, playback.loop);
-    this.comparison?.buffer.want(this.comparison.otherRow(playback.row), rowsPerSecond);
+    this.overlays?.want(playback, rowsPerSecond);
     if (motion.show(buffer.shownRow(playback.row), buffer.positionsAt)) {
       this.#message(null);
-      const pose = this.#poses?.positionsAt(motion.row) ?? null;
-      motion.facePose = pose && Number.isFinite(pose[0]) ? pose : null;
+      this.overlays?.show(motion);
       if (this.#isJump) {
         // The camera looks for the markers again, at once.
         this.#isJump = false;
@@ -437,7 +321,7 @@ export class Player {
     if (nowMs - this.#chartsMs < CHARTS_MS) return;
     this.#chartsMs = Number.isFinite(nowMs) ? nowMs : 0;
     this.charts.invalidate();
-    this.curves.invalidate();
+    this.overlays?.invalidate();
   }
 
   #showTexts(nowMs, isAll) {
@@ -447,7 +331,7 @@ export class Player {
     const row = this.buffer.shownRow(playback.row);
     setText(byId("time"), takeTime(row / playback.rateHz));
     setText(byId("frame"), frameText(row, this.overview));
-    if (this.forces) setText(byId("forces-text"), this.forces.texts(row).join(" · "));
+    this.overlays?.showTexts(row);
     if (isAll || nowMs - this.#missingMs > MISSING_MS) {
       this.#missingMs = Number.isFinite(nowMs) ? nowMs : 0;
       this.lists.showMissing((slot) => motion.isSeen(slot));
@@ -468,7 +352,7 @@ export class Player {
     const { stats } = this;
     stats.drawn += 1;
     if (Number.isNaN(stats.firstPictureMs)) stats.firstPictureMs = performance.now() - this.#openedMs;
-    const drawings = [this.axis, this.charts, this.curves].map(({ drawing }) => drawing);
+    const drawings = [this.axis, this.charts, this.overlays?.curves].flatMap((part) => part?.drawing ?? []);
     stats.times.push(drawings.reduce((sum, { drawMs }) => sum + drawMs, this.#tickMs + this.view.drawMs));
     for (const drawing of drawings) drawing.drawMs = 0;
     if (stats.times.length > TIMES_MAX) stats.times.shift();
@@ -481,14 +365,14 @@ export class Player {
     byId("view").classList.toggle("stale", text !== null);
   }
 
-  #notice(text) {
+  notice(text) {
     setHidden(byId("notice"), text === null);
     setText(byId("notice"), text ?? "");
   }
 
   #fail(error) {
     this.#message("Cannot be played");
-    this.#notice(error.message);
+    this.notice(error.message);
     setText(byId("take-name"), this.source.name ?? "Take");
     setText(byId("take-facts"), "");
     for (const id of ["play", "back", "forward", "next-gap", "next-event"]) byId(id).disabled = true;
@@ -514,24 +398,6 @@ export class Player {
 export function frameText(row, { frames, first_frame: first = 1 }) {
   if (first === 1) return `frame ${count(row + 1)} of ${count(frames)}`;
   return `frame ${count(first + row)}: ${count(row + 1)} of ${count(frames)}`;
-}
-
-/** What is known about the difference between two takes, as one line. Pure. */
-export function comparisonText(comparison, { frames, rate_hz: rateHz }, labels) {
-  const { other, largest, gapsDiffering, markersMissing, isDamaged, endRow } = comparison;
-  const known = [];
-  if (largest) {
-    const { error_mm: error, frame, marker } = largest;
-    known.push(`largest error ${roundedUp(error)} mm: ${labels[marker]} at ${takeTime(frame / rateHz)}`, `rms ${roundedUp(comparison.rmsMm)} mm`);
-  } else {
-    known.push("no sample is in both");
-  }
-  const onlyHere = comparison.markers.filter((marker) => marker === null).length;
-  if (onlyHere + markersMissing > 0) known.push(`${plural(onlyHere + markersMissing, "marker")} in only one of them`);
-  if (gapsDiffering > 0) known.push(`${plural(gapsDiffering, "sample")} in only one of them`);
-  if (isDamaged) known.push("one of them is damaged");
-  if (endRow < frames) known.push(`compared up to ${takeTime(endRow / rateHz)}`);
-  return `Compared with ${other}: ${known.join(" · ")}`;
 }
 
 /** The facts about a take, as one line. Pure. */

@@ -33,7 +33,7 @@ export function installPlayerKeys(player) {
     o: () => player.changeLoop("loopTo"),
     x: () => player.changeLoop("clearLoop"),
     g: (event) => player.goToGap(direction(event)),
-    m: () => player.goToLargest(),
+    m: () => player.overlays?.goToLargest(),
     e: (event) => player.goToEvent(direction(event)),
     f: () => view.follow(!view.isFollowing),
     t: () => view.toggle("trails"),
@@ -84,7 +84,6 @@ function installButtons(player) {
   click("loop-clear", () => player.changeLoop("clearLoop"));
   click("next-gap", () => player.goToGap(1));
   click("next-event", () => player.goToEvent(1));
-  click("largest-error", () => player.goToLargest());
   click("keys-button", () => byId("keys").showModal());
   click("view-follow", () => view.follow(!view.isFollowing));
   click("view-trails", () => view.toggle("trails"));

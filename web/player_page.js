@@ -5,6 +5,7 @@ import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
 import { downloadMenu } from "./downloads.js";
 import { installTheme } from "./keys.js";
 import { installLogin } from "./login.js";
+import { Overlays } from "./overlays.js";
 import { Player } from "./player.js";
 import { ServiceSource } from "./service_source.js";
 
@@ -18,7 +19,7 @@ const isViewer = location.pathname === "/";
 installTheme();
 installLogin(isViewer ? "Open the address that mocapd view printed: it contains the token. Or enter the token here." : undefined);
 if (isViewer) takeTokenFromAddress();
-const player = new Player();
+const player = new Player(new Overlays());
 // For the browser's console and the tests.
 window.mocapdPlayer = player;
 

@@ -1,8 +1,6 @@
 // Draws the markers with their trails, bones and labels. Stateless between two frames.
 
-import { ERROR_CLASSES } from "./comparison.js";
 import { drawFloor } from "./floor.js";
-import { drawForces } from "./forces.js";
 import { TRAIL } from "./motion.js";
 import { drawLabels } from "./labels.js";
 
@@ -13,21 +11,24 @@ const RADIUS_MM = 16;
 const RADIUS_FRACTION = 1 / 80;
 const BANDS = 5;
 
-/** `view`: {width, height, options: {labels, trails}, selected: slot or -1, colours, nowMs}. */
+/**
+ * `view`: {width, height, options: {labels, trails}, selected: slot or -1, colours, nowMs, layers}. `layers.floor` draws on the
+ * floor, below the markers, `layers.markers` above them.
+ */
 export function draw(ctx, camera, motion, view) {
   const { width, height } = view;
   ctx.clearRect(0, 0, width, height);
   const project = camera.projector(width, height);
   const stepMm = drawFloor(ctx, camera, motion, project, view);
   if (motion.n === 0 || !motion.raw) return { stepMm, points: null };
-  drawForces(ctx, motion, project, view);
+  view.layers.floor?.(ctx, motion, project, view);
   const points = projectAll(motion, project, view.nowMs);
   drawShadows(ctx, motion, project, points, view);
   if (view.options.trails) drawTrails(ctx, motion, project, view);
   drawFace(ctx, motion, project, view);
   drawBones(ctx, motion, points, view);
   drawMarkers(ctx, motion, points, view);
-  if (motion.errors) drawErrors(ctx, motion, project, points, view);
+  view.layers.markers?.(ctx, motion, project, points, view);
   drawLabels(ctx, motion, points, view);
   return { stepMm, points };
 }
@@ -196,40 +197,6 @@ function drawMarkers(ctx, motion, points, { colours, selected }) {
     ctx.arc(x, y, radius + 6, 0, 2 * Math.PI);
     ctx.stroke();
   }
-}
-
-/**
- * The distances from another take: the colour and the size of a marker show the class of its distance, and a line leads to
- * where the other take has it.
- */
-function drawErrors(ctx, motion, project, points, { colours }) {
-  const at = [0, 0, 0];
-  const discs = Array.from({ length: ERROR_CLASSES }, () => new Path2D());
-  const lines = new Path2D();
-  motion.errors.forEach((error, slot) => {
-    const [x, y, radius, seen] = points.subarray(4 * slot, 4 * slot + 4);
-    if (seen < 1 || Number.isNaN(error)) return;
-    const which = motion.comparison.classOf(error);
-    const size = radius * (1 + 0.15 * which);
-    discs[which].moveTo(x + size, y);
-    discs[which].arc(x, y, size, 0, 2 * Math.PI);
-    if (!project(...motion.other.subarray(3 * slot, 3 * slot + 3), at)) return;
-    if (Math.hypot(at[0] - x, at[1] - y) < 2) return;
-    lines.moveTo(x, y);
-    lines.lineTo(at[0], at[1]);
-    lines.moveTo(at[0] + 3, at[1]);
-    lines.arc(at[0], at[1], 3, 0, 2 * Math.PI);
-  });
-  ctx.strokeStyle = colours.text;
-  ctx.lineWidth = 1.5;
-  ctx.stroke(lines);
-  ctx.strokeStyle = colours.panel;
-  ctx.lineWidth = 1.2;
-  discs.forEach((disc, which) => {
-    ctx.fillStyle = colours[`error-${which + 1}`];
-    ctx.fill(disc);
-    ctx.stroke(disc);
-  });
 }
 
 /** The nearest marker within `reach` pixels of a point, or -1. */

@@ -1,7 +1,6 @@
 // The markers at any row of a take, with their trails and last positions. Pure.
 
 import { toZUp } from "./camera.js";
-import { distances } from "./comparison.js";
 import { Motion, TRAIL } from "./motion.js";
 import { FADE_MS } from "./scene.js";
 
@@ -10,13 +9,6 @@ const TRAIL_HZ = 30;
 
 export class TakeMotion extends Motion {
   row = -1;
-  /** The take that this one is compared with, or null. */
-  comparison = null;
-  /** Of the row on display: the positions in the other take, z up, and the distances of the markers; null if not known. */
-  other = null;
-  errors = null;
-  /** The force plates, or null. */
-  forces = null;
 
   /** The table of a take's overview. */
   setTake(overview) {
@@ -24,7 +16,6 @@ export class TakeMotion extends Motion {
     this.setTable(overview);
     this.rateHz = overview.rate_hz;
     this.row = -1;
-    [this.comparison, this.other, this.errors, this.forces] = [null, null, null, null];
   }
 
   /** The time of a row, on the clock of `lastSeenMs`. */
@@ -52,18 +43,7 @@ export class TakeMotion extends Motion {
       }
     }
     this.row = row;
-    this.compare();
     return true;
-  }
-
-  /** Compares the row on display with the other take. */
-  compare() {
-    const theirs = this.comparison?.otherPositions(this.row) ?? null;
-    this.errors = theirs && this.raw ? distances(this.raw, theirs) : null;
-    this.other = null;
-    if (!theirs) return;
-    this.other = new Float32Array(theirs.length);
-    for (let i = 0; i < theirs.length; i += 3) toZUp(this.upAxis, theirs[i], theirs[i + 1], theirs[i + 2], this.other, i);
   }
 
   #showTrail(row, positionsAt) {

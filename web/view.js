@@ -24,6 +24,9 @@ export class View {
   onDrawn = () => {};
   /** The time of the motion, from that of the page: a player's differs. */
   timeOf = (nowMs) => nowMs;
+  /** What is drawn besides the motion, and said of a marker besides its position. */
+  layers = {};
+  textOf = () => "";
   /** Whether the motion goes on by itself, so that occluded markers fade without a new frame. */
   isLive = true;
   /** Duration of the last drawing. */
@@ -125,8 +128,8 @@ export class View {
       if (box) camera.approach(box, this.width, this.height, isInstant ? 1 : 1 - Math.exp(-elapsedMs / FOLLOW_MS));
       this.#settled ||= box !== null;
     }
-    const { width, height, options, selected, colours } = this;
-    const drawn = draw(this.ctx, camera, motion, { width, height, options, selected, colours, nowMs: this.timeOf(nowMs) });
+    const { width, height, options, selected, colours, layers } = this;
+    const drawn = draw(this.ctx, camera, motion, { width, height, options, selected, colours, layers, nowMs: this.timeOf(nowMs) });
     this.#points = drawn.points;
     this.#showScaleAndMarker(drawn.stepMm);
     this.drawMs = performance.now() - beganMs;
@@ -144,9 +147,7 @@ export class View {
     const age = (this.timeOf(performance.now()) - motion.lastSeenMs[selected]) / 1000;
     const place = Number.isFinite(x) ? `x ${x.toFixed(1)}  y ${y.toFixed(1)}  z ${z.toFixed(1)} mm`
       : Number.isFinite(age) ? `not seen for ${duration(age).join(" ")}` : "not seen yet";
-    const error = motion.errors?.[selected];
-    const far = Number.isFinite(error) ? `   error ${error.toFixed(3)} mm` : "";
-    setText(byId("view-marker"), `${motion.labels[selected]}   ${place}${far}`);
+    setText(byId("view-marker"), `${motion.labels[selected]}   ${place}${this.textOf(selected)}`);
   }
 
   /** Moves the camera for the user; it no longer follows the markers. */

@@ -69,7 +69,7 @@ def open_comparison(browser, mock):
     mock.set(add_take=["lossless-004", SECONDS, "complete"])
     browser.open(f"{mock.url}player.html?take={NAME}&against=lossless-004")
     browser.wait("the first picture", "return window.mocapdPlayer?.stats.drawn > 0 && document.getElementById('view-message').hidden")
-    browser.wait("the comparison", "return mocapdPlayer.comparison?.endRow === mocapdPlayer.overview.frames", 20)
+    browser.wait("the comparison", "return mocapdPlayer.overlays.comparison?.endRow === mocapdPlayer.overview.frames", 20)
 
 
 @check("comparing: distances at the markers, a curve, and the largest error, which can be gone to")
@@ -80,19 +80,19 @@ def comparing(browser, _log):
         text = browser.text("comparison-text")
         for part in ("Compared with lossless-004", f"largest error 9 mm: {label} at 0:02.675", "rms 0.3"):
             assert part in text, text
-        browser.wait("the distances", "return mocapdPlayer.motion.errors !== null")
-        errors = browser.js("return [...mocapdPlayer.motion.errors].filter(Number.isFinite)")
+        browser.wait("the distances", "return mocapdPlayer.overlays.errors !== null")
+        errors = browser.js("return [...mocapdPlayer.overlays.errors].filter(Number.isFinite)")
         assert len(errors) > 30 and all(abs(error - 0.3) < 1e-3 for error in errors), errors
         browser.keys("m")
         assert_shown(browser, MockTake(NAME, SECONDS, MARKERS, RATE_HZ), WORST[0])
-        browser.wait("the distances there", f"return Math.abs(mocapdPlayer.motion.errors?.[{WORST[1]}] - 9) < 1e-3")
+        browser.wait("the distances there", f"return Math.abs(mocapdPlayer.overlays.errors?.[{WORST[1]}] - 9) < 1e-3")
         browser.wait("the marker", lambda: "error 9.000 mm" in browser.text("view-marker"))
-        assert browser.js(f"return mocapdPlayer.comparison.classOf(9)") == 4
-        curve = browser.js("return mocapdPlayer.comparison.largestByBin[Math.floor(arguments[0] / mocapdPlayer.comparison.binFrames)]", WORST[0])
+        assert browser.js(f"return mocapdPlayer.overlays.comparison.classOf(9)") == 4
+        curve = browser.js("return mocapdPlayer.overlays.comparison.largestByBin[Math.floor(arguments[0] / mocapdPlayer.overlays.comparison.binFrames)]", WORST[0])
         assert abs(curve - 9) < 1e-3
         # Without the other take, the player is as before.
         browser.js("const s = document.getElementById('against-select'); s.value = ''; s.dispatchEvent(new Event('change'))")
-        browser.wait("no comparison", "return document.getElementById('comparison').hidden && mocapdPlayer.motion.errors === null")
+        browser.wait("no comparison", "return document.getElementById('comparison').hidden && mocapdPlayer.overlays.errors === null")
         assert browser.js("return location.search") == f"?take={NAME}"
         assert browser.errors() == []
 
@@ -106,19 +106,19 @@ def comparing(browser, _log):
 def open_plates(browser, mock):
     mock.set(add_take=["plates-1", 10.0, "complete"])
     open_take(browser, mock, "plates-1")
-    browser.wait("the forces", "return mocapdPlayer.forces?.curves.every((curve) => curve.some(Number.isFinite))")
+    browser.wait("the forces", "return mocapdPlayer.overlays.forces?.curves.every((curve) => curve.some(Number.isFinite))")
     browser.js("mocapdPlayer.seek(60)")
-    browser.wait("the loads", "return mocapdPlayer.forces.at(60) !== null")
+    browser.wait("the loads", "return mocapdPlayer.overlays.forces.at(60) !== null")
 
 
 @check("forces: plates with their reaction forces in the scene, and curves below the time axis")
 def forces(browser, _log):
     with Mock("--markers", "15") as mock:
         open_plates(browser, mock)
-        loads = browser.js("return mocapdPlayer.forces.at(60)")
+        loads = browser.js("return mocapdPlayer.overlays.forces.at(60)")
         assert [round(value) for value in loads[0]["force"]] == [30, -20, 1200] and loads[0]["cop"][0] == 20.0, loads
         browser.wait("the text", lambda: browser.text("forces-text").startswith("plate 1: 1201 N · plate 2: 0 N"))
-        high = browser.js("return Math.max(...mocapdPlayer.forces.curves[0].filter(Number.isFinite))")
+        high = browser.js("return Math.max(...mocapdPlayer.overlays.forces.curves[0].filter(Number.isFinite))")
         assert abs(high - 1205) < 1, high
         purple = "return mocapdPlayer.view.colours.force.match(/\\d+/g).slice(0, 3).map(Number)"
         drawn = """const canvas = document.getElementById('view'), wanted = arguments[0];
