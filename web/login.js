@@ -21,7 +21,7 @@ export function installLogin(where = WHERE) {
 function createDialog(where) {
   const form = h("form", { id: "login-form" },
     h("h2", { id: "login-title" }, "Log in"),
-    h("p", {}, where),
+    h("p", { id: "login-text" }, where),
     h("label", { class: "field" }, "Token",
       h("input", { id: "token", name: "token", type: "password", autocomplete: "current-password", required: true })),
     h("p", { id: "login-answer", class: "answer", role: "alert" }),

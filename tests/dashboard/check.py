@@ -31,6 +31,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--chromium", default=shutil.which("chromium"))
     parser.add_argument("--chromedriver", default=shutil.which("chromedriver"))
+    parser.add_argument("--firefox", default=shutil.which("firefox-esr") or shutil.which("firefox"), help="without it, the shared page is tested in chromium alone")
     parser.add_argument("--pictures", type=Path, help="folder for the screenshots; without it they are discarded")
     parser.add_argument("--mocapd", type=Path, help="the daemon; without it only the page is tested")
     parser.add_argument("--mocapd-sim", type=Path, help="the simulated device")
@@ -56,6 +57,8 @@ def main():
         pictures, downloads = args.pictures or Path(temporary) / "pictures", Path(temporary) / "downloads"
         for folder in (pictures, downloads):
             folder.mkdir(parents=True, exist_ok=True)
+        if args.mocapd and args.firefox:
+            checks += checks_view.firefox_checks(args.mocapd.resolve(), args.firefox, pictures.resolve())
         browser = Browser(args.chromium, args.chromedriver, pictures.resolve(), downloads.resolve())
         browser.media(prefers_color_scheme="dark")
         try:
