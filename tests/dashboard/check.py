@@ -47,6 +47,7 @@ def main():
     checks = [*checks_page.CHECKS, *checks_player.CHECKS, *checks_sampled.CHECKS, *checks_finished.CHECKS]
     if args.mocapd:
         checks += checks_finished.checks(args.mocapd.resolve(), args.mocapd_sim.resolve())
+        checks += checks_sampled.checks(args.mocapd.resolve(), args.mocapd_sim.resolve())
         checks += checks_service.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(), args.picture)
         checks += checks_view.checks(args.mocapd.resolve())
         if args.drawn_subject:

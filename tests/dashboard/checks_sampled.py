@@ -1,11 +1,16 @@
 """Downloads, comparisons, forces and sampled channels, against the mock: on desktops and phones, in both themes."""
 
+import itertools
+import json
+import threading
 import time
+import urllib.request
 
 from accessible import faults
 from browser import DESKTOP, PHONE
 from checks_page import HERE, Mock
 from checks_player import assert_shown, open_take, row
+from checks_service import Rig
 from mock_take import WORST, MockTake
 from selenium.webdriver.common.keys import Keys
 
@@ -174,3 +179,77 @@ def strips(browser, _log):
         browser.wait_state("armed")
         browser.wait("frames", "return window.mocapdStats.frames > 3")
         assert browser.js("return document.getElementById('strips-panel').hidden"), "a device without sampled channels"
+
+
+#: A jump on two force plates, and eight electrodes.
+MOTION = ("--generate", "jump:3", "--seconds", "120", "--rate", "120", "--plates", "--emg", "8@1kHz")
+
+
+def checks(mocapd, mocapd_sim):
+    """The checks against the daemon, each with its name."""
+    return [("the daemon: plates and electrodes on the page, and downloads and playback beside a recording, which loses nothing",
+             lambda browser, log: beside_a_recording(browser, log, mocapd, mocapd_sim))]
+
+
+def status(rig):
+    with urllib.request.urlopen(f"{rig.url}v1/status", timeout=5) as answer:
+        return json.load(answer)
+
+
+def record(browser, name):
+    browser.type("name", name)
+    browser.keys("r")
+    browser.wait_state("recording", 15)
+
+
+def download_all(rig, name, sizes, failures, until):
+    """Downloads a take in all formats, one after another, again and again until a time."""
+    for file_format in itertools.cycle(("c3d", "csv", "trc", "take")):
+        if time.monotonic() > until or failures:
+            return
+        try:
+            with urllib.request.urlopen(f"{rig.url}v1/takes/{name}/download?format={file_format}", timeout=60) as answer:
+                sizes.append((file_format, len(answer.read())))
+        except OSError as error:
+            failures.append(f"{file_format}: {error}")
+
+
+def beside_a_recording(browser, log, mocapd, mocapd_sim):
+    rig = Rig(mocapd, mocapd_sim, motion=MOTION)
+    try:
+        browser.open(rig.url)
+        browser.wait_state("armed", 20)
+        browser.wait("the charts", "return document.querySelectorAll('#strips figure').length === 2")
+        record(browser, "first")
+        captions = "return [...document.querySelectorAll('#strips figcaption')].map((e) => e.textContent)"
+        browser.wait("the ledger", lambda: all("none lost" in text for text in browser.js(captions)), 15)
+        time.sleep(6)
+        browser.picture("strips-service", whole=True)
+        browser.keys("s")
+        browser.wait_state("armed", 15)
+        record(browser, "second")
+        sizes, failures = [], []
+        until = time.monotonic() + 5
+        clients = [threading.Thread(target=download_all, args=(rig, "first", sizes, failures, until)) for _ in range(2)]
+        for client in clients:
+            client.start()
+        browser.open(f"{rig.url}player.html?take=first")
+        browser.wait("the forces", "return mocapdPlayer.overlays?.forces?.curves.every((curve) => curve.some(Number.isFinite))", 20)
+        high, low = browser.js("""const all = mocapdPlayer.overlays.forces.curves.flatMap((curve) => [...curve]).filter(Number.isFinite);
+            return [Math.max(...all), Math.min(...all)]""")
+        assert 500 < high < 5000 and abs(low) < 1, (high, low)
+        browser.keys(" ")
+        browser.wait("it plays", "return mocapdPlayer.playback.row > 60", 15)
+        browser.picture("forces-service", whole=True)
+        for client in clients:
+            client.join()
+        assert failures == [] and len({file_format for file_format, _ in sizes}) == 4, failures
+        take = status(rig)["take"]
+        ledger, samples = take["ledger"], take["sample_ledger"]
+        assert ledger["recorded"] == ledger["frames_sent"] > 240, ledger
+        assert all(group["stored"] == group["taken"] > 2000 for group in samples["groups"]), samples
+        log(f"{ledger['recorded']} frames recorded and none lost, beside {len(sizes)} downloads of {sorted(set(sizes))}")
+        assert browser.errors() == []
+    finally:
+        browser.open("about:blank")
+        rig.close()

@@ -281,15 +281,23 @@ impl TakeForces {
         window: &mut ForceWindow,
     ) -> Result<(), TakeError> {
         let numbers = self.sample_numbers(input, &rows, window.every)?;
-        let (Some(first), Some(last)) = (numbers.first(), numbers.last()) else { return Ok(()) };
+        let (Some(first), Some(last)) = (numbers.first(), numbers.last()) else {
+            let n_frames = (rows.end - rows.start).div_ceil(window.every.into()) as usize;
+            let unknown =
+                std::iter::repeat_n([f32::NAN; LOAD_VALUES], n_frames * self.plates.len());
+            window.loads.extend(unknown);
+            window.flags |= DAMAGED;
+            return Ok(());
+        };
         let (first, end) = (*first, (*last).max(first + 1));
         let values = self.read_values(input, first..end, &mut window.flags)?;
         let n_samples = (end - first) as usize;
         for pair in numbers.windows(2) {
             let &[from, to] = pair else { continue };
-            let from_sample = (from - first) as usize;
-            let samples =
-                from_sample..((to - first) as usize).clamp(from_sample + 1, n_samples.max(1));
+            // The samples may end before the frames.
+            let from_sample = ((from - first) as usize).min(n_samples);
+            let to_sample = ((to - first) as usize).max(from_sample + 1).min(n_samples);
+            let samples = from_sample..to_sample;
             let mut column = 0;
             for plate in &self.plates {
                 let of_plate = values.get(column * n_samples..).unwrap_or_default();
@@ -300,7 +308,8 @@ impl TakeForces {
         Ok(())
     }
 
-    /// By frame that a window has, the number of its first sample; and one more for the end.
+    /// By frame that a window has, the number of its first sample; and one more for the end. Nothing if no frame among these was
+    /// recorded: then it is unknown when they were due.
     fn sample_numbers(
         &self,
         input: &mut (impl Read + Seek),
@@ -316,6 +325,9 @@ impl TakeForces {
         let tick_hz = self.map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
         let ticks_each = tick_hz as f64 / self.map.header.rate_hz;
         let known = row_ticks(input, &self.map, rows)?;
+        if known.is_empty() {
+            return Ok(Vec::new());
+        }
         // Of a lost frame, by the nearest recorded one.
         let ticks = |row: u64| {
             let after = known.partition_point(|(known, _)| *known <= row);
@@ -406,7 +418,8 @@ impl TakeForces {
                 }
             }
         };
-        let [force, cop, free_moment] = at(samples.start);
+        let [force, cop, free_moment] =
+            if samples.is_empty() { [[f64::NAN; 3]; 3] } else { at(samples.start) };
         let mut ends = [f64::NAN; 2];
         for sample in samples {
             let up = at(sample)[0][self.up];
