@@ -205,7 +205,7 @@ test("a gap begins where a marker is missing that was there before", () => {
 });
 
 test("a bound is never rounded down", () => {
-  equal([0, 0.004, 0.1125, 0.5 + 0.5, 0.1 + 0.2, 1.004, 0.49991, 39.96, 1234.5].map(roundedUp),
+  equal([0, 0.004, 0.1125, 0.5 + 0.5, 0.1 + 0.2, 1.004, 0.49991, 39.96, 1234.5].map((mm) => roundedUp(mm)),
     ["0", "0.004", "0.113", "1", "0.3", "1.01", "0.5", "40", "1240"]);
 });
 
