@@ -19,6 +19,8 @@ export class Comparison {
   largest = null;
   samples = 0;
   gapsDiffering = 0;
+  /** How the frames of the two are matched, as the service states it. */
+  frames = {};
   isDamaged = false;
   /** One past the last row that was compared. */
   endRow = 0;
@@ -35,6 +37,7 @@ export class Comparison {
     this.markers = part.markers;
     this.markersMissing = part.markers_missing;
     this.otherFirst = part.other_first;
+    this.frames = part;
     this.binFrames = part.bin_frames;
     part.max_error_mm.forEach((error, i) => {
       const bin = part.first_bin + i;

@@ -1,6 +1,5 @@
 // The curves below the time axis, on the same scale: the upward forces of the plates, and the distance from another take.
 
-import { DASHES } from "./charts.js";
 import { byId, setAttribute, setHidden } from "./dom.js";
 import { rounded } from "./format.js";
 import { OnDemand } from "./on_demand.js";
@@ -8,9 +7,9 @@ import { AXIS_MARGIN_PX } from "./time_axis.js";
 
 const COLOURS = ["panel", "raised", "line", "text", "muted", "force", "bad", "series-1", "series-2", "series-3", "series-4"];
 /** Height of a curve, with the space below it. */
-const STRIP_PX = 56;
+const STRIP_PX = 50;
 const GAP_PX = 6;
-/** Plates that have a line of their own. */
+/** Plates that have a curve. */
 const PLATES_MAX = 4;
 
 /** The columns of a curve of bins as [x, low, high], in pixels of a width; `valueAt(bin)` is [low, high] or null. Pure. */
@@ -70,17 +69,16 @@ export class Curves {
   #strips() {
     const { forces, comparison } = this;
     const strips = [];
-    if (forces?.plates.length > 0) {
-      const lines = forces.curves.slice(0, PLATES_MAX).map((curve) => ({
-        bins: curve.length / 2, binFrames: forces.columnFrames, valueAt: (bin) => [curve[2 * bin], curve[2 * bin + 1]],
-      }));
-      strips.push({ title: "upward force (N)", unit: "N", lines, isFromZero: false });
-    }
+    forces?.curves.slice(0, PLATES_MAX).forEach((curve, plate) => {
+      const { name, corners_mm: corners } = forces.plates[plate];
+      const valueAt = (bin) => [curve[2 * bin], curve[2 * bin + 1]];
+      const what = corners ? "upward force" : "Fz";
+      strips.push({ title: `plate ${name}: ${what} (N)`, bins: curve.length / 2, binFrames: forces.columnFrames, valueAt, colour: `series-${plate + 1}`, isFromZero: false });
+    });
     if (comparison) {
       const { largestByBin } = comparison;
       const valueAt = (bin) => (largestByBin[bin] === null || largestByBin[bin] === undefined ? null : [0, largestByBin[bin]]);
-      const lines = [{ bins: largestByBin.length, binFrames: comparison.binFrames, valueAt, isArea: true }];
-      strips.push({ title: "largest error (mm)", unit: "mm", lines, isFromZero: true });
+      strips.push({ title: "largest error (mm)", bins: largestByBin.length, binFrames: comparison.binFrames, valueAt, colour: "bad", isFromZero: true });
     }
     return strips;
   }
@@ -95,30 +93,25 @@ export class Curves {
     ctx.fillRect(x - 0.75, 0, 1.5, room.height);
   }
 
-  #drawStrip({ title, lines, isFromZero }, top, width) {
+  #drawStrip({ title, bins, binFrames, valueAt, colour, isFromZero }, top, width) {
     const { ctx, colours } = this.drawing;
     const inner = width - 2 * AXIS_MARGIN_PX;
     const height = STRIP_PX - GAP_PX;
     ctx.fillStyle = colours.raised;
     ctx.fillRect(AXIS_MARGIN_PX, top, inner, height);
-    const columns = lines.map(({ bins, binFrames, valueAt }) => curveColumns(bins, binFrames, this.playback.lastRow, inner, valueAt));
-    const ends = columns.flat();
-    const high = ends.reduce((most, [, , value]) => Math.max(most, value), isFromZero ? 1e-9 : 1);
-    const low = isFromZero ? 0 : ends.reduce((least, [, value]) => Math.min(least, value), 0);
+    const columns = curveColumns(bins, binFrames, this.playback.lastRow, inner, valueAt);
+    const high = columns.reduce((most, [, , value]) => Math.max(most, value), isFromZero ? 1e-9 : 1);
+    const low = isFromZero ? 0 : columns.reduce((least, [, value]) => Math.min(least, value), 0);
     const y = (value) => top + height - 1 - ((value - low) / (high - low)) * (height - 3);
-    columns.forEach((found, series) => {
-      ctx.fillStyle = lines[series].isArea ? colours.bad : colours[`series-${(series % 4) + 1}`];
-      for (const [x, from, to] of found) {
-        // The pattern of a line, so that colour is not its only mark.
-        if (series > 0 && !inPattern(DASHES[series % DASHES.length], x)) continue;
-        const above = y(to);
-        ctx.fillRect(AXIS_MARGIN_PX + x, above, 1, Math.max(1.5, y(from) - above));
-      }
-    });
+    ctx.fillStyle = colours[colour];
+    for (const [x, from, to] of columns) {
+      const above = y(to);
+      ctx.fillRect(AXIS_MARGIN_PX + x, above, 1, Math.max(1.5, y(from) - above));
+    }
     ctx.font = "11px system-ui, sans-serif";
     ctx.textBaseline = "top";
     ctx.textAlign = "left";
-    const text = ends.length === 0 ? title : `${title}, ${rounded(high)} at most`;
+    const text = columns.length === 0 ? title : `${title}, ${rounded(high)} at most`;
     const size = ctx.measureText(text).width;
     ctx.fillStyle = colours.raised;
     ctx.globalAlpha = 0.8;
@@ -127,16 +120,4 @@ export class Curves {
     ctx.fillStyle = colours.muted;
     ctx.fillText(text, AXIS_MARGIN_PX + 5, top + 3);
   }
-}
-
-/** Whether a pixel of a dashed line is drawn. Pure. */
-export function inPattern(dashes, x) {
-  const length = dashes.reduce((sum, n) => sum + n, 0);
-  if (length === 0) return true;
-  let at = x % length;
-  for (let i = 0; i < dashes.length; i += 1) {
-    if (at < dashes[i]) return i % 2 === 0;
-    at -= dashes[i];
-  }
-  return true;
 }

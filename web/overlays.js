@@ -10,6 +10,10 @@ import { FrameBuffer } from "./frame_buffer.js";
 
 /** Columns of the force curve: one for each pixel of a time axis. */
 const COLUMNS = 1024;
+/** Largest distance of the frames of a window. */
+const EVERY_MAX = 10_000;
+/** Bytes of windows that each of the overlays keeps. */
+const KEPT_BYTES_MAX = 8e6;
 /** Poses of a face in a window. */
 const POSES_MAX = 1024;
 
@@ -20,6 +24,8 @@ export class Overlays {
   /** Of the frame on display: the positions in the other take and the distances of the markers; null if not known. */
   other = null;
   errors = null;
+  /** Why plates cannot be shown. */
+  #unusable = [];
   /** The poses of the face, as frames of four markers: twelve numbers. */
   #poses = null;
 
@@ -56,7 +62,7 @@ export class Overlays {
   }
 
   #bufferOf(source, overview, isCurrent, onLoaded = () => this.player.refresh()) {
-    return new FrameBuffer(source, overview, { onLoaded: () => isCurrent() && onLoaded() });
+    return new FrameBuffer(source, overview, { keptBytesMax: KEPT_BYTES_MAX, onLoaded: () => isCurrent() && onLoaded() });
   }
 
   /** The force plates of the take, if it has any: its loads around the current time, and its forces as a curve. */
@@ -67,11 +73,15 @@ export class Overlays {
       await player.buffer.idle();
       const list = await source.plates();
       const n = list.plates.length;
-      if (!isCurrent() || n === 0) return;
+      if (!isCurrent()) return;
+      this.#unusable = list.unusable;
+      setText(byId("forces-text"), unusableText(list.unusable));
+      setHidden(byId("forces-text"), n === 0 && list.unusable.length === 0);
+      if (n === 0) return;
       const window = (firstRow, rows, every) => source.forces(firstRow, rows, every, n);
       // Nine numbers for each plate, as many as for three markers.
       const buffer = this.#bufferOf({ window }, { ...overview, markers: 3 * n, window_frames_max: list.window_frames_max }, isCurrent);
-      const columnFrames = Math.max(1, Math.ceil(overview.frames / COLUMNS));
+      const columnFrames = Math.min(EVERY_MAX, Math.max(1, Math.ceil(overview.frames / COLUMNS)));
       this.forces = new Forces(list, buffer, overview.frames, columnFrames);
       this.#showCurves();
       player.refresh();
@@ -155,7 +165,7 @@ export class Overlays {
   }
 
   showTexts(row) {
-    if (this.forces) setText(byId("forces-text"), this.forces.texts(row).join(" · "));
+    if (this.forces) setText(byId("forces-text"), [...this.forces.texts(row), ...this.#unusable.map((text) => unusableText([text]))].join(" · "));
   }
 
   invalidate() {
@@ -172,6 +182,11 @@ export class Overlays {
   }
 }
 
+/** Why plates are not shown. Pure. */
+export function unusableText(unusable) {
+  return unusable.map((text) => `force plate ${text}`).join(" · ");
+}
+
 /** What is known about the difference between two takes, as one line. Pure. */
 export function comparisonText(comparison, { frames, rate_hz: rateHz }, labels) {
   const { other, largest, gapsDiffering, markersMissing, isDamaged, endRow } = comparison;
@@ -185,6 +200,10 @@ export function comparisonText(comparison, { frames, rate_hz: rateHz }, labels) 
   const onlyHere = comparison.markers.filter((marker) => marker === null).length;
   if (onlyHere + markersMissing > 0) known.push(`${plural(onlyHere + markersMissing, "marker")} in only one of them`);
   if (gapsDiffering > 0) known.push(`${plural(gapsDiffering, "sample")} in only one of them`);
+  const { is_by_number: isByNumber, other_first_number: first, frames_only_here: here, frames_only_there: there } = comparison.frames;
+  if (!isByNumber) known.push(`compared from the first frame of each on, which is number ${first} there`);
+  if (here > 0) known.push(`${plural(here, "frame")} only in this take`);
+  if (there > 0) known.push(`${plural(there, "frame")} only in the other one`);
   if (isDamaged) known.push("one of them is damaged");
   if (endRow < frames) known.push(`compared up to ${takeTime(endRow / rateHz)}`);
   return `Compared with ${other}: ${known.join(" · ")}`;

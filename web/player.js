@@ -81,6 +81,7 @@ export class Player {
     this.hasFailed = false;
     this.#message("Loading");
     this.notice(null);
+    this.overlays?.close();
     let overview;
     try {
       overview = await source.overview();
@@ -90,8 +91,7 @@ export class Player {
     }
     if (opened !== this.#opened) return;
     this.#show(overview, source);
-    await this.overlays?.open(source, other, () => opened === this.#opened);
-    await this.#countGaps(source, opened);
+    await Promise.all([this.overlays?.open(source, other, () => opened === this.#opened), this.#countGaps(source, opened)]);
   }
 
   #show(overview, source) {
@@ -111,7 +111,6 @@ export class Player {
     const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
     this.axis.show(shown);
     this.charts.show(shown);
-    this.overlays?.close();
     this.lists.show(overview, this.motion.labels);
     setText(byId("take-name"), overview.name);
     setText(byId("take-facts"), facts(overview));

@@ -71,7 +71,7 @@ export class ServiceSource {
     let row = 0;
     while (row < this.take.frames) {
       await isIdle();
-      const part = await inTurn(() => get(`${this.path}/gaps?from=${row / this.take.rate_hz}`, TIMEOUT_MS));
+      const part = await inTurn(() => get(`${this.path}/gaps?from=${row / this.take.rate_hz}`, TIMEOUT_MS), OTHERS);
       if (!onPart(part) || part.end_frame <= row) return;
       row = part.end_frame;
     }
@@ -79,21 +79,24 @@ export class ServiceSource {
 
   /** A window of the poses of the subject's face. */
   async poses(firstRow, rows, every) {
-    const { rate_hz: rateHz } = this.take;
-    const query = `from=${firstRow / rateHz}&seconds=${Math.min(SECONDS_MAX, rows / rateHz)}&every=${every}`;
-    return parsePoses(await inTurn(() => getBytes(`${this.path}/face?${query}`, TIMEOUT_MS)));
+    return parsePoses(await inTurn(() => getBytes(`${this.path}/face?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS));
   }
 
   /** The force plates of the take: {plates, window_frames_max}. */
   plates() {
-    return inTurn(() => get(`${this.path}/plates`, TIMEOUT_MS));
+    return inTurn(() => get(`${this.path}/plates`, TIMEOUT_MS), OTHERS);
   }
 
   /** A window of the forces of so many plates. */
   async forces(firstRow, rows, every, plates) {
+    return parseForces(await inTurn(() => getBytes(`${this.path}/forces?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS), plates);
+  }
+
+  /** The part of so many rows, or as many whole steps of them as can be requested at once. */
+  #query(firstRow, rows, every) {
     const { rate_hz: rateHz } = this.take;
-    const query = `from=${firstRow / rateHz}&seconds=${Math.min(SECONDS_MAX, rows / rateHz)}&every=${every}`;
-    return parseForces(await inTurn(() => getBytes(`${this.path}/forces?${query}`, TIMEOUT_MS)), plates);
+    const most = Math.max(every, Math.floor((SECONDS_MAX * rateHz) / every) * every);
+    return `from=${firstRow / rateHz}&seconds=${Math.min(rows, most) / rateHz}&every=${every}`;
   }
 
   /** Calls `onPart` with one part of the differences from another take after another, like `gaps`. */
@@ -102,15 +105,36 @@ export class ServiceSource {
     while (row < this.take.frames) {
       await isIdle();
       const query = `against=${encodeURIComponent(other)}&from=${row / this.take.rate_hz}`;
-      const part = await inTurn(() => get(`${this.path}/difference?${query}`, TIMEOUT_MS));
+      const part = await inTurn(() => get(`${this.path}/difference?${query}`, TIMEOUT_MS), OTHERS);
       if (!onPart(part) || part.end_frame <= row) return;
       row = part.end_frame;
     }
   }
 }
 
+/** The service decodes one part of a take after another, for all players: a page has at most this many requests at a time. */
+const REQUESTS_MAX = 2;
+/** Frames come before all others. */
+const FRAMES = 0;
+const OTHERS = 1;
+const waiting = [[], []];
+let running = 0;
+
+/** Makes a request when it is its turn. */
+async function inTurn(request, priority = FRAMES) {
+  if (running >= REQUESTS_MAX) await new Promise((resolve) => waiting[priority].push(resolve));
+  else running += 1;
+  try {
+    return await repeated(request);
+  } finally {
+    const next = waiting[FRAMES].shift() ?? waiting[OTHERS].shift();
+    if (next) next();
+    else running -= 1;
+  }
+}
+
 /** Repeats a request that the service refuses because it is busy. */
-async function inTurn(request) {
+async function repeated(request) {
   for (let attempt = 1; ; attempt += 1) {
     try {
       return await request();

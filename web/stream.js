@@ -4,6 +4,8 @@
 const MESSAGE_MAX = 8 << 20;
 /** Kind, three zero bytes, row, ticks, arrival time. */
 const FRAME_HEADER = 28;
+/** Kind, group, two zero bytes, number of the first sample, number of samples. */
+const SAMPLES_HEADER = 16;
 
 export class StreamError extends Error {}
 
@@ -65,8 +67,11 @@ function parseFace(bytes) {
 
 /** A column of a group of sampled channels: the least and the largest value of each. */
 function parseSamples(bytes) {
-  if (bytes.length < 4 || (bytes.length - 4) % 8 !== 0) throw new StreamError(`samples of ${bytes.length} bytes: expected two floats per channel`);
-  return { kind: "samples", group: bytes[1], ranges: new Float32Array(bytes.buffer, 4) };
+  if (bytes.length < SAMPLES_HEADER || (bytes.length - SAMPLES_HEADER) % 8 !== 0) {
+    throw new StreamError(`samples of ${bytes.length} bytes: expected two floats per channel`);
+  }
+  const view = new DataView(bytes.buffer);
+  return { kind: "samples", group: bytes[1], first: Number(view.getBigUint64(4, true)), n: view.getUint32(12, true), ranges: new Float32Array(bytes.buffer, SAMPLES_HEADER) };
 }
 
 /** Parses server-sent events from text split anywhere. */

@@ -6,7 +6,7 @@ import { causes } from "./metrics.js";
 import { OnDemand } from "./on_demand.js";
 
 const COLOURS = ["panel", "raised", "line", "text", "muted", "accent", "bad"];
-/** Seconds shown, and how many columns of a group are kept: twenty a second. */
+/** Seconds shown, and how many columns of a group are kept: at most twenty a second. */
 const SPAN_S = 10;
 const COLUMNS_MAX = 21 * SPAN_S;
 /** The level is that of this time. */
@@ -20,25 +20,36 @@ const GROUP_PX = 420;
 const NAME_PX = 76;
 const LEVEL_PX = 96;
 
-/** The columns of a group over the last seconds. Pure: times are arguments. */
+/** The columns of a group over the last seconds, by the numbers of their samples. Pure: times are arguments. */
 export class StripHistory {
-  /** {ms, ranges}: ranges are [low, high] by channel. */
+  /** {first, n, ranges}: ranges are [low, high] by channel. */
   columns = [];
+  #endMs = 0;
 
   constructor(group) {
     this.group = group;
   }
 
-  push(ms, ranges) {
-    this.columns.push({ ms, ranges });
-    while (this.columns.length > COLUMNS_MAX || this.columns[0].ms < ms - SPAN_S * 1000) this.columns.shift();
+  /** Adds a column that arrived at a time. Numbers that fall are those of another run of the device. */
+  push(nowMs, { first, n, ranges }) {
+    if (this.columns.length > 0 && first < this.columns.at(-1).first) this.columns = [];
+    this.columns.push({ first, n, ranges });
+    this.#endMs = nowMs;
+    const oldest = first + n - SPAN_S * this.group.rate_hz;
+    while (this.columns.length > COLUMNS_MAX || this.columns[0].first + this.columns[0].n <= oldest) this.columns.shift();
   }
 
-  /** The ends of a channel since a time: [low, high]; null if it had no value. */
-  ends(channel, sinceMs) {
+  /** How long ago a sample was taken, in seconds. */
+  ageS(number, nowMs) {
+    const { first, n } = this.columns.at(-1);
+    return (first + n - number) / this.group.rate_hz + Math.max(0, nowMs - this.#endMs) / 1000;
+  }
+
+  /** The ends of a channel over the last seconds: [low, high]; null if it had no value. */
+  ends(channel, seconds, nowMs) {
     let [low, high] = [Infinity, -Infinity];
-    for (const { ms, ranges } of this.columns) {
-      if (ms < sinceMs || !Number.isFinite(ranges[2 * channel])) continue;
+    for (const { first, n, ranges } of this.columns) {
+      if (this.ageS(first + n, nowMs) > seconds || !Number.isFinite(ranges[2 * channel])) continue;
       low = Math.min(low, ranges[2 * channel]);
       high = Math.max(high, ranges[2 * channel + 1]);
     }
@@ -104,8 +115,8 @@ export class Strips {
   }
 
   /** Adds a column of the group with this index. */
-  push({ group, ranges }, nowMs) {
-    this.#strips[group]?.history.push(nowMs, ranges);
+  push(column, nowMs) {
+    this.#strips[column.group]?.history.push(nowMs, column);
     if (nowMs - this.#drawnMs < DRAW_MS) return;
     this.#drawnMs = nowMs;
     this.invalidate();
@@ -149,22 +160,21 @@ export class Strips {
     ctx.textAlign = "right";
     ctx.fillStyle = colours.muted;
     ctx.fillText(name || `channel ${index + 1}`, NAME_PX - 6, top + height / 2, NAME_PX - 8);
-    const ends = history.ends(index, -Infinity);
+    const ends = history.ends(index, Infinity, nowMs);
     if (!ends) return false;
     const [low, high] = ends[0] === ends[1] ? [ends[0] - 1, ends[1] + 1] : ends;
     const y = (value) => top + height - 2 - ((value - low) / (high - low)) * (height - 4);
-    const x = (ms) => right - ((nowMs - ms) / (SPAN_S * 1000)) * (right - NAME_PX);
-    const columnPx = Math.max(1, (right - NAME_PX) / (20 * SPAN_S) + 0.3);
+    const x = (number) => Math.max(NAME_PX, right - (history.ageS(number, nowMs) / SPAN_S) * (right - NAME_PX));
     const [usual, clipped] = [new Path2D(), new Path2D()];
     let isClipped = false;
-    for (const { ms, ranges } of history.columns) {
+    for (const { first, n, ranges } of history.columns) {
       const range = [ranges[2 * index], ranges[2 * index + 1]];
-      const at = x(ms);
-      if (!Number.isFinite(range[0]) || at < NAME_PX) continue;
+      const [from, to] = [x(first), x(first + n)];
+      if (!Number.isFinite(range[0]) || to <= NAME_PX) continue;
       const is = history.isClipped(index, range);
       isClipped ||= is;
       const above = y(range[1]);
-      (is ? clipped : usual).rect(at - columnPx, above, columnPx, Math.max(1.5, y(range[0]) - above));
+      (is ? clipped : usual).rect(from, above, Math.max(1, to - from + 0.2), Math.max(1.5, y(range[0]) - above));
     }
     ctx.fillStyle = colours.accent;
     ctx.fill(usual);
@@ -176,7 +186,7 @@ export class Strips {
 
   /** The largest magnitude of the last second, and its share of the full scale as a bar. */
   #drawLevel(ctx, colours, { history, index, unit, top, height, right, width, isClipped, nowMs }) {
-    const recent = history.ends(index, nowMs - LEVEL_S * 1000);
+    const recent = history.ends(index, LEVEL_S, nowMs);
     if (!recent) return;
     const peak = Math.abs(recent[0]) > Math.abs(recent[1]) ? recent[0] : recent[1];
     const level = history.level(index, recent);

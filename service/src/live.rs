@@ -108,11 +108,15 @@ pub struct LiveFrame {
     pub samples: Vec<LiveSamples>,
 }
 
-/// A twentieth of a second of a group of sampled channels.
+/// About a twentieth of a second of a group of sampled channels; more while a viewer does not read.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LiveSamples {
     /// The index of the group in the table.
     pub group: u8,
+    /// Number of the first sample since the device was armed.
+    pub first: u64,
+    /// Samples of a channel from the first to the last.
+    pub n: u32,
     /// By channel the least and the largest value, in its unit; NaN if there is none.
     pub ranges: Vec<[f32; 2]>,
 }
@@ -122,8 +126,8 @@ impl LiveMessage {
     /// JSON. Kind 2 is a frame: three zero bytes, u64 row, u64 ticks, u64 arrival in microseconds since 1970, then
     /// three f32 per marker (NaN if it is not seen). Kind 3, the placement of the subject's face, follows the frame
     /// that it belongs to: three zero bytes, then for each axis three factors of a vertex and an offset, as f32. So does
-    /// kind 4, a twentieth of a second of a group of sampled channels: u8 index of the group in the table, two zero bytes,
-    /// then for each channel its least and its largest value as f32.
+    /// kind 4, about a twentieth of a second of a group of sampled channels: u8 index of the group in the table, two zero bytes,
+    /// u64 number of the first sample, u32 number of samples, then for each channel its least and its largest value as f32.
     pub fn put(&self, out: &mut Vec<u8>) {
         match self {
             Self::Table(table) => message(out, |out| {
@@ -133,9 +137,11 @@ impl LiveMessage {
             }),
             Self::Frame(frame) => {
                 message(out, |out| frame.put(out));
-                for LiveSamples { group, ranges } in &frame.samples {
+                for LiveSamples { group, first, n, ranges } in &frame.samples {
                     message(out, |out| {
                         out.extend_from_slice(&[4, *group, 0, 0]);
+                        out.extend_from_slice(&first.to_le_bytes());
+                        out.extend_from_slice(&n.to_le_bytes());
                         ranges
                             .as_flattened()
                             .iter()
@@ -166,8 +172,8 @@ pub(crate) fn live_groups(groups: &[SampledGroupInfo]) -> Vec<LiveGroup> {
 fn live_channel(form: SampleForm, channel: &SampledChannelInfo) -> LiveChannel {
     let counts = match form {
         SampleForm::Int16 => Some([f64::from(i16::MIN), f64::from(i16::MAX)]),
-        SampleForm::Int32 => Some([-COUNT_MAX, COUNT_MAX]),
-        SampleForm::Float32 => None,
+        // A converter of 24 bits and others send these, and nobody says which.
+        SampleForm::Int32 | SampleForm::Float32 => None,
     };
     let full_scale = counts.map(|counts| {
         let [a, b] = counts.map(|count| (count - channel.offset) * channel.scale);
@@ -175,9 +181,6 @@ fn live_channel(form: SampleForm, channel: &SampledChannelInfo) -> LiveChannel {
     });
     LiveChannel { name: channel.name.clone(), unit: channel.unit.clone(), full_scale }
 }
-
-/// The largest count of 32 bits that a device sends.
-const COUNT_MAX: f64 = 16_777_216.0;
 
 /// By channel the ends of what the device sent, in the channel's unit.
 pub(crate) fn values_of(group: &SampledGroupInfo, sent: &[SampleRange]) -> Vec<[f32; 2]> {

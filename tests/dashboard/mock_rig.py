@@ -299,7 +299,7 @@ class Rig:
                     else:
                         size = 5e-3 if channel == 1 and column % 20 == 0 else 1e-3 * abs(math.sin(column / 13 + channel))
                         ranges += [-size, size]
-                messages.append(struct.pack(f"<BBxx{len(ranges)}f", 4, index, *ranges))
+                messages.append(struct.pack(f"<BBxxQI{len(ranges)}f", 4, index, column * 50, 50, *ranges))
         return messages
 
     def status(self):

@@ -57,7 +57,8 @@ class MockTake:
                 if largest is None or error > largest["error_mm"]:
                     largest = {"error_mm": error, "frame": frame, "marker": slot}
         return {"against": against.name, "first_frame": first, "end_frame": end, "frames": self.frames, "bin_frames": bin_frames,
-                "first_bin": first_bin, "other_first": 0, "markers": list(range(len(self.body.labels))), "markers_missing": 0,
+                "first_bin": first_bin, "other_first": 0, "is_by_number": True, "other_first_number": 1, "frames_only_here": 0,
+                "frames_only_there": 0, "markers": list(range(len(self.body.labels))), "markers_missing": 0,
                 "max_error_mm": errors, "largest": largest, "samples": samples, "sum_of_squares_mm2": squares,
                 "gaps_differing": 0, "is_damaged": False}
 

@@ -42,7 +42,7 @@ pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
 pub use progress::{PipelineProgress, TakeProgress, lock};
 pub use ring::{PreviewFrame, PreviewReceiver};
-pub use sampled::{SampleRange, SampleTapReceiver};
+pub use sampled::{SampleColumn, SampleRange, SampleTapReceiver};
 pub use split::{NextTake, Split, SplitAt, TakeSeries};
 
 use self::{

@@ -13,7 +13,8 @@ use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use mocapd_acquire::{
     host_clock::monotonic_ns,
     pipeline::{
-        PipelineProgress, PreviewFrame, PreviewReceiver, SampleRange, SampleTapReceiver, lock,
+        PipelineProgress, PreviewFrame, PreviewReceiver, SampleColumn, SampleRange,
+        SampleTapReceiver, lock,
     },
 };
 use mocapd_drivers::device::SampledGroupInfo;
@@ -184,7 +185,9 @@ impl Hub {
     /// Takes what the sampled channels did.
     fn collect_samples(&mut self) {
         let Some(session) = &mut self.session else { return };
-        while let Some(number) = session.sample_tap.next(&mut self.ranges) {
+        while let Some(SampleColumn { group: number, first, n, .. }) =
+            session.sample_tap.next(&mut self.ranges)
+        {
             let mut groups = session.sampled.iter().enumerate();
             let Some((index, group)) = groups.find(|(_, group)| group.id == number) else {
                 continue;
@@ -196,7 +199,7 @@ impl Hub {
                 self.samples.pop_front();
             }
             let ranges = values_of(group, &self.ranges);
-            self.samples.push_back(LiveSamples { group: index as u8, ranges });
+            self.samples.push_back(LiveSamples { group: index as u8, first, n, ranges });
         }
     }
 

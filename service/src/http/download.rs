@@ -19,6 +19,7 @@ use futures_util::stream;
 use mocapd_acquire::files::{self, SparseFile};
 use mocapd_take::{
     TakeError, TakeFrames,
+    damage::Problem as Damage,
     interchange::{Format, InterchangeError},
 };
 use serde::Deserialize;
@@ -166,12 +167,19 @@ fn write(
     stopping: watch::Receiver<bool>,
 ) -> Result<(), Problem> {
     let input = CancellableReader { input: SparseFile::of(file), client_alive, stopping };
-    let is_restored = |kind: &str| format.restores(kind);
+    // A CSV file has the markers alone: what would be beside it is not read.
+    let is_restored = |kind: &str| format == Format::C3d && format.restores(kind);
     let mut frames = TakeFrames::open_with(BufReader::new(input), is_restored, files::scratch)
         .map_err(|error| match error {
             TakeError::Io(error) => unreadable(&error),
             error => refused(name, &error.to_string()),
         })?;
+    let left_out = frames.problems().iter().find(|problem| {
+        matches!(problem, Damage::ForeignTooLong { .. } | Damage::PartUnreadable { .. })
+    });
+    if let Some(problem) = left_out {
+        return Err(refused(name, &format!("{problem}; `mocapd export` writes what there is")));
+    }
     let mut out = BufWriter::with_capacity(PIECE_BYTES, out);
     let written = format.write(&mut frames, &mut out);
     written.and_then(|()| Ok(out.flush()?)).map_err(|error| match error {

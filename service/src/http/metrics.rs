@@ -372,11 +372,11 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> fmt::Result
 
 fn of_sample_ledger(ledger: &SampleLedgerDocument, out: &mut MetricWriter<'_>) -> fmt::Result {
     let help = "Samples of each channel of a group in the take, by fate";
-    let mut metric = out.0.encode_descriptor("take_sampled", help, None, MetricType::Gauge)?;
+    let mut metric =
+        out.0.encode_descriptor("take_sampled_samples", help, None, MetricType::Gauge)?;
     for group in &ledger.groups {
         let number = group.group.to_string();
         for (fate, n) in [
-            ("taken", group.taken),
             ("stored", group.stored),
             ("lost_on_link", group.lost_on_link),
             ("dropped_by_device", group.dropped_by_device),
@@ -388,6 +388,14 @@ fn of_sample_ledger(ledger: &SampleLedgerDocument, out: &mut MetricWriter<'_>) -
             let labels = [("group", number.as_str()), ("fate", fate)];
             ConstGauge::new(n as f64).encode(metric.encode_family(&labels)?)?;
         }
+    }
+    let help = "Samples of each channel of a group that the device took for the take";
+    let mut metric =
+        out.0.encode_descriptor("take_sampled_taken", help, None, MetricType::Gauge)?;
+    for group in &ledger.groups {
+        let number = group.group.to_string();
+        ConstGauge::new(group.taken as f64)
+            .encode(metric.encode_family(&[("group", number.as_str())])?)?;
     }
     let help = "Times that the numbers of a group's samples began again or jumped";
     let mut metric =

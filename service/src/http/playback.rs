@@ -112,7 +112,9 @@ pub(super) async fn window(
 fn window_problem(name: &str, error: WindowError) -> Problem {
     match error {
         WindowError::BehindEnd { .. } => Problem::of(ProblemKind::Range, error.to_string()),
-        WindowError::TooManyMarkers { .. } => Problem::of(ProblemKind::TooLarge, error.to_string()),
+        WindowError::TooManyMarkers { .. } | WindowError::TooMuchWork => {
+            Problem::of(ProblemKind::TooLarge, error.to_string())
+        }
         WindowError::Take(error) => problem(name, error),
     }
 }

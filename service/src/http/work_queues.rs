@@ -19,8 +19,8 @@ const CHECKS: Size = Size { running: 1, waiting: 0 };
 /// wait.
 const DECODES: Size = Size { running: 1, waiting: 5 };
 
-/// Takes written in another format at once. Each waits while its client is slow, so one slow client does not hold up the
-/// next.
+/// Takes written in another format at once. Each waits while its client is slow, so one slow client alone does not hold up
+/// the next.
 const EXPORTS: Size = Size { running: 2, waiting: 4 };
 
 /// Threads that a listener's runtime may have for all queues.

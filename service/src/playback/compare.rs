@@ -37,8 +37,17 @@ pub struct TakeDifference {
     pub bin_frames: u64,
     /// The bin that `first_frame` belongs to; the distances begin with it.
     pub first_bin: u64,
-    /// Frame of the other take that belongs to frame 0: the two are matched by the frame numbers of their sources.
+    /// Frame of the other take that belongs to frame 0.
     pub other_first: i64,
+    /// Whether frames are matched by their numbers in the sources: those of the same length are matched from their first
+    /// frames on.
+    pub is_by_number: bool,
+    /// Number of the first frame in the source of the other take.
+    pub other_first_number: u64,
+    /// Number of frames that only this take has, and that only the other one has.
+    pub frames_only_here: u64,
+    /// See above.
+    pub frames_only_there: u64,
     /// By marker, its index in the other take; null for a marker that only this take has.
     pub markers: Vec<Option<usize>>,
     /// Number of markers that only the other take has.
@@ -98,6 +107,9 @@ struct Matching {
     markers_missing: usize,
     /// The frames that both have.
     common: Range<u64>,
+    is_by_number: bool,
+    other_first_number: u64,
+    n_theirs: u64,
 }
 
 impl Matching {
@@ -121,7 +133,15 @@ impl Matching {
         }
         let row = |row: i128| u64::try_from(row).unwrap_or_default();
         let other_first = i64::try_from(by).map_err(|_| CompareError::NoFrameInCommon)?;
-        Ok(Self { other_first, markers, markers_missing, common: row(start)..row(end) })
+        Ok(Self {
+            other_first,
+            markers,
+            markers_missing,
+            common: row(start)..row(end),
+            is_by_number: is_by_number || first == other,
+            other_first_number: other,
+            n_theirs: theirs.n_rows,
+        })
     }
 }
 
@@ -187,6 +207,7 @@ pub fn read_difference<A: Read + Seek, B: Read + Seek>(
 
 impl TakeDifference {
     fn new(map: &TakeMap, matching: &Matching, rows: Range<u64>) -> Self {
+        let n_common = matching.common.end - matching.common.start;
         let bin_frames = map.n_rows.div_ceil(BINS).max(1);
         let first_bin = rows.start / bin_frames;
         let n_bins = rows.end.div_ceil(bin_frames).saturating_sub(first_bin);
@@ -197,6 +218,10 @@ impl TakeDifference {
             bin_frames,
             first_bin,
             other_first: matching.other_first,
+            is_by_number: matching.is_by_number,
+            other_first_number: matching.other_first_number,
+            frames_only_here: map.n_rows.saturating_sub(n_common),
+            frames_only_there: matching.n_theirs.saturating_sub(n_common),
             markers: matching.markers.clone(),
             markers_missing: matching.markers_missing,
             max_error_mm: vec![None; n_bins as usize],
@@ -268,7 +293,16 @@ mod tests {
         let found = Matching::of(&part, &ours).unwrap();
         assert_eq!((found.other_first, found.common), (40, 0..20));
         let found = Matching::of(&ours, &part).unwrap();
-        assert_eq!((found.other_first, found.common), (-40, 40..60));
+        assert_eq!((found.other_first, &found.common), (-40, &(40..60)));
+        let difference = TakeDifference::new(&ours, &found, 0..10);
+        assert_eq!((difference.frames_only_here, difference.frames_only_there), (80, 0));
+        // Excerpts of the same length are compared from their first frames on, and the result says so.
+        let other = map(&["a"], 101, 100);
+        let found = Matching::of(&ours, &other).unwrap();
+        assert_eq!(
+            (found.other_first, found.is_by_number, found.other_first_number),
+            (0, false, 101)
+        );
         let late = map(&["a"], 500, 20);
         assert!(matches!(Matching::of(&ours, &late), Err(CompareError::NoFrameInCommon)));
         let other = map(&["x"], 1, 100);

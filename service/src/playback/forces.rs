@@ -39,11 +39,16 @@ const LOAD_VALUES: usize = 9;
 /// Maximum number of plates: the response to a request for one frame has to be small. Laboratories have up to a dozen.
 const PLATES_MAX: usize = 64;
 
-/// Values of channels that are decoded at once, in 4 MiB.
+/// Values of channels of a plate that are held at once, in 4 MiB.
 const PIECE_VALUES: u64 = 1 << 19;
 
-/// Maximum number of values of channels that a window is made of: about a tenth of a second of work.
-const WINDOW_VALUES_MAX: u64 = 1 << 22;
+/// Maximum number of values of channels that a window is made of, unless a single frame of it needs more: about a tenth of a
+/// second of work.
+const WINDOW_VALUES_MAX: f64 = 4_194_304.0;
+
+/// Maximum number of values that a single frame of a window may need, with those up to the next: some seconds of work. Ten
+/// thousand frames at 240 Hz with eight plates at 10 kHz have 20 million.
+const COLUMN_VALUES_MAX: f64 = 67_108_864.0;
 
 /// The kinds of the foreign parts of an imported C3D file.
 const PARAMETERS: &str = "c3d/parameters";
@@ -144,6 +149,11 @@ impl TakeForces {
         if forces.plates.is_empty() {
             forces.add_plates_of_recording();
         }
+        let others = forces.plates.iter().skip(PLATES_MAX);
+        let others: Vec<String> = others
+            .map(|plate| format!("{}: a player shows {PLATES_MAX} plates", plate.name))
+            .collect();
+        forces.unusable.extend(others);
         forces.plates.truncate(PLATES_MAX);
         // The groups of the plates are kept, and nothing else of them.
         forces.map.foreign.clear();
@@ -181,7 +191,20 @@ impl TakeForces {
     fn add_plates_of_recording(&mut self) {
         let groups: Vec<GroupSamples> = self.map.recorded_groups().cloned().collect();
         for (group, of) in groups.iter().enumerate() {
+            let ticks = of.anchors().iter().map(|anchor| anchor.device_ticks);
+            let first = of.anchors().first().map_or(0, |anchor| anchor.device_ticks);
+            let is_ascending =
+                ticks.is_sorted_by_key(|ticks| ticks.wrapping_sub(first).cast_signed());
             let channels = &of.group.channels;
+            if !is_ascending {
+                let names = named_plates(channels).into_iter().map(|plate| plate.name);
+                self.unusable.extend(
+                    names.map(|name| {
+                        format!("{name}: the device's clock began again during the take")
+                    }),
+                );
+                continue;
+            }
             for PlateColumns { name, columns } in named_plates(channels) {
                 let column = |(channel, factor): &(usize, f64)| {
                     let of = channels.get(*channel);
@@ -223,13 +246,17 @@ impl TakeForces {
         (WINDOW_BYTES_MAX - HEADER_BYTES) / (4 * LOAD_VALUES * self.plates.len().max(1)) as u64
     }
 
-    /// Samples of a frame.
-    fn samples_per_frame(&self) -> f64 {
-        let of_groups = || self.groups.iter().map(|of| of.group.rate_hz).fold(1.0, f64::max);
-        match self.per_frame {
-            Some((ratio, _)) => ratio as f64,
-            None => of_groups() / self.map.header.rate_hz,
-        }
+    /// Values of all plates in a frame.
+    fn values_per_frame(&self) -> f64 {
+        let of_plate = |plate: &Plate| {
+            let group = plate.columns.first().and_then(|column| self.groups.get(column.group));
+            let samples = match self.per_frame {
+                Some((ratio, _)) => ratio as f64,
+                None => group.map_or(0.0, |of| of.group.rate_hz) / self.map.header.rate_hz,
+            };
+            samples.max(1.0) * plate.columns.len() as f64
+        };
+        self.plates.iter().map(of_plate).sum::<f64>().max(1.0)
     }
 
     /// The loads in the frames of a window. `every` frames share the least and the largest force of all their samples, so
@@ -243,135 +270,104 @@ impl TakeForces {
         request: &WindowRequest,
     ) -> Result<ForceWindow, WindowError> {
         let rows = rows_of(&self.map, request)?;
-        let every = request.every.clamp(1, EVERY_MAX);
-        let n_values = self.samples_per_frame() * self.n_columns().max(1) as f64;
-        let worked_max = (WINDOW_VALUES_MAX as f64 / n_values) as u64;
-        let rows_max = self.frames_max().saturating_mul(every.into());
-        let rows_max = rows_max.min(worked_max.next_multiple_of(every.into())).max(1);
+        let every = u64::from(request.every.clamp(1, EVERY_MAX));
+        let per_frame = self.values_per_frame();
+        if per_frame * every as f64 > COLUMN_VALUES_MAX {
+            return Err(WindowError::TooMuchWork);
+        }
+        let worked_max = (WINDOW_VALUES_MAX / (per_frame * every as f64)).max(1.0) as u64;
+        let rows_max = self.frames_max().min(worked_max).saturating_mul(every);
         let end = rows.end.min(rows.start.saturating_add(rows_max));
+        let n_frames = (end - rows.start).div_ceil(every) as usize;
         let mut window = ForceWindow {
             n_plates: self.plates.len() as u32,
             first_row: rows.start,
-            every,
+            every: every as u32,
             flags: if end < rows.end { SHORTENED } else { 0 },
-            loads: Vec::new(),
+            loads: vec![[f32::NAN; LOAD_VALUES]; n_frames * self.plates.len()],
         };
-        if self.plates.is_empty() {
-            return Ok(window);
-        }
-        let piece = (PIECE_VALUES as f64 / n_values) as u64;
-        let piece = piece.next_multiple_of(every.into()).max(every.into());
-        let mut at = rows.start;
-        while at < end {
-            let next = at.saturating_add(piece).min(end);
-            self.read_piece(input, at..next, &mut window)?;
-            at = next;
+        let rows = rows.start..end;
+        let ticks = match self.per_frame {
+            None if !self.plates.is_empty() => row_ticks(input, &self.map, &rows)?,
+            _ => Vec::new(),
+        };
+        for (place, plate) in self.plates.iter().enumerate() {
+            let frames = self.sample_ranges(plate, &rows, every, &ticks);
+            self.read_plate(input, (place, plate), &frames, &mut window)?;
         }
         Ok(window)
     }
 
-    fn n_columns(&self) -> usize {
-        self.plates.iter().map(|plate| plate.columns.len()).sum()
+    /// By frame that a window has, the numbers of the samples up to the next one; `None` where it is unknown when they were
+    /// taken, or none were.
+    fn sample_ranges(
+        &self,
+        plate: &Plate,
+        rows: &Range<u64>,
+        every: u64,
+        ticks: &[(u64, u64)],
+    ) -> Vec<Option<Range<u64>>> {
+        let columns = plate.columns.iter();
+        let groups = columns.filter_map(|column| self.groups.get(column.group));
+        let Some(group) = groups.min_by_key(|group| group.n_samples()) else { return Vec::new() };
+        let n_samples = group.n_samples();
+        let clock = FrameClock::new(self, group, ticks);
+        let starts = (rows.start..rows.end).step_by(every as usize);
+        let range = |row: u64| {
+            let from = clock.number(row)?;
+            let to = clock.number(row.saturating_add(every).min(rows.end))?.min(n_samples);
+            (from < to).then_some(from..to)
+        };
+        starts.map(range).collect()
     }
 
-    fn read_piece(
+    /// Reads the samples of a plate in these frames, some at a time, and states its loads.
+    fn read_plate(
         &self,
         input: &mut (impl Read + Seek),
-        rows: Range<u64>,
+        (place, plate): (usize, &Plate),
+        frames: &[Option<Range<u64>>],
         window: &mut ForceWindow,
     ) -> Result<(), TakeError> {
-        let numbers = self.sample_numbers(input, &rows, window.every)?;
-        let (Some(first), Some(last)) = (numbers.first(), numbers.last()) else {
-            let n_frames = (rows.end - rows.start).div_ceil(window.every.into()) as usize;
-            let unknown =
-                std::iter::repeat_n([f32::NAN; LOAD_VALUES], n_frames * self.plates.len());
-            window.loads.extend(unknown);
-            window.flags |= DAMAGED;
-            return Ok(());
-        };
-        let (first, end) = (*first, (*last).max(first + 1));
-        let values = self.read_values(input, first..end, &mut window.flags)?;
-        let n_samples = (end - first) as usize;
-        for pair in numbers.windows(2) {
-            let &[from, to] = pair else { continue };
-            // The samples may end before the frames.
-            let from_sample = ((from - first) as usize).min(n_samples);
-            let to_sample = ((to - first) as usize).max(from_sample + 1).min(n_samples);
-            let samples = from_sample..to_sample;
-            let mut column = 0;
-            for plate in &self.plates {
-                let of_plate = values.get(column * n_samples..).unwrap_or_default();
-                window.loads.push(self.load(plate, of_plate, n_samples, samples.clone()));
-                column += plate.columns.len();
+        let piece = PIECE_VALUES / plate.columns.len().max(1) as u64;
+        let (mut values, mut held, mut sample) = (Vec::new(), 0..0, Vec::new());
+        let last = frames.iter().flatten().map(|range| range.end).max().unwrap_or(0);
+        for (frame, range) in frames.iter().enumerate() {
+            let Some(range) = range else { continue };
+            let n_plates = self.plates.len();
+            let Some(load) = window.loads.get_mut(frame * n_plates + place) else { continue };
+            for number in range.clone() {
+                if !held.contains(&number) {
+                    held = number..number.saturating_add(piece).min(last);
+                    values = self.read_values(input, plate, &held, &mut window.flags)?;
+                }
+                let n = (held.end - held.start) as usize;
+                let at = (number - held.start) as usize;
+                sample.clear();
+                sample.extend(values.iter().skip(at).step_by(n.max(1)).copied());
+                self.add_sample(plate, &sample, number == range.start, load);
             }
         }
         Ok(())
     }
 
-    /// By frame that a window has, the number of its first sample; and one more for the end. Nothing if no frame among these was
-    /// recorded: then it is unknown when they were due.
-    fn sample_numbers(
-        &self,
-        input: &mut (impl Read + Seek),
-        rows: &Range<u64>,
-        every: u32,
-    ) -> Result<Vec<u64>, TakeError> {
-        let n_frames = (rows.end - rows.start).div_ceil(every.into());
-        let frames = (0..n_frames).map(|i| rows.start + i * u64::from(every)).chain([rows.end]);
-        if let Some((ratio, first)) = self.per_frame {
-            let number = |row: u64| i128::from(row) * i128::from(ratio) + first;
-            return Ok(frames.map(|row| u64::try_from(number(row)).unwrap_or_default()).collect());
-        }
-        let tick_hz = self.map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
-        let ticks_each = tick_hz as f64 / self.map.header.rate_hz;
-        let known = row_ticks(input, &self.map, rows)?;
-        if known.is_empty() {
-            return Ok(Vec::new());
-        }
-        // Of a lost frame, by the nearest recorded one.
-        let ticks = |row: u64| {
-            let after = known.partition_point(|(known, _)| *known <= row);
-            let nearest = known.get(after.saturating_sub(1)).or(known.first())?;
-            let by = (row as f64 - nearest.0 as f64) * ticks_each;
-            Some(nearest.1.wrapping_add_signed(by.round() as i64))
-        };
-        let group = self.plates.first().and_then(|plate| plate.columns.first());
-        let Some(group) = group.and_then(|column| self.groups.get(column.group)) else {
-            return Ok(Vec::new());
-        };
-        let mut numbers: Vec<u64> = frames
-            .map(|row| ticks(row).map_or(0, |ticks| number_at(group, ticks, tick_hz)))
-            .collect();
-        // Clocks that jump must not make them run back.
-        for i in 1..numbers.len() {
-            numbers[i] = numbers[i].max(numbers[i - 1]);
-        }
-        // A piece of many samples for few frames would need more memory than its bound: the clock jumped.
-        let most = (self.samples_per_frame() * (rows.end - rows.start + 2) as f64) as u64 + 2;
-        let end = numbers.first().map_or(0, |first| first.saturating_add(most));
-        numbers.iter_mut().for_each(|number| *number = (*number).min(end));
-        Ok(numbers)
-    }
-
-    /// The values of the columns of all plates, column after column; NaN where there is no sample.
+    /// The values of the columns of a plate, column after column; NaN where there is no sample.
     fn read_values(
         &self,
         input: &mut (impl Read + Seek),
-        numbers: Range<u64>,
+        plate: &Plate,
+        numbers: &Range<u64>,
         flags: &mut u32,
     ) -> Result<Vec<f64>, TakeError> {
         let n = (numbers.end - numbers.start) as usize;
-        let columns: Vec<Column> =
-            self.plates.iter().flat_map(|plate| plate.columns.iter().copied()).collect();
-        let mut values = vec![f64::NAN; n * columns.len()];
+        let mut values = vec![f64::NAN; n * plate.columns.len()];
         for (index, group) in self.groups.iter().enumerate() {
-            let of_group: Vec<(usize, Column)> = columns.iter().copied().enumerate().collect();
-            let of_group: Vec<_> =
-                of_group.into_iter().filter(|(_, column)| column.group == index).collect();
+            let columns = plate.columns.iter().enumerate();
+            let of_group: Vec<_> = columns.filter(|(_, column)| column.group == index).collect();
             if of_group.is_empty() {
                 continue;
             }
-            group.read_range(input, &numbers, |first, length, samples| {
+            group.read_range(input, numbers, |first, length, samples| {
                 let Some(samples) = samples else {
                     *flags |= DAMAGED;
                     return Ok(());
@@ -394,42 +390,89 @@ impl TakeForces {
         Ok(values)
     }
 
-    /// The load in the first of the samples, with the least and the largest upward force of all of them. `values` are the
-    /// columns of the plate, of `n` samples each.
-    fn load(
+    /// Adds a sample of a plate to the load of a frame: the first one is its load, and all are between its ends.
+    fn add_sample(
         &self,
         plate: &Plate,
-        values: &[f64],
-        n: usize,
-        samples: Range<usize>,
-    ) -> [f32; LOAD_VALUES] {
-        let at = |sample: usize| -> [[f64; 3]; 3] {
-            let value =
-                |column: usize| values.get(column * n + sample).copied().unwrap_or(f64::NAN);
-            let of_sample: Vec<f64> = (0..plate.columns.len()).map(value).collect();
-            match &plate.load {
-                LoadOf::File(plate) => {
-                    let load = plate.load(&of_sample);
-                    [load.force_n, load.cop_mm, load.free_moment_nm]
-                }
-                LoadOf::Recording => {
-                    let force = std::array::from_fn(|axis| of_sample[axis]);
-                    [force, [f64::NAN; 3], [f64::NAN; 3]]
-                }
+        sample: &[f64],
+        is_first: bool,
+        load: &mut [f32; LOAD_VALUES],
+    ) {
+        let nothing = [f64::NAN; 3];
+        let (force, cop, free_moment, up) = match &plate.load {
+            LoadOf::File(plate) => {
+                let load = plate.load(sample);
+                let normal = plate.geometry.axes()[2];
+                let along = load.free_moment_nm.iter().zip(normal).map(|(m, z)| m * z).sum();
+                (load.force_n, load.cop_mm, along, load.force_n[self.up])
             }
+            // As the device sent them, in the plate's own axes.
+            LoadOf::Recording => match sample {
+                &[x, y, z, ..] => ([x, y, z], nothing, f64::NAN, z),
+                _ => (nothing, nothing, f64::NAN, f64::NAN),
+            },
         };
-        let [force, cop, free_moment] =
-            if samples.is_empty() { [[f64::NAN; 3]; 3] } else { at(samples.start) };
-        let mut ends = [f64::NAN; 2];
-        for sample in samples {
-            let up = at(sample)[0][self.up];
-            ends = [ends[0].min(up), ends[1].max(up)];
+        if is_first {
+            let [fx, fy, fz] = force;
+            let [cx, cy, cz] = cop;
+            let values = [fx, fy, fz, cx, cy, cz, free_moment, up, up];
+            *load = values.map(|value: f64| value as f32);
         }
-        let [fx, fy, fz] = force;
-        let [cx, cy, cz] = cop;
-        [fx, fy, fz, cx, cy, cz, free_moment[self.up], ends[0], ends[1]].map(|value| value as f32)
+        let [.., least, largest] = load;
+        (*least, *largest) = (least.min(up as f32), largest.max(up as f32));
     }
 }
+
+/// When the samples of a group were taken, by the frames of the take.
+struct FrameClock<'a> {
+    forces: &'a TakeForces,
+    group: &'a GroupSamples,
+    /// The recorded rows around, with their times.
+    ticks: &'a [(u64, u64)],
+    tick_hz: f64,
+    ticks_each: f64,
+}
+
+/// A frame that was not recorded has the time that it was due, if one was recorded within this time of it.
+const NEAR_S: f64 = 0.5;
+
+impl<'a> FrameClock<'a> {
+    fn new(forces: &'a TakeForces, group: &'a GroupSamples, ticks: &'a [(u64, u64)]) -> Self {
+        let header = &forces.map.header;
+        let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz.max(1)) as f64;
+        Self { forces, group, ticks, tick_hz, ticks_each: tick_hz / header.rate_hz }
+    }
+
+    /// The number of the first sample that was taken with a frame or after it.
+    fn number(&self, row: u64) -> Option<u64> {
+        if let Some((ratio, first)) = self.forces.per_frame {
+            let number = i128::from(row) * i128::from(ratio) + first;
+            return u64::try_from(number).ok();
+        }
+        let after = self.ticks.partition_point(|(known, _)| *known <= row);
+        let nearest = self.ticks.get(after.saturating_sub(1))?;
+        let by = row as f64 - nearest.0 as f64;
+        if by.abs() > NEAR_S * self.forces.map.header.rate_hz + 1.0 {
+            return None;
+        }
+        let ticks = nearest.1.wrapping_add_signed((by * self.ticks_each).round() as i64);
+        let since = |from: u64| ticks.wrapping_sub(from).cast_signed();
+        // They ascend: those of a clock that began again have no forces.
+        let anchors = self.group.anchors();
+        let after = anchors.partition_point(|anchor| since(anchor.device_ticks) >= 0);
+        let anchor = anchors.get(after.saturating_sub(1))?;
+        let by = since(anchor.device_ticks) as f64 / self.tick_hz * self.group.group.rate_hz;
+        // The times of samples are stated to a tick.
+        let number = (anchor.number as f64 + by - TICK_SAMPLES).ceil();
+        let is_in_run = number >= anchor.run_start as f64;
+        let next = anchors.get(after).filter(|next| next.run_start != anchor.run_start);
+        let is_before = next.is_none_or(|next| number <= next.run_start as f64);
+        (is_in_run && is_before).then_some(number as u64)
+    }
+}
+
+/// Samples by which a time may miss that of a sample.
+const TICK_SAMPLES: f64 = 0.05;
 
 /// The channel of a part of an imported file, by its index.
 fn column_of(groups: &[GroupSamples], channels: &[AnalogChannel], index: usize) -> Option<Column> {
@@ -459,21 +502,10 @@ fn row_ticks(
     Ok(found)
 }
 
-/// The number of the sample of a group at a time of the device's clock, by the nearest stated time before it.
-fn number_at(group: &GroupSamples, ticks: u64, tick_hz: u64) -> u64 {
-    let since = |from: u64| ticks.wrapping_sub(from).cast_signed();
-    let anchors = group.anchors();
-    let after = anchors.partition_point(|anchor| since(anchor.device_ticks) >= 0);
-    let Some(anchor) = anchors.get(after.saturating_sub(1)) else { return 0 };
-    let by = since(anchor.device_ticks) as f64 / tick_hz as f64 * group.group.rate_hz;
-    let number = anchor.number as f64 + by.round();
-    (number.max(0.0) as u64).min(group.n_samples())
-}
-
 impl ForceWindow {
     /// The window as bytes, little endian: the four bytes `MPF1`, u32 number of plates, u64 first row, u32 number of frames,
     /// u32 rows from one frame to the next, u32 flags, u32 zero; then the frames, each nine f32 per plate: the force along
-    /// x, y and z in newtons, the centre of pressure in millimetres, the free moment in newton metres, and the least and
+    /// x, y and z in newtons, the centre of pressure in millimetres, the free moment along the plate's z axis in newton metres, and the least and
     /// the largest upward force up to the next frame in newtons. NaN where there is none.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {

@@ -14,10 +14,13 @@ pub(super) struct PlateColumns {
 /// The quantities of a plate in the order of its columns.
 const QUANTITIES: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 
+/// By quantity, the index of the channel and its unit in N or N m, if there is one.
+type Quantities = [Option<(usize, f64)>; 6];
+
 /// The plates of a group: three forces whose names differ only in their axis, with or without the three moments. `Fx1`,
 /// `plate 1 Fx` and `Force.Fx1` are such names. A channel in another unit than that of a force or a moment is none.
 pub(super) fn named_plates(channels: &[SampledChannel]) -> Vec<PlateColumns> {
-    let mut found: Vec<(String, [Option<(usize, f64)>; 6])> = Vec::new();
+    let mut found: Vec<(String, Quantities)> = Vec::new();
     for (index, channel) in channels.iter().enumerate() {
         let Some((name, quantity)) = split_name(&channel.name) else { continue };
         let Some(factor) = factor(&channel.unit, quantity >= 3) else { continue };

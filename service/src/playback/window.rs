@@ -73,6 +73,9 @@ pub enum WindowError {
         /// Number of markers.
         n_markers: usize,
     },
+    /// A frame of it needs too many samples.
+    #[error("a frame of this window needs too many samples: request it with a smaller `every`")]
+    TooMuchWork,
     /// The take cannot be read.
     #[error(transparent)]
     Take(#[from] TakeError),

@@ -1,5 +1,5 @@
 import { Comparison, distances } from "/comparison.js";
-import { curveColumns, inPattern } from "/curves.js";
+import { curveColumns } from "/curves.js";
 import { downloadPath } from "/downloads.js";
 import { Forces } from "/forces.js";
 import { axisTime } from "/format.js";
@@ -11,7 +11,7 @@ import { StripHistory, ledgerText, withPrefix } from "/strips.js";
 import { gapsThatBegin } from "/time_axis.js";
 import { equal, isTrue, near, test, throws } from "./harness.js";
 
-const PART = { first_bin: 0, bin_frames: 2, other_first: 0, markers: [1, 0, null], markers_missing: 0, max_error_mm: [0.5, null],
+const PART = { is_by_number: true, other_first_number: 1, frames_only_here: 0, frames_only_there: 0, first_bin: 0, bin_frames: 2, other_first: 0, markers: [1, 0, null], markers_missing: 0, max_error_mm: [0.5, null],
   largest: { error_mm: 0.5, frame: 1, marker: 0 }, samples: 4, sum_of_squares_mm2: 1, gaps_differing: 1, is_damaged: false, end_frame: 3 };
 
 test("the parts of a comparison add up, also where two share a bin", () => {
@@ -26,6 +26,9 @@ test("the parts of a comparison add up, also where two share a bin", () => {
   equal([0, 0.13, 0.15, 0.69, 0.7].map((error) => found.classOf(error)), [0, 0, 1, 4, 4]);
   const text = comparisonText(found, { frames: 8, rate_hz: 2 }, ["a", "knee", "c"]);
   equal(text, "Compared with b: largest error 0.7 mm: knee at 0:01.500 · rms 0.5 mm · 1 marker in only one of them · 2 samples in only one of them");
+  found.add({ ...PART, is_by_number: false, other_first_number: 101, frames_only_here: 3 });
+  const other = comparisonText(found, { frames: 3, rate_hz: 2 }, ["a", "knee", "c"]);
+  isTrue(other.includes("compared from the first frame of each on, which is number 101 there · 3 frames only in this take"), other);
 });
 
 test("positions of the other take are those of its own frame and marker", () => {
@@ -45,8 +48,6 @@ test("a curve has the ends of all bins of a pixel", () => {
   const values = [[0, 1], [-2, 0], null, [5, 6]];
   equal(curveColumns(4, 10, 39, 2, (bin) => values[bin]), [[0, -2, 1], [1, -2, 6]], "a bin that reaches into a pixel counts there, too");
   equal(curveColumns(1, 1, 0, 3, () => [1, NaN]), []);
-  equal([0, 6, 7, 9, 10].map((x) => inPattern([7, 3], x)), [true, true, false, false, true]);
-  isTrue(inPattern([], 5));
 });
 
 test("forces are those of each plate, and their curve has the ends", () => {
@@ -78,26 +79,32 @@ test("windows of forces and of poses have their own shapes", () => {
 });
 
 test("columns of sampled channels are read from the live stream", () => {
-  const message = new DataView(new ArrayBuffer(16));
-  message.setUint32(0, 12, true);
+  const message = new DataView(new ArrayBuffer(28));
+  message.setUint32(0, 24, true);
   message.setUint8(4, 4);
   message.setUint8(5, 3);
-  message.setFloat32(8, -1.5, true);
-  message.setFloat32(12, 2, true);
+  message.setBigUint64(8, 1000n, true);
+  message.setUint32(16, 50, true);
+  message.setFloat32(20, -1.5, true);
+  message.setFloat32(24, 2, true);
   const [found] = new LiveParser().push(new Uint8Array(message.buffer));
-  equal([found.kind, found.group, ...found.ranges], ["samples", 3, -1.5, 2]);
-  message.setUint32(0, 11, true);
+  equal([found.kind, found.group, found.first, found.n, ...found.ranges], ["samples", 3, 1000, 50, -1.5, 2]);
+  message.setUint32(0, 23, true);
   throws(() => new LiveParser().push(new Uint8Array(message.buffer)), "two floats per channel");
 });
 
 test("a strip chart keeps ten seconds, and knows its ends, its level and clipping", () => {
   const channels = [{ full_scale: [-10, 9.5] }, { full_scale: null }];
-  const strip = new StripHistory({ channels });
-  for (let i = 0; i <= 300; i += 1) strip.push(i * 50, [i === 250 ? -10 : -1, 4, NaN, NaN]);
-  isTrue(strip.columns.length <= 210 && strip.columns[0].ms >= 5000, strip.columns.length);
-  equal(strip.ends(0, -Infinity), [-10, 4]);
-  equal(strip.ends(0, 14_000), [-1, 4]);
-  equal(strip.ends(1, -Infinity), null);
+  const strip = new StripHistory({ channels, rate_hz: 1000 });
+  for (let i = 0; i <= 300; i += 1) strip.push(i * 50, { first: 50 * i, n: 50, ranges: [i === 250 ? -10 : -1, 4, NaN, NaN] });
+  isTrue(strip.columns.length <= 210 && strip.columns[0].first >= 5000, strip.columns.length);
+  equal(strip.ends(0, Infinity, 15_000), [-10, 4]);
+  equal(strip.ends(0, 1, 15_000), [-1, 4]);
+  equal(strip.ends(0, 1, 17_000), null, "nothing has come for two seconds");
+  equal(strip.ends(1, Infinity, 15_000), null);
+  equal(strip.ageS(14_050, 15_500), 1.5);
+  strip.push(16_000, { first: 0, n: 50, ranges: [1, 2, NaN, NaN] });
+  equal(strip.columns.length, 1, "the device began again");
   equal([[-10, 0], [0, 9.5], [-9.9, 9.4]].map((range) => strip.isClipped(0, range)), [true, true, false]);
   isTrue(!strip.isClipped(1, [-1e9, 1e9]));
   near(strip.level(0, [-1, 4]), 4 / 9.5, 1e-9);

@@ -74,7 +74,7 @@ impl Feeds {
     pub(crate) fn send_frame(&self, row: u64, n_markers: usize) -> usize {
         // Sampled channels in one frame.
         let samples = match row {
-            7 => vec![LiveSamples { group: 1, ranges: vec![[-0.5, 9.0]] }],
+            7 => vec![LiveSamples { group: 1, first: 40, n: 50, ranges: vec![[-0.5, 9.0]] }],
             _ => Vec::new(),
         };
         let frame = Arc::new(LiveFrame {

@@ -175,7 +175,8 @@ fn frames_follow_their_table_of_markers() {
     // Its sampled channels follow it: group 1, one channel from -0.5 to 9.
     let (kind, samples) = viewer.messages().remove(2);
     assert_eq!((kind, &samples[..3]), (4, &[1, 0, 0][..]));
-    assert_eq!(samples[3..], [(-0.5_f32).to_le_bytes(), 9_f32.to_le_bytes()].concat());
+    assert_eq!(samples[3..15], [&40_u64.to_le_bytes()[..], &50_u32.to_le_bytes()].concat());
+    assert_eq!(samples[15..], [(-0.5_f32).to_le_bytes(), 9_f32.to_le_bytes()].concat());
     // A later viewer gets the table at once.
     served.fake.feeds.send_table(5);
     viewer.until(|stream| stream.messages().len() == 4);

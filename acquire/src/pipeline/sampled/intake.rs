@@ -81,6 +81,8 @@ struct GroupIntake {
     needs_key: bool,
     /// Whether a block of the open stretch has ended.
     has_early_block: bool,
+    /// Number of the first sample of the last batch, unless it came before.
+    accepted: Option<u64>,
 }
 
 /// The block that is being filled.
@@ -125,6 +127,7 @@ impl SampledIntake {
                 key_at: 0,
                 needs_key: true,
                 has_early_block: false,
+                accepted: None,
             }
         });
         Self { groups: groups.collect(), by_id, wakes, tap }
@@ -170,11 +173,14 @@ impl SampledIntake {
         }
         // While no stretch ends, nothing else wakes its thread.
         let is_block_ended = group.batch(batch, stretch, segment);
+        let first = group.accepted;
         if let Some(index) = index.map(usize::from) {
             if is_block_ended {
                 self.wakes.wake(index);
             }
-            self.tap.offer(index, batch);
+            if let Some(first) = first {
+                self.tap.offer(index, first, batch);
+            }
         }
         BatchOutcome::Counted
     }
@@ -260,9 +266,11 @@ impl GroupIntake {
     /// Returns whether there is something to encode.
     fn batch(&mut self, batch: &SampleBatch<'_>, stretch: u64, segment: u32) -> bool {
         let n = batch.n_samples() as u32;
+        self.accepted = None;
         if !self.follow(batch) {
             return false;
         }
+        self.accepted = Some(self.pending.iter().fold(self.next, |sum, n| sum.saturating_add(*n)));
         if n == 0 {
             return false;
         }

@@ -37,7 +37,7 @@ use mocapd_take::{
 
 use self::coder::SampledGroupCoder;
 pub(super) use self::intake::{BatchOutcome, SampledIntake};
-pub use self::tap::{SampleRange, SampleTapReceiver};
+pub use self::tap::{SampleColumn, SampleRange, SampleTapReceiver};
 use super::{
     messages::{BlockTime, WriterInput},
     ring::{RingConsumer, RingProducer, ring},
