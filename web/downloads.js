@@ -5,6 +5,8 @@ import { h, setText } from "./dom.js";
 
 /** Extensions, and the texts of their links. */
 const FORMATS = [["take", "Take"], ["c3d", "C3D"], ["trc", "TRC"], ["csv", "CSV"]];
+/** What the formats lack. */
+const NOTE = "C3D has the markers, and the analog channels of an imported C3D file; TRC and CSV have the markers. Sampled channels of a recording are in the take.";
 /** Converting and sending a large take over a slow network takes a while. */
 const TIMEOUT_MS = 600_000;
 
@@ -25,7 +27,7 @@ export function downloadMenu(name, isFetched = false) {
   });
   const menu = h("details", { class: "downloads" },
     h("summary", { class: "button", "aria-label": `Download ${name}` }, "Download"),
-    h("div", { class: "formats" }, ...links, answer));
+    h("div", { class: "formats" }, ...links, h("p", { class: "note" }, NOTE), answer));
   menu.addEventListener("keydown", (event) => {
     if (event.key !== "Escape" || !menu.open) return;
     event.stopPropagation();
