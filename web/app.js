@@ -13,6 +13,7 @@ import { installLogin } from "./login.js";
 import { Markers } from "./markers.js";
 import { Motion } from "./motion.js";
 import { Hero } from "./state.js";
+import { Strips } from "./strips.js";
 import { Takes } from "./takes.js";
 import { showPublished } from "./published.js";
 import { Tiles } from "./tiles.js";
@@ -36,6 +37,7 @@ const view = new View(motion);
 const hero = new Hero();
 const tiles = new Tiles();
 const history = new History();
+const strips = new Strips();
 const markers = new Markers(({ hovered, pinned }) => {
   const slot = (label) => (label === null ? -1 : motion.labels.indexOf(label));
   if (hovered !== undefined) view.select({ hovered: slot(hovered) });
@@ -72,6 +74,7 @@ async function fetchStatus() {
     tiles.show(status);
     showPublished(status);
     actions.show(status, false);
+    strips.showLedger(status.take);
     if (wasDisconnected) showTakes();
   } catch (error) {
     failures += 1;
@@ -127,7 +130,14 @@ function showLive() {
     ? `${stats.seen} of ${stats.markers} seen · ${stats.drawn_hz.toFixed(0)} frames/s · ${late}` : "");
 }
 
-const live = new Live(motion, { onTable: () => view.updateMarkers(), onFrame: () => view.invalidate() });
+const live = new Live(motion, {
+  onTable: (table) => {
+    strips.setGroups(table.groups ?? []);
+    view.updateMarkers();
+  },
+  onFrame: () => view.invalidate(),
+  onSamples: (column, nowMs) => strips.push(column, nowMs),
+});
 view.onDrawn = (nowMs) => live.drawn(nowMs);
 // For the browser's console and the tests.
 window.mocapdStats = live.stats;

@@ -1,7 +1,8 @@
 // The charts below the scene: the coordinates and the speed of the chosen markers around the current time.
 
-import { byId, colours, onTheme } from "./dom.js";
-import { rounded } from "./format.js";
+import { byId, setText } from "./dom.js";
+import { axisTime, rounded } from "./format.js";
+import { OnDemand, drawColumns } from "./on_demand.js";
 
 const COLOURS = ["panel", "line", "text", "muted", "series-1", "series-2", "series-3", "series-4"];
 /** Markers shown at once: as many as there are lines that differ in colour and in pattern. */
@@ -9,8 +10,11 @@ export const CHOSEN_MAX = 4;
 export const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
 /** Seconds shown. */
 const SPAN_S = 10;
-/** Space for the numbers at the left, in pixels. */
+/** Space for the numbers at the left, and for the times below, in pixels. */
 const LEFT_PX = 62;
+const TIMES_PX = 20;
+/** Pixels between two times. */
+const TICK_PX = 80;
 /** The speed is measured over at least this time on both sides of a frame. */
 const SPEED_S = 1 / 60;
 
@@ -68,22 +72,17 @@ export function limits(values, minimum) {
   return [low - padding, high + padding];
 }
 
+/** Seconds between two times of an axis: a round number, so that they are at least `minimum` apart. Pure. */
+export function tickSeconds(minimum) {
+  const steps = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14_400, 43_200];
+  return steps.find((step) => step >= minimum) ?? Math.ceil(minimum / 86_400) * 86_400;
+}
+
 export class Charts {
-  #canvas = byId("charts");
-  #isDirty = false;
   chosen = [];
-  /** Duration of the last drawing. */
-  drawMs = 0;
 
   constructor() {
-    this.ctx = this.#canvas.getContext("2d");
-    const readColours = () => {
-      this.colours = colours(COLOURS);
-      this.invalidate();
-    };
-    onTheme(readColours);
-    readColours();
-    new ResizeObserver(() => this.invalidate()).observe(this.#canvas);
+    this.drawing = new OnDemand(byId("charts"), COLOURS, () => this.overview && this.#draw());
   }
 
   show({ overview, playback, buffer }) {
@@ -98,25 +97,14 @@ export class Charts {
   }
 
   invalidate() {
-    if (this.#isDirty) return;
-    this.#isDirty = true;
-    requestAnimationFrame(() => {
-      this.#isDirty = false;
-      const beganMs = performance.now();
-      if (this.overview) this.#draw();
-      this.drawMs = performance.now() - beganMs;
-    });
+    this.drawing.invalidate();
   }
 
   #draw() {
-    const { ctx } = this;
-    const ratio = Math.min(2, devicePixelRatio || 1);
-    const { clientWidth: width, clientHeight: height } = this.#canvas;
-    if (width < 100 || height < 60) return;
-    const size = [width, height].map((length) => Math.round(length * ratio));
-    if (this.#canvas.width !== size[0] || this.#canvas.height !== size[1]) [this.#canvas.width, this.#canvas.height] = size;
-    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-    ctx.clearRect(0, 0, width, height);
+    const { ctx } = this.drawing;
+    const room = this.drawing.clear();
+    if (!room) return;
+    const { width, height } = room;
     const [first, last] = chartRows(this.playback.row, this.overview.frames, this.overview.rate_hz);
     const rows = [];
     const step = Math.max(1, Math.ceil((last - first) / Math.max(100, width - LEFT_PX)));
@@ -124,13 +112,34 @@ export class Charts {
     for (let row = Math.ceil(first / step) * step; row <= last; row += step) rows.push(row);
     const x = (row) => LEFT_PX + ((row - first) / Math.max(1, last - first)) * (width - LEFT_PX - 4);
     const names = ["x", "y", "z", "speed"];
-    const stripPx = (height - 4) / names.length;
+    const stripPx = (height - TIMES_PX) / names.length;
     names.forEach((name, i) => {
       const strip = { name, top: i * stripPx + 4, height: stripPx - 8, x, width };
       this.#drawStrip(strip, rows, step, i);
     });
-    ctx.fillStyle = this.colours.text;
-    ctx.fillRect(x(this.playback.row) - 0.5, 0, 1.5, height);
+    this.#drawTimes([first, last], x, width, height);
+    ctx.fillStyle = this.drawing.colours.text;
+    ctx.fillRect(x(this.playback.row) - 0.5, 0, 1.5, height - TIMES_PX);
+  }
+
+  /** The times below the lowest chart, and the range in the title. */
+  #drawTimes([first, last], x, width, height) {
+    const { ctx, colours } = this.drawing;
+    const rateHz = this.overview.rate_hz;
+    const [from, to] = [first / rateHz, last / rateHz];
+    const step = tickSeconds(((to - from) * TICK_PX) / Math.max(1, width - LEFT_PX));
+    ctx.font = "12px system-ui, sans-serif";
+    ctx.textBaseline = "alphabetic";
+    ctx.textAlign = "center";
+    ctx.fillStyle = colours.muted;
+    for (let i = Math.ceil(from / step - 1e-9); i * step <= to; i += 1) {
+      const at = x(i * step * rateHz);
+      ctx.fillRect(at, height - TIMES_PX, 1, 5);
+      const text = axisTime(i * step, step);
+      const half = ctx.measureText(text).width / 2;
+      ctx.fillText(text, Math.min(width - half, at), height - 3);
+    }
+    if (this.chosen.length > 0) setText(byId("charts-note"), `${axisTime(from, 0.1)} to ${axisTime(to, 0.1)}`);
   }
 
   /** The columns of a marker, each of `step` rows. */
@@ -144,14 +153,14 @@ export class Charts {
   }
 
   #drawStrip({ name, top, height, x, width }, rows, step, quantity) {
-    const { ctx } = this;
+    const { ctx, colours } = this.drawing;
     const lines = this.chosen.map((slot) => this.#columns(slot, rows, step, quantity));
     const ends = lines.flat().flatMap((found) => (found ? [found.low, found.high] : []));
     const range = limits(ends, quantity === 3 ? 0.1 : 20);
-    ctx.strokeStyle = this.colours.line;
+    ctx.strokeStyle = colours.line;
     ctx.lineWidth = 1;
     ctx.strokeRect(LEFT_PX + 0.5, top + 0.5, width - LEFT_PX - 4, height);
-    ctx.fillStyle = this.colours.muted;
+    ctx.fillStyle = colours.muted;
     ctx.font = "600 12px system-ui, sans-serif";
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
@@ -167,29 +176,11 @@ export class Charts {
   }
 
   #drawLine(columns, series, x, y) {
-    const { ctx } = this;
-    ctx.strokeStyle = this.colours[`series-${series + 1}`];
+    const { ctx, colours } = this.drawing;
+    ctx.strokeStyle = colours[`series-${series + 1}`];
     ctx.lineWidth = 1.5;
     ctx.setLineDash(DASHES[series]);
-    ctx.beginPath();
-    let isPenDown = false;
-    columns.forEach((found, i) => {
-      if (!found) {
-        isPenDown = false;
-        return;
-      }
-      const at = x(i);
-      if (isPenDown && found.isWhole) ctx.lineTo(at, y(found.first));
-      else ctx.moveTo(at, y(found.first));
-      if (found.low !== found.high) {
-        for (const value of [found.high, found.low, found.last]) ctx.lineTo(at, y(value));
-      } else if (!found.isWhole) {
-        // A row beside a gap, which no line reaches.
-        ctx.lineTo(at, y(found.first) + 1);
-      }
-      isPenDown = found.isWhole;
-    });
-    ctx.stroke();
+    drawColumns(ctx, columns, x, y);
     ctx.setLineDash([]);
   }
 }

@@ -11,10 +11,10 @@ export function rounded(value) {
   return value.toFixed(size >= 99.95 || size === 0 ? 0 : size >= 9.995 ? 1 : 2);
 }
 
-/** A bound with three significant digits: never rounded down, since it would be wrong then. */
-export function roundedUp(value) {
+/** A bound with so many significant digits: never rounded down, since it would be wrong then. */
+export function roundedUp(value, significant = 3) {
   if (!(value > 0)) return "0";
-  const digits = 2 - Math.floor(Math.log10(value));
+  const digits = significant - 1 - Math.floor(Math.log10(value));
   const scale = 10 ** digits;
   // A bound that is computed from decimal numbers is not meant to be above them by the last bit.
   return String(Number((Math.ceil(value * scale - 1e-9) / scale).toFixed(Math.max(0, digits))));
@@ -60,6 +60,12 @@ export function elapsed(seconds) {
 export function takeTime(seconds) {
   const ms = Math.floor(Math.max(0, seconds) * 1000 + 1e-3);
   return `${elapsed(Math.floor(ms / 1000)).slice(0, -2)}.${String(ms % 1000).padStart(3, "0")}`;
+}
+
+/** A time beside others that are `step` seconds apart, without digits that do not differ: `0:42`, `0:42.5`, `0:42.05`. Pure. */
+export function axisTime(seconds, step) {
+  const text = takeTime(seconds + 1e-6);
+  return step >= 1 ? text.slice(0, -4) : step >= 0.1 ? text.slice(0, -2) : text.slice(0, -1);
 }
 
 /** A fraction from 0 to 1 in percent. Only 1 is shown as 100, and only 0 as 0. */

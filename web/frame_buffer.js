@@ -30,9 +30,9 @@ export class FrameBuffer {
 
   /**
    * `source.window(firstRow, rows, every)` resolves to {firstRow, every, frames, positions}. `onLoaded` is called after
-   * each window, `onFailed` with the error of one that cannot be read.
+   * each window, `onFailed` with the error of one that cannot be read. Of all windows `keptBytesMax` are kept.
    */
-  constructor(source, overview, { onLoaded = () => {}, onFailed = () => {} } = {}) {
+  constructor(source, overview, { onLoaded = () => {}, onFailed = () => {}, keptBytesMax = KEPT_BYTES_MAX } = {}) {
     this.source = source;
     this.n = overview.markers;
     this.frames = overview.frames;
@@ -44,7 +44,7 @@ export class FrameBuffer {
     const rows = Math.max(shortest, Math.min(Math.ceil(WINDOW_S * this.rateHz), Math.floor(WINDOW_BYTES / bytes)));
     /** Frames of a window. */
     this.windowFrames = source.windowFrames ?? Math.max(1, Math.min(rows, overview.window_frames_max));
-    this.keptMax = Math.max(6, Math.floor(KEPT_BYTES_MAX / (bytes * this.windowFrames)));
+    this.keptMax = Math.max(6, Math.floor(keptBytesMax / (bytes * this.windowFrames)));
   }
 
   /** The positions of a row, or of the loaded row before it while rows are left out; null if they are not loaded. */

@@ -1,8 +1,9 @@
 // The chart of the last two minutes: frame rate and lost frames.
 
-import { byId, colours, onTheme, setAttribute } from "./dom.js";
+import { byId, setAttribute } from "./dom.js";
 import { lostSoFar } from "./metrics.js";
 import { count } from "./format.js";
+import { OnDemand } from "./on_demand.js";
 
 export const SPAN_S = 120;
 
@@ -52,37 +53,27 @@ export class RateHistory {
 
 export class History {
   rates = new RateHistory();
-  #canvas = byId("history");
-
   constructor() {
-    const readColours = () => {
-      this.colours = colours(["muted", "line", "accent", "bad", "text"]);
-      this.draw();
-    };
-    onTheme(readColours);
-    new ResizeObserver(() => this.draw()).observe(this.#canvas);
-    readColours();
+    this.drawing = new OnDemand(byId("history"), ["muted", "line", "accent", "bad", "text"], () => this.#draw());
   }
 
   add(status) {
     this.rates.add(performance.now() / 1000, status);
-    this.draw();
+    this.drawing.invalidate();
   }
 
-  draw() {
-    const { clientWidth: width, clientHeight: height } = this.#canvas;
-    const ratio = Math.min(2, devicePixelRatio || 1);
-    this.#canvas.width = Math.max(1, width * ratio);
-    this.#canvas.height = Math.max(1, height * ratio);
-    const ctx = this.#canvas.getContext("2d");
-    ctx.scale(ratio, ratio);
+  #draw() {
+    const room = this.drawing.clear();
+    if (!room) return;
+    const { width, height } = room;
+    const { ctx } = this.drawing;
     ctx.font = "12px system-ui, sans-serif";
     const now = performance.now() / 1000;
     const plot = { left: 58, right: width - 8, split: height * 0.56, bottom: height - 18 };
     const x = (t) => plot.right - ((now - t) / SPAN_S) * (plot.right - plot.left);
     this.#drawRates(ctx, plot, x);
     this.#drawLosses(ctx, plot, now);
-    ctx.fillStyle = this.colours.muted;
+    ctx.fillStyle = this.drawing.colours.muted;
     ctx.textBaseline = "alphabetic";
     for (const [text, at, align] of [["2 min ago", plot.left, "left"], ["1 min", (plot.left + plot.right) / 2, "center"],
       ["now", plot.right, "right"]]) {
@@ -95,17 +86,17 @@ export class History {
     const { samples, nominalHz } = this.rates;
     const [low, high] = this.rates.range();
     const y = (hz) => split - 6 - ((hz - low) / (high - low)) * (split - 26);
-    ctx.fillStyle = this.colours.muted;
+    ctx.fillStyle = this.drawing.colours.muted;
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
     if (nominalHz > 0) {
-      ctx.strokeStyle = this.colours.muted;
+      ctx.strokeStyle = this.drawing.colours.muted;
       ctx.setLineDash([5, 5]);
       line(ctx, left, y(nominalHz), right, y(nominalHz));
       ctx.setLineDash([]);
       ctx.fillText(`${Number(nominalHz.toFixed(1))} Hz`, left - 6, y(nominalHz));
     }
-    ctx.strokeStyle = this.colours.accent;
+    ctx.strokeStyle = this.drawing.colours.accent;
     ctx.lineWidth = 2;
     ctx.beginPath();
     let isPenDown = false;
@@ -124,20 +115,20 @@ export class History {
     const bins = this.rates.lostBySecond(now);
     const maximum = Math.max(...bins);
     const width = (right - left) / SPAN_S;
-    ctx.strokeStyle = this.colours.line;
+    ctx.strokeStyle = this.drawing.colours.line;
     line(ctx, left, bottom + 0.5, right, bottom + 0.5);
-    ctx.fillStyle = this.colours.bad;
+    ctx.fillStyle = this.drawing.colours.bad;
     bins.forEach((lost, second) => {
       if (lost === 0) return;
       const barHeight = Math.max(2, (lost / Math.max(maximum, 5)) * (bottom - split - 12));
       ctx.fillRect(right - (second + 1) * width, bottom - barHeight, Math.max(1.5, width - 0.5), barHeight);
     });
-    ctx.fillStyle = this.colours.muted;
+    ctx.fillStyle = this.drawing.colours.muted;
     ctx.textAlign = "left";
     ctx.textBaseline = "top";
     ctx.fillText(maximum === 0 ? "no frames lost" : `lost frames per second, maximum ${count(maximum)}`, left, split + 2);
     const sum = bins.reduce((a, b) => a + b, 0);
-    setAttribute(this.#canvas, "aria-label",
+    setAttribute(this.drawing.canvas, "aria-label",
       `Frame rate and lost frames of the last two minutes: ${count(sum)} frames lost`);
   }
 }

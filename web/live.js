@@ -22,10 +22,12 @@ export class Live {
   #undrawnUs = 0;
   #abort = null;
 
-  constructor(motion, { onTable, onFrame }) {
+  /** `onSamples` gets a column of a group of sampled channels, and the time in milliseconds. */
+  constructor(motion, { onTable, onFrame, onSamples }) {
     this.motion = motion;
     this.onTable = onTable;
     this.onFrame = onFrame;
+    this.onSamples = onSamples;
     document.addEventListener("visibilitychange", () => this.#updateVisibility());
     this.#updateVisibility();
   }
@@ -66,8 +68,9 @@ export class Live {
       this.motion.setTable(message.table);
       this.stats.tables += 1;
       this.stats.markers = this.motion.n;
-      return this.onTable();
+      return this.onTable(message.table);
     }
+    if (message.kind === "samples") return this.onSamples(message, performance.now());
     if (message.kind === "face") {
       this.motion.facePose = message.pose;
       return;

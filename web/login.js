@@ -1,9 +1,14 @@
 // Asks for the token when the service requires it. The page stays as it is behind the dialog.
 
 import { login, onUnauthorized } from "./api.js";
-import { byId, setText } from "./dom.js";
+import { byId, h, setText } from "./dom.js";
 
-export function installLogin() {
+/** Where the token is, unless the page says something else. */
+const WHERE = "The service requires a token. Its configuration (http.token_file) names the file that contains it.";
+
+/** `where` tells the user where the token is. */
+export function installLogin(where = WHERE) {
+  document.body.append(createDialog(where));
   let pending = null;
   onUnauthorized(() => {
     pending ??= askForToken().finally(() => {
@@ -11,6 +16,17 @@ export function installLogin() {
     });
     return pending;
   });
+}
+
+function createDialog(where) {
+  const form = h("form", { id: "login-form" },
+    h("h2", { id: "login-title" }, "Log in"),
+    h("p", { id: "login-text" }, where),
+    h("label", { class: "field" }, "Token",
+      h("input", { id: "token", name: "token", type: "password", autocomplete: "current-password", required: true })),
+    h("p", { id: "login-answer", class: "answer", role: "alert" }),
+    h("button", {}, "Log in"));
+  return h("dialog", { id: "login", "aria-labelledby": "login-title" }, form);
 }
 
 /** Resolves when the service has accepted a token. */

@@ -71,12 +71,15 @@ function lost(status) {
   return { ...metric, ...(share < 0.001 ? watch(word) : bad(word)) };
 }
 
+/** The time left is an estimate from the last half minute, or from the pre-roll: of more days it says nothing. */
+const DISK_S_MAX = 30 * 86_400;
+
 function disk({ free_bytes: free, keep_free_bytes: keep, left_s: left }) {
   if (free === null) return { note: "free space unknown" };
   const note = `${bytes(free).join(" ")} free`;
   if (free <= keep) return { ...value("0", "s"), note, ...bad("full") };
   if (left === null) return { ...value(...bytes(free - keep)), note: "free for takes" };
-  const metric = { ...value(...duration(left)), note };
+  const metric = { ...(left > DISK_S_MAX ? value("> 30", "days") : value(...duration(left))), note };
   if (left < 600) return { ...metric, ...bad("nearly full") };
   return { ...metric, ...(left < 3600 ? watch("running low") : ok("enough")) };
 }
@@ -118,7 +121,8 @@ function samples(take) {
 
 function preRoll({ device, pre_roll: { wanted_s: wanted, held_s: held, held_bytes: size, is_cut: isCut } }) {
   if (wanted === 0) return { note: "no pre-roll configured" };
-  const metric = { ...value(held.toFixed(1), "s"), note: `of ${rounded(wanted)} s; ${bytes(size).join(" ")}` };
+  // It is kept by whole key stretches, and so is mostly a little longer than configured.
+  const metric = { ...value(Math.min(held, wanted).toFixed(1), "s"), note: `of ${rounded(wanted)} s; ${bytes(size).join(" ")}` };
   if (device.outage) return { ...metric, ...watch("no data") };
   if (isCut) return { ...metric, ...watch("limited by memory") };
   return held >= 0.98 * wanted ? { ...metric, ...ok("full") } : metric;

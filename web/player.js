@@ -9,12 +9,16 @@ import { Playback } from "./playback.js";
 import { installPlayerKeys } from "./player_keys.js";
 import { PlayerLists } from "./player_lists.js";
 import { TakeMotion } from "./take_motion.js";
-import { GapCounts, TimeAxis, gapBegins } from "./time_axis.js";
+import { GapCounts, TimeAxis, gapBegins, gapsThatBegin } from "./time_axis.js";
 import { View } from "./view.js";
 
 /** Charts and texts change less often than the scene while playing. */
 const CHARTS_MS = 100;
 const TEXTS_MS = 60;
+/** How often the list of markers says which are missing, while playing. */
+const MISSING_MS = 250;
+/** Markers that are named where a gap begins. */
+const NAMED_MAX = 4;
 /** How often the time axis states its value while playing. */
 const ANNOUNCE_MS = 1000;
 /** Drawings over which the script time is measured. */
@@ -38,10 +42,14 @@ export class Player {
   #announcedMs = 0;
   #tickMs = 0;
   #opened = 0;
-  /** The running search for a gap. */
+  /** The running search for a gap, and what it found. */
   #search = null;
+  #found = null;
+  #missingMs = 0;
 
-  constructor() {
+  /** `overlays` adds what only a service has; null for a shared page. */
+  constructor(overlays = null) {
+    this.overlays = overlays;
     this.view = new View(this.motion);
     this.view.isLive = false;
     // In a pause the camera does not move on to what is not quite in the picture.
@@ -58,12 +66,13 @@ export class Player {
     this.view.onSelected = () => {
       if (this.view.pinned >= 0 && this.view.hovered < 0) this.lists.add(this.view.pinned);
     };
+    this.overlays?.install(this);
     installPlayerKeys(this);
     requestAnimationFrame((now) => this.#tick(now));
   }
 
-  /** Opens the take of a source; what was open before is dropped. */
-  async open(source) {
+  /** Opens the take of a source, and compares it with that of another one; what was open before is dropped. */
+  async open(source, other = null) {
     this.#openedMs = performance.now();
     const opened = (this.#opened += 1);
     this.overview = null;
@@ -71,7 +80,8 @@ export class Player {
     this.#search = null;
     this.hasFailed = false;
     this.#message("Loading");
-    this.#notice(null);
+    this.notice(null);
+    this.overlays?.close();
     let overview;
     try {
       overview = await source.overview();
@@ -81,7 +91,7 @@ export class Player {
     }
     if (opened !== this.#opened) return;
     this.#show(overview, source);
-    await this.#countGaps(source, opened);
+    await Promise.all([this.overlays?.open(source, other, () => opened === this.#opened), this.#countGaps(source, opened)]);
   }
 
   #show(overview, source) {
@@ -89,6 +99,7 @@ export class Player {
     this.overview = overview;
     this.playback = new Playback(overview.frames, overview.rate_hz);
     this.gaps = new GapCounts();
+    this.#found = null;
     this.stats = { drawn: 0, skipped: 0, firstPictureMs: NaN, times: [] };
     this.motion.setTake(overview);
     this.view.settle();
@@ -125,70 +136,78 @@ export class Player {
         return true;
       }, () => this.buffer.idle());
     } catch (error) {
-      if (opened === this.#opened) this.#notice(`The gaps of this take cannot be read: ${error.message}`);
+      if (opened === this.#opened) this.notice(`The gaps of this take cannot be read: ${error.message}`);
     }
   }
 
   /** Frames could not be read; they are tried again. */
   #failed(error) {
     this.hasFailed = true;
-    this.#notice(`Frames cannot be read: ${error.message}`);
+    this.notice(`Frames cannot be read: ${error.message}`);
   }
 
   #loaded() {
     if (this.hasFailed && this.buffer.has(this.playback.row)) {
       this.hasFailed = false;
-      this.#notice(null);
+      this.notice(null);
     }
     this.#noticeDamage();
-    this.#refresh();
+    this.refresh();
   }
 
   /** Damage within a take shows only when it is decoded. */
   #noticeDamage() {
     const { overview, buffer, gaps } = this;
     if (this.hasFailed) return;
-    if (overview.problems_total > 0) this.#notice(problemText(overview));
-    else if (buffer.isDamaged || gaps.isDamaged) this.#notice(DAMAGED);
+    if (overview.problems_total > 0) this.notice(problemText(overview));
+    else if (buffer.isDamaged || gaps.isDamaged) this.notice(DAMAGED);
   }
 
   /** Goes to a row; playing goes on from there. */
   seek(row) {
     if (!this.overview) return;
-    this.#search = null;
+    this.#endSearch();
     if (this.hasFailed) this.buffer.retry();
     this.playback.seek(row);
     this.#isJump ||= Math.abs(this.playback.row - this.motion.row) > this.playback.rateHz / 2;
-    this.#refresh();
+    this.refresh();
   }
 
   step(rows) {
     if (!this.overview) return;
-    this.#search = null;
+    this.#endSearch();
     this.playback.step(rows);
-    this.#refresh();
+    this.refresh();
+  }
+
+  /** What was found last, and a search that is running, are of no interest any more. */
+  #endSearch() {
+    this.#search = null;
+    if (this.#found === null) return;
+    this.#found = null;
+    this.#hint(null);
   }
 
   toggle() {
     if (!this.overview) return;
-    this.#search = null;
+    this.#endSearch();
     if (this.hasFailed) this.buffer.retry();
     // A pause stays at the frame that is shown.
     const { row } = this.motion;
     this.playback.toggle();
     if (!this.playback.isPlaying && row >= 0) this.playback.seek(row);
-    this.#refresh();
+    this.refresh();
   }
 
   setSpeed(speed) {
     this.playback.speed = speed;
-    this.#refresh();
+    this.refresh();
   }
 
   /** Changes the loop by a method of the position: loopFrom, loopTo, clearLoop. */
   changeLoop(method) {
     this.playback[method]();
-    this.#refresh();
+    this.refresh();
   }
 
   /** Goes to the next (1) or previous (-1) event. */
@@ -203,12 +222,24 @@ export class Player {
   async goToGap(direction) {
     if (!this.overview) return;
     this.playback.pause();
-    this.#refresh();
+    this.refresh();
     const search = (this.#search = {});
     const found = await this.#findGap(direction, search);
     if (search !== this.#search) return;
-    if (found !== null) this.seek(found);
-    else this.#hint(direction > 0 ? "no gap begins after this frame" : "no gap begins before this frame");
+    if (found !== null) {
+      this.seek(found);
+      this.#found = this.#gapNames(found);
+      this.#hint(null);
+    } else this.#hint(direction > 0 ? "no gap begins after this frame" : "no gap begins before this frame");
+  }
+
+  /** Which markers have a gap that begins at a row, as a text. */
+  #gapNames(row) {
+    const { buffer, motion } = this;
+    const slots = gapsThatBegin(buffer.positionsAt(row) ?? [], row > 0 ? buffer.positionsAt(row - 1) : null);
+    const names = slots.slice(0, NAMED_MAX).map((slot) => motion.labels[slot]);
+    const more = slots.length > NAMED_MAX ? ` and ${count(slots.length - NAMED_MAX)} more` : "";
+    return `A gap of ${names.join(", ")}${more} begins here`;
   }
 
   async #findGap(direction, search) {
@@ -239,8 +270,7 @@ export class Player {
 
   #choose(slots) {
     this.charts.choose(slots);
-    const note = slots.length === 0 ? `choose up to ${CHOSEN_MAX} markers` : "10 s around the current time";
-    setText(byId("charts-note"), note);
+    if (slots.length === 0) setText(byId("charts-note"), `choose up to ${CHOSEN_MAX} markers`);
   }
 
   #tick(nowMs) {
@@ -260,7 +290,7 @@ export class Player {
   }
 
   /** Shows the present state at once. */
-  #refresh() {
+  refresh() {
     if (!this.overview) return;
     this.#draw(Infinity);
     this.#showTexts(Infinity, true);
@@ -269,9 +299,12 @@ export class Player {
 
   #draw(nowMs) {
     const { playback, buffer, motion } = this;
-    buffer.want(playback.row, playback.isPlaying ? playback.rowsPerSecond : 0, playback.loop);
+    const rowsPerSecond = playback.isPlaying ? playback.rowsPerSecond : 0;
+    buffer.want(playback.row, rowsPerSecond, playback.loop);
+    this.overlays?.want(playback, rowsPerSecond);
     if (motion.show(buffer.shownRow(playback.row), buffer.positionsAt)) {
       this.#message(null);
+      this.overlays?.show(motion);
       if (this.#isJump) {
         // The camera looks for the markers again, at once.
         this.#isJump = false;
@@ -287,6 +320,7 @@ export class Player {
     if (nowMs - this.#chartsMs < CHARTS_MS) return;
     this.#chartsMs = Number.isFinite(nowMs) ? nowMs : 0;
     this.charts.invalidate();
+    this.overlays?.invalidate();
   }
 
   #showTexts(nowMs, isAll) {
@@ -295,7 +329,12 @@ export class Player {
     const { playback, motion } = this;
     const row = this.buffer.shownRow(playback.row);
     setText(byId("time"), takeTime(row / playback.rateHz));
-    setText(byId("frame"), `frame ${count(row)} of ${count(playback.lastRow)}`);
+    setText(byId("frame"), frameText(row, this.overview));
+    this.overlays?.showTexts(row);
+    if (isAll || nowMs - this.#missingMs > MISSING_MS) {
+      this.#missingMs = Number.isFinite(nowMs) ? nowMs : 0;
+      this.lists.showMissing((slot) => motion.isSeen(slot));
+    }
     if (nowMs - this.#announcedMs > ANNOUNCE_MS) {
       this.#announcedMs = nowMs;
       this.axis.announce();
@@ -312,8 +351,9 @@ export class Player {
     const { stats } = this;
     stats.drawn += 1;
     if (Number.isNaN(stats.firstPictureMs)) stats.firstPictureMs = performance.now() - this.#openedMs;
-    stats.times.push(this.#tickMs + this.view.drawMs + this.axis.drawMs + this.charts.drawMs);
-    [this.axis.drawMs, this.charts.drawMs] = [0, 0];
+    const drawings = [this.axis, this.charts, this.overlays?.curves].flatMap((part) => part?.drawing ?? []);
+    stats.times.push(drawings.reduce((sum, { drawMs }) => sum + drawMs, this.#tickMs + this.view.drawMs));
+    for (const drawing of drawings) drawing.drawMs = 0;
     if (stats.times.length > TIMES_MAX) stats.times.shift();
     stats.p95Ms = percentile(stats.times, 0.95);
   }
@@ -324,14 +364,14 @@ export class Player {
     byId("view").classList.toggle("stale", text !== null);
   }
 
-  #notice(text) {
+  notice(text) {
     setHidden(byId("notice"), text === null);
     setText(byId("notice"), text ?? "");
   }
 
   #fail(error) {
     this.#message("Cannot be played");
-    this.#notice(error.message);
+    this.notice(error.message);
     setText(byId("take-name"), this.source.name ?? "Take");
     setText(byId("take-facts"), "");
     for (const id of ["play", "back", "forward", "next-gap", "next-event"]) byId(id).disabled = true;
@@ -339,7 +379,7 @@ export class Player {
 
   /** The text below the axis: what the pointer is over, or what is known about gaps. */
   #hint(text) {
-    setText(byId("axis-hint"), text ?? this.#gapText());
+    setText(byId("axis-hint"), text ?? this.#found ?? this.#gapText());
   }
 
   #gapText() {
@@ -351,6 +391,12 @@ export class Player {
     const found = `${plural(missing, "sample")} missing (bars), ${plural(lost, "frame")} lost (hatched)`;
     return share < 100 ? `${found} in the first ${share} %; reading on` : found;
   }
+}
+
+/** The number of a frame as its source counts, and its place in the take if that differs. Pure. */
+export function frameText(row, { frames, first_frame: first = 1 }) {
+  if (first === 1) return `frame ${count(row + 1)} of ${count(frames)}`;
+  return `frame ${count(first + row)}: ${count(row + 1)} of ${count(frames)}`;
 }
 
 /** The facts about a take, as one line. Pure. */

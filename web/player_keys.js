@@ -33,6 +33,7 @@ export function installPlayerKeys(player) {
     o: () => player.changeLoop("loopTo"),
     x: () => player.changeLoop("clearLoop"),
     g: (event) => player.goToGap(direction(event)),
+    m: () => player.overlays?.goToLargest(),
     e: (event) => player.goToEvent(direction(event)),
     f: () => view.follow(!view.isFollowing),
     t: () => view.toggle("trails"),

@@ -41,9 +41,15 @@ export class PlayerLists {
       this.#choose(box.checked ? [...rest, slot] : rest);
     });
     const hover = (on) => () => this.onHover(on ? slot : -1);
+    const missing = h("span", { class: "missing", hidden: true }, "missing");
     const element = h("li", { pointerenter: hover(true), focusin: hover(true), focusout: hover(false) },
-      h("label", {}, box, h("span", {}, label)));
-    return { element, box };
+      h("label", {}, box, h("span", {}, label), missing));
+    return { element, box, missing };
+  }
+
+  /** Says which markers are missing; `isSeen(slot)` tells. */
+  showMissing(isSeen) {
+    this.#rows.forEach(({ missing }, slot) => setHidden(missing, isSeen(slot)));
   }
 
   #choose(slots) {

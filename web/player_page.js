@@ -2,8 +2,10 @@
 
 import { get, setToken } from "./api.js";
 import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
+import { downloadMenu } from "./downloads.js";
 import { installTheme } from "./keys.js";
 import { installLogin } from "./login.js";
+import { Overlays } from "./overlays.js";
 import { Player } from "./player.js";
 import { ServiceSource } from "./service_source.js";
 
@@ -15,9 +17,9 @@ const TOKEN_KEY = "mocapd-token";
 const isViewer = location.pathname === "/";
 
 installTheme();
-installLogin();
+installLogin(isViewer ? "Open the address that mocapd view printed: it contains the token. Or enter the token here." : undefined);
 if (isViewer) takeTokenFromAddress();
-const player = new Player();
+const player = new Player(new Overlays());
 // For the browser's console and the tests.
 window.mocapdPlayer = player;
 
@@ -35,22 +37,30 @@ function takeTokenFromAddress() {
   if (found) history.replaceState(null, "", pathname + search);
 }
 
-function open(name) {
-  const query = new URLSearchParams({ take: name });
+/** Opens a take; `against` is the name of the take that it is compared with, or empty. */
+function open(name, against = "") {
+  const query = new URLSearchParams(against ? { take: name, against } : { take: name });
   history.replaceState(null, "", `${location.pathname}?${query}`);
   byId("take-select").value = name;
-  player.open(new ServiceSource(name));
+  byId("against-select").value = against;
+  byId("downloads").replaceChildren(downloadMenu(name, isViewer));
+  player.open(new ServiceSource(name), against ? new ServiceSource(against) : null);
 }
 
 async function showTakes() {
   const all = await get(`/v1/takes?limit=${TAKES_MAX}`);
   const takes = all.filter((take) => !take.is_open && take.health !== "unreadable");
-  const asked = new URLSearchParams(location.search).get("take");
-  if (asked && !takes.some(({ name }) => name === asked)) takes.unshift({ name: asked });
+  const [asked, against] = ["take", "against"].map((key) => new URLSearchParams(location.search).get(key));
+  for (const name of [against, asked]) {
+    if (name && !takes.some((take) => take.name === name)) takes.unshift({ name });
+  }
   setText(byId("take-note"), all.length === TAKES_MAX ? `the last ${TAKES_MAX}` : "");
-  byId("take-select").replaceChildren(...takes.map(({ name }) => h("option", { value: name }, name)));
-  setHidden(byId("take-field"), takes.length < 2);
-  return asked ?? takes[0]?.name ?? null;
+  const options = () => takes.map(({ name }) => h("option", { value: name }, name));
+  byId("take-select").replaceChildren(...options());
+  byId("against-select").replaceChildren(h("option", { value: "" }, "no other take"), ...options());
+  setHidden(byId("take-choice"), takes.length === 0);
+  for (const id of ["take-field", "against-field"]) setHidden(byId(id), takes.length < 2);
+  return [asked ?? takes[0]?.name ?? null, against ?? ""];
 }
 
 /** The state of the recording, which this page must not hide. */
@@ -75,20 +85,21 @@ async function watchStatus() {
   }
 }
 
-byId("take-select").addEventListener("change", (event) => {
-  open(event.target.value);
-  // The keys of the player work again.
-  event.target.blur();
-});
+for (const id of ["take-select", "against-select"]) {
+  byId(id).addEventListener("change", (event) => {
+    open(byId("take-select").value, byId("against-select").value);
+    // The keys of the player work again.
+    event.target.blur();
+  });
+}
 // Another address of a viewer, opened in this tab.
 if (isViewer) addEventListener("hashchange", () => location.reload());
 setHidden(byId("home"), isViewer);
-if (isViewer) setText(byId("login-text"), "Open the address that mocapd view printed: it contains the token. Or enter the token here.");
 setHidden(byId("brand"), !isViewer);
 if (!isViewer) watchStatus();
 try {
-  const name = await showTakes();
-  if (name !== null) open(name);
+  const [name, against] = await showTakes();
+  if (name !== null) open(name, against);
   else setText(byId("view-message"), "No finished take yet");
 } catch (error) {
   setText(byId("view-message"), error.message);

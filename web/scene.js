@@ -11,19 +11,24 @@ const RADIUS_MM = 16;
 const RADIUS_FRACTION = 1 / 80;
 const BANDS = 5;
 
-/** `view`: {width, height, options: {labels, trails}, selected: slot or -1, colours, nowMs}. */
+/**
+ * `view`: {width, height, options: {labels, trails}, selected: slot or -1, colours, nowMs, layers}. `layers.floor` draws on the
+ * floor, below the markers, `layers.markers` above them.
+ */
 export function draw(ctx, camera, motion, view) {
   const { width, height } = view;
   ctx.clearRect(0, 0, width, height);
   const project = camera.projector(width, height);
   const stepMm = drawFloor(ctx, camera, motion, project, view);
   if (motion.n === 0 || !motion.raw) return { stepMm, points: null };
+  view.layers.floor?.(ctx, motion, project, view);
   const points = projectAll(motion, project, view.nowMs);
   drawShadows(ctx, motion, project, points, view);
   if (view.options.trails) drawTrails(ctx, motion, project, view);
   drawFace(ctx, motion, project, view);
   drawBones(ctx, motion, points, view);
   drawMarkers(ctx, motion, points, view);
+  view.layers.markers?.(ctx, motion, project, points, view);
   drawLabels(ctx, motion, points, view);
   return { stepMm, points };
 }

@@ -10,16 +10,32 @@ const TRIES = 20;
 
 /** Bytes before the frames of a window. */
 const HEADER_BYTES = 32;
-const MAGIC = 0x3157504d;
+const FRAMES_MAGIC = 0x3157504d;
+const FORCES_MAGIC = 0x3146504d;
+const POSES_MAGIC = 0x3150504d;
+/** Bytes of a marker, and of a force plate. */
+const MARKER_BYTES = 12;
+const PLATE_BYTES = 36;
+const POSE_BYTES = 48;
+/** Longest window that can be requested, in seconds. */
+const SECONDS_MAX = 3600;
 
-/** Parses a window, as docs/api.md describes it: {firstRow, every, frames, positions, isDamaged}. Pure. */
-export function parseWindow(buffer, n) {
+/** Parses a window of frames, as docs/api.md describes it: {firstRow, every, frames, positions, isDamaged}. Pure. */
+export const parseWindow = (buffer, markers) => parse(buffer, FRAMES_MAGIC, markers, MARKER_BYTES);
+
+/** Parses a window of forces likewise, nine numbers for each plate. Pure. */
+export const parseForces = (buffer, plates) => parse(buffer, FORCES_MAGIC, plates, PLATE_BYTES);
+
+/** Parses a window of the poses of a face likewise, twelve numbers each. Pure. */
+export const parsePoses = (buffer) => parse(buffer, POSES_MAGIC, 1, POSE_BYTES);
+
+function parse(buffer, magic, n, bytesEach) {
   const view = new DataView(buffer);
-  if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== MAGIC) throw new Error("this is not a window of a take");
-  const markers = view.getUint32(4, true);
+  if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== magic) throw new Error("this is not a window of a take");
+  const signals = view.getUint32(4, true);
   const [frames, every, flags] = [16, 20, 24].map((at) => view.getUint32(at, true));
-  if (markers !== n || buffer.byteLength !== HEADER_BYTES + 12 * frames * markers || every === 0) {
-    throw new Error(`a window of ${buffer.byteLength} bytes: expected ${frames} frames of ${n} markers`);
+  if (signals !== n || buffer.byteLength !== HEADER_BYTES + bytesEach * frames * n || every === 0) {
+    throw new Error(`a window of ${buffer.byteLength} bytes: expected ${frames} frames of ${n} markers or plates`);
   }
   return {
     firstRow: Number(view.getBigUint64(8, true)),
@@ -32,6 +48,7 @@ export function parseWindow(buffer, n) {
 
 export class ServiceSource {
   constructor(name) {
+    this.name = name;
     this.path = `/v1/takes/${encodeURIComponent(name)}`;
   }
 
@@ -54,15 +71,70 @@ export class ServiceSource {
     let row = 0;
     while (row < this.take.frames) {
       await isIdle();
-      const part = await inTurn(() => get(`${this.path}/gaps?from=${row / this.take.rate_hz}`, TIMEOUT_MS));
+      const part = await inTurn(() => get(`${this.path}/gaps?from=${row / this.take.rate_hz}`, TIMEOUT_MS), OTHERS);
+      if (!onPart(part) || part.end_frame <= row) return;
+      row = part.end_frame;
+    }
+  }
+
+  /** A window of the poses of the subject's face. */
+  async poses(firstRow, rows, every) {
+    return parsePoses(await inTurn(() => getBytes(`${this.path}/face?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS));
+  }
+
+  /** The force plates of the take: {plates, window_frames_max}. */
+  plates() {
+    return inTurn(() => get(`${this.path}/plates`, TIMEOUT_MS), OTHERS);
+  }
+
+  /** A window of the forces of so many plates. */
+  async forces(firstRow, rows, every, plates) {
+    return parseForces(await inTurn(() => getBytes(`${this.path}/forces?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS), plates);
+  }
+
+  /** The part of so many rows, or as many whole steps of them as can be requested at once. */
+  #query(firstRow, rows, every) {
+    const { rate_hz: rateHz } = this.take;
+    const most = Math.max(every, Math.floor((SECONDS_MAX * rateHz) / every) * every);
+    return `from=${firstRow / rateHz}&seconds=${Math.min(rows, most) / rateHz}&every=${every}`;
+  }
+
+  /** Calls `onPart` with one part of the differences from another take after another, like `gaps`. */
+  async difference(other, onPart, isIdle = async () => {}) {
+    let row = 0;
+    while (row < this.take.frames) {
+      await isIdle();
+      const query = `against=${encodeURIComponent(other)}&from=${row / this.take.rate_hz}`;
+      const part = await inTurn(() => get(`${this.path}/difference?${query}`, TIMEOUT_MS), OTHERS);
       if (!onPart(part) || part.end_frame <= row) return;
       row = part.end_frame;
     }
   }
 }
 
+/** The service decodes one part of a take after another, for all players: a page has at most this many requests at a time. */
+const REQUESTS_MAX = 2;
+/** Frames come before all others. */
+const FRAMES = 0;
+const OTHERS = 1;
+const waiting = [[], []];
+let running = 0;
+
+/** Makes a request when it is its turn. */
+async function inTurn(request, priority = FRAMES) {
+  if (running >= REQUESTS_MAX) await new Promise((resolve) => waiting[priority].push(resolve));
+  else running += 1;
+  try {
+    return await repeated(request);
+  } finally {
+    const next = waiting[FRAMES].shift() ?? waiting[OTHERS].shift();
+    if (next) next();
+    else running -= 1;
+  }
+}
+
 /** Repeats a request that the service refuses because it is busy. */
-async function inTurn(request) {
+async function repeated(request) {
   for (let attempt = 1; ; attempt += 1) {
     try {
       return await request();

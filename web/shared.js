@@ -8,9 +8,9 @@ import { SharedSource } from "./shared_source.js";
 
 /** The sentence at the foot of the page. Pure. */
 export function accuracyText({ tolerance_mm: ofTake, page }) {
-  const take = ofTake > 0 ? `${roundedUp(ofTake)} mm by the take` : "nothing by the take, which is lossless";
+  const take = ofTake > 0 ? `those of the take by at most ${roundedUp(ofTake)} mm` : "those of the take, which is lossless, not at all";
   return `Positions differ from the original by at most ${roundedUp(page.tolerance_mm)} mm: ${take}, ` +
-    `${roundedUp(page.added_mm)} mm by this page (measured: ${roundedUp(page.max_added_mm)} mm). Made by mocapd; nothing is loaded from a network.`;
+    `and this page adds at most ${roundedUp(page.added_mm)} mm (the largest that it added is ${roundedUp(page.max_added_mm, 4)} mm). Made by mocapd; nothing is loaded from a network.`;
 }
 
 installTheme();

@@ -4,6 +4,8 @@
 const MESSAGE_MAX = 8 << 20;
 /** Kind, three zero bytes, row, ticks, arrival time. */
 const FRAME_HEADER = 28;
+/** Kind, group, two zero bytes, number of the first sample, number of samples. */
+const SAMPLES_HEADER = 16;
 
 export class StreamError extends Error {}
 
@@ -42,6 +44,7 @@ function parseMessage(bytes) {
     return { kind: "table", table: JSON.parse(new TextDecoder().decode(bytes.subarray(1))) };
   }
   if (bytes[0] === 3) return parseFace(bytes);
+  if (bytes[0] === 4) return parseSamples(bytes);
   if (bytes[0] !== 2) return null;
   if (bytes.length < FRAME_HEADER || (bytes.length - FRAME_HEADER) % 12 !== 0) {
     throw new StreamError(`a frame of ${bytes.length} bytes: expected three floats per marker`);
@@ -60,6 +63,15 @@ function parseMessage(bytes) {
 function parseFace(bytes) {
   if (bytes.length !== 4 + 48) throw new StreamError(`a face pose of ${bytes.length} bytes: expected twelve floats`);
   return { kind: "face", pose: new Float32Array(bytes.buffer, 4) };
+}
+
+/** A column of a group of sampled channels: the least and the largest value of each. */
+function parseSamples(bytes) {
+  if (bytes.length < SAMPLES_HEADER || (bytes.length - SAMPLES_HEADER) % 8 !== 0) {
+    throw new StreamError(`samples of ${bytes.length} bytes: expected two floats per channel`);
+  }
+  const view = new DataView(bytes.buffer);
+  return { kind: "samples", group: bytes[1], first: Number(view.getBigUint64(4, true)), n: view.getUint32(12, true), ranges: new Float32Array(bytes.buffer, SAMPLES_HEADER) };
 }
 
 /** Parses server-sent events from text split anywhere. */

@@ -13,7 +13,7 @@ export class TakeMotion extends Motion {
   /** The table of a take's overview. */
   setTake(overview) {
     this.setTable({ labels: [], labelled: [], bones: [], up_axis: overview.up_axis });
-    this.setTable({ ...overview, limbs: [] });
+    this.setTable(overview);
     this.rateHz = overview.rate_hz;
     this.row = -1;
   }

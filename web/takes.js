@@ -2,6 +2,7 @@
 
 import { ServiceError, sendCommand } from "./api.js";
 import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
+import { downloadMenu } from "./downloads.js";
 import { ratingText } from "./finished.js";
 import { bytes, dateTime, elapsed, plural } from "./format.js";
 import { GLYPHS } from "./tiles.js";
@@ -88,7 +89,6 @@ export class Takes {
   }
 
   #createRow(name) {
-    const path = `/v1/takes/${encodeURIComponent(name)}/download`;
     const parts = {
       summary: h("p", { class: "note" }),
       glyph: h("span", { class: "glyph", "aria-hidden": "true" }),
@@ -97,7 +97,7 @@ export class Takes {
       ratingGlyph: h("span", { class: "glyph", "aria-hidden": "true" }),
       ratingWords: h("span"),
       edit: h("button", { type: "button", "aria-label": `Edit ${name}`, "aria-haspopup": "dialog" }, "Edit"),
-      download: h("a", { class: "button", href: path, download: `${name}.take`, "aria-label": `Download ${name}` }, "Download"),
+      download: downloadMenu(name),
       play: h("a", { class: "button", href: `/player.html?take=${encodeURIComponent(name)}`, "aria-label": `Play ${name}` }, "Play"),
       verify: h("button", { type: "button", "aria-label": `Verify ${name}` }, "Verify"),
       answer: h("p", { class: "note", role: "status" }),

@@ -1,7 +1,9 @@
 // The time axis of a take: gaps, lost frames, events, the loop and the current time. It is a slider.
 
-import { byId, colours, onTheme, setAttribute } from "./dom.js";
-import { takeTime } from "./format.js";
+import { tickSeconds } from "./charts.js";
+import { byId, setAttribute } from "./dom.js";
+import { axisTime, takeTime } from "./format.js";
+import { OnDemand } from "./on_demand.js";
 
 const COLOURS = ["panel", "raised", "line", "edge", "text", "muted", "accent", "watch", "bad", "selected"];
 
@@ -11,7 +13,7 @@ const BAND_PX = 26;
 const LOADED_PX = 4;
 export const AXIS_HEIGHT_PX = FLAGS_PX + BAND_PX + LOADED_PX + 20;
 /** Space at both ends, for the handle. */
-const MARGIN_PX = 9;
+export const AXIS_MARGIN_PX = 9;
 /** Pixels between two times. */
 const TICK_PX = 90;
 /** A pointer this close to a flag shows its text. */
@@ -50,6 +52,15 @@ export class GapCounts {
   }
 }
 
+/** The markers with a gap that begins at a row: its positions, and those of the row before it, null at the beginning. Pure. */
+export function gapsThatBegin(positions, before) {
+  const slots = [];
+  for (let i = 0; i < positions.length; i += 3) {
+    if (Number.isNaN(positions[i]) && !(before && Number.isNaN(before[i]))) slots.push(i / 3);
+  }
+  return slots;
+}
+
 /** Whether a gap of any marker begins at a row: its positions, and those of the row before it, null at the beginning. Pure. */
 export function gapBegins(positions, before) {
   for (let i = 0; i < positions.length; i += 3) {
@@ -58,34 +69,18 @@ export function gapBegins(positions, before) {
   return false;
 }
 
-/** Seconds between two times of an axis: a round number, so that they are at least `minimum` apart. Pure. */
-export function tickSeconds(minimum) {
-  const steps = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14_400, 43_200];
-  return steps.find((step) => step >= minimum) ?? Math.ceil(minimum / 86_400) * 86_400;
-}
-
 export class TimeAxis {
   #canvas = byId("axis");
-  #isDirty = false;
   /** Everything but the current time, which is drawn again only where it changed. */
   #still = document.createElement("canvas");
   #isStillDirty = true;
   #width = 300;
-  /** Duration of the last drawing. */
-  drawMs = 0;
 
   /** `onSeek(row)` is called while the pointer is down, `onHint(text)` with the text of the event under it. */
   constructor({ onSeek, onHint }) {
-    this.ctx = this.#canvas.getContext("2d");
     this.onSeek = onSeek;
     this.onHint = onHint;
-    const readColours = () => {
-      this.colours = colours(COLOURS);
-      this.invalidate();
-    };
-    onTheme(readColours);
-    readColours();
-    new ResizeObserver(() => this.invalidate()).observe(this.#canvas);
+    this.drawing = new OnDemand(this.#canvas, COLOURS, () => this.overview && this.#draw(), () => this.invalidate());
     this.#installPointer();
   }
 
@@ -104,21 +99,14 @@ export class TimeAxis {
 
   /** Draws the current time again. */
   move() {
-    if (this.#isDirty) return;
-    this.#isDirty = true;
-    requestAnimationFrame(() => {
-      this.#isDirty = false;
-      const beganMs = performance.now();
-      if (this.overview) this.#draw();
-      this.drawMs = performance.now() - beganMs;
-    });
+    this.drawing.invalidate();
   }
 
   /** The value for assistive technology. */
   announce() {
     const { playback, overview } = this;
     setAttribute(this.#canvas, "aria-valuenow", String(playback.row));
-    setAttribute(this.#canvas, "aria-valuetext", `${takeTime(playback.seconds)} of ${takeTime(overview.seconds)}, frame ${playback.row}`);
+    setAttribute(this.#canvas, "aria-valuetext", `${takeTime(playback.seconds)} of ${takeTime(overview.seconds)}, frame ${overview.first_frame + playback.row}`);
   }
 
   #installPointer() {
@@ -143,11 +131,11 @@ export class TimeAxis {
   }
 
   #x(row) {
-    return MARGIN_PX + (row / Math.max(1, this.playback.lastRow)) * (this.#width - 2 * MARGIN_PX);
+    return AXIS_MARGIN_PX + (row / Math.max(1, this.playback.lastRow)) * (this.#width - 2 * AXIS_MARGIN_PX);
   }
 
   #rowAt(x) {
-    const share = (x - MARGIN_PX) / Math.max(1, this.#width - 2 * MARGIN_PX);
+    const share = (x - AXIS_MARGIN_PX) / Math.max(1, this.#width - 2 * AXIS_MARGIN_PX);
     return Math.round(Math.min(1, Math.max(0, share)) * this.playback.lastRow);
   }
 
@@ -159,31 +147,29 @@ export class TimeAxis {
   }
 
   #draw() {
-    const { ctx } = this;
-    const ratio = Math.min(2, devicePixelRatio || 1);
-    this.#width = this.#canvas.clientWidth;
-    if (this.#width < 50) return;
-    const size = [this.#width, AXIS_HEIGHT_PX].map((length) => Math.round(length * ratio));
-    if (this.#canvas.width !== size[0] || this.#canvas.height !== size[1]) {
-      for (const canvas of [this.#canvas, this.#still]) [canvas.width, canvas.height] = size;
+    const { ctx } = this.drawing;
+    const room = this.drawing.clear();
+    if (!room) return;
+    this.#width = room.width;
+    if (this.#still.width !== this.#canvas.width || this.#still.height !== this.#canvas.height) {
+      [this.#still.width, this.#still.height] = [this.#canvas.width, this.#canvas.height];
       this.#isStillDirty = true;
     }
     if (this.#isStillDirty) {
       this.#isStillDirty = false;
-      this.#drawStill(this.#still.getContext("2d"), ratio);
+      this.#drawStill(this.#still.getContext("2d"), room.ratio);
     }
     ctx.setTransform(1, 0, 0, 1, 0, 0);
-    ctx.clearRect(0, 0, ...size);
     ctx.drawImage(this.#still, 0, 0);
-    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    ctx.setTransform(room.ratio, 0, 0, room.ratio, 0, 0);
     this.#drawCurrent(ctx);
   }
 
   #drawStill(ctx, ratio) {
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     ctx.clearRect(0, 0, this.#width, AXIS_HEIGHT_PX);
-    ctx.fillStyle = this.colours.raised;
-    ctx.fillRect(MARGIN_PX, FLAGS_PX, this.#width - 2 * MARGIN_PX, BAND_PX);
+    ctx.fillStyle = this.drawing.colours.raised;
+    ctx.fillRect(AXIS_MARGIN_PX, FLAGS_PX, this.#width - 2 * AXIS_MARGIN_PX, BAND_PX);
     this.#drawLoaded(ctx);
     this.#drawGaps(ctx);
     this.#drawLoop(ctx);
@@ -193,7 +179,7 @@ export class TimeAxis {
 
   #drawLoaded(ctx) {
     const { buffer } = this;
-    ctx.fillStyle = this.colours.accent;
+    ctx.fillStyle = this.drawing.colours.accent;
     for (const [first, end] of buffer.ranges()) {
       const x = this.#x(first);
       ctx.fillRect(x, FLAGS_PX + BAND_PX + 1, Math.max(1, this.#x(Math.min(end, this.playback.lastRow)) - x), LOADED_PX - 2);
@@ -220,11 +206,11 @@ export class TimeAxis {
     for (const [x, { share, isLost }] of columns) {
       if (share > 0) {
         const height = Math.max(3, Math.sqrt(share) * BAND_PX);
-        ctx.fillStyle = this.colours.watch;
+        ctx.fillStyle = this.drawing.colours.watch;
         ctx.fillRect(x, bottom - height, 1, height);
       }
       if (!isLost) continue;
-      ctx.fillStyle = this.colours.bad;
+      ctx.fillStyle = this.drawing.colours.bad;
       for (let y = -(x % 4); y < BAND_PX; y += 4) {
         const top = Math.max(0, y);
         ctx.fillRect(x, FLAGS_PX + top, 1, Math.max(0, Math.min(BAND_PX, y + 2) - top));
@@ -233,12 +219,12 @@ export class TimeAxis {
     const read = this.#x(Math.min(gaps.endRow, this.playback.lastRow));
     if (gaps.endRow >= overview.frames) return;
     // The part whose gaps are not known yet.
-    ctx.strokeStyle = this.colours.edge;
+    ctx.strokeStyle = this.drawing.colours.edge;
     ctx.setLineDash([2, 5]);
     ctx.lineWidth = 1;
     ctx.beginPath();
     ctx.moveTo(read, bottom - 1.5);
-    ctx.lineTo(this.#width - MARGIN_PX, bottom - 1.5);
+    ctx.lineTo(this.#width - AXIS_MARGIN_PX, bottom - 1.5);
     ctx.stroke();
     ctx.setLineDash([]);
   }
@@ -247,11 +233,11 @@ export class TimeAxis {
     const { playback } = this;
     if (!playback.loop) return;
     const [from, to] = playback.loop.map((row) => this.#x(row));
-    ctx.fillStyle = this.colours.accent;
+    ctx.fillStyle = this.drawing.colours.accent;
     ctx.globalAlpha = 0.22;
     ctx.fillRect(from, FLAGS_PX, to - from, BAND_PX);
     ctx.globalAlpha = 1;
-    ctx.strokeStyle = this.colours.accent;
+    ctx.strokeStyle = this.drawing.colours.accent;
     ctx.lineWidth = 2;
     for (const [x, inward] of [[from, 5], [to, -5]]) {
       ctx.beginPath();
@@ -265,15 +251,15 @@ export class TimeAxis {
 
   #drawTimes(ctx) {
     const { overview } = this;
-    const width = this.#width - 2 * MARGIN_PX;
+    const width = this.#width - 2 * AXIS_MARGIN_PX;
     const step = tickSeconds((overview.seconds * TICK_PX) / width);
     ctx.font = "12px system-ui, sans-serif";
     ctx.textBaseline = "alphabetic";
-    ctx.fillStyle = this.colours.muted;
+    ctx.fillStyle = this.drawing.colours.muted;
     for (let i = 0; i * step <= overview.seconds; i += 1) {
       const x = this.#x(i * step * overview.rate_hz);
       ctx.fillRect(x, FLAGS_PX + BAND_PX, 1, LOADED_PX + 3);
-      const text = step < 1 ? takeTime(i * step).slice(0, -1) : takeTime(i * step).slice(0, -4);
+      const text = axisTime(i * step, step);
       const half = ctx.measureText(text).width / 2;
       ctx.textAlign = "center";
       ctx.fillText(text, Math.min(this.#width - half, Math.max(half, x)), AXIS_HEIGHT_PX - 3);
@@ -285,7 +271,7 @@ export class TimeAxis {
     const { overview } = this;
     for (const { frame, kind } of overview.events) {
       const x = this.#x(Math.min(frame, this.playback.lastRow));
-      ctx.fillStyle = kind === "mark" ? this.colours.selected : this.colours.muted;
+      ctx.fillStyle = kind === "mark" ? this.drawing.colours.selected : this.drawing.colours.muted;
       ctx.beginPath();
       if (kind === "mark") {
         ctx.moveTo(x - 5, 3);
@@ -304,9 +290,9 @@ export class TimeAxis {
 
   #drawCurrent(ctx) {
     const x = this.#x(this.playback.row);
-    ctx.fillStyle = this.colours.text;
+    ctx.fillStyle = this.drawing.colours.text;
     ctx.fillRect(x - 1, FLAGS_PX - 5, 2, BAND_PX + LOADED_PX + 8);
-    ctx.strokeStyle = this.colours.panel;
+    ctx.strokeStyle = this.drawing.colours.panel;
     ctx.lineWidth = 2;
     ctx.beginPath();
     ctx.arc(x, FLAGS_PX + BAND_PX / 2, 7, 0, 2 * Math.PI);

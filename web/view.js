@@ -6,7 +6,8 @@ import { duration } from "./format.js";
 import { installPointer } from "./pointer.js";
 import { FADE_MS, draw, pick } from "./scene.js";
 
-const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "off", "marker", "stray", "selected"];
+const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "off", "marker", "stray", "selected", "force",
+  "error-1", "error-2", "error-3", "error-4", "error-5"];
 /** Time constants with which the camera follows the markers, and with which their box shrinks. */
 const FOLLOW_MS = 700;
 const SHRINK_MS = 6000;
@@ -23,6 +24,9 @@ export class View {
   onDrawn = () => {};
   /** The time of the motion, from that of the page: a player's differs. */
   timeOf = (nowMs) => nowMs;
+  /** What is drawn besides the motion, and said of a marker besides its position. */
+  layers = {};
+  textOf = () => "";
   /** Whether the motion goes on by itself, so that occluded markers fade without a new frame. */
   isLive = true;
   /** Duration of the last drawing. */
@@ -124,8 +128,8 @@ export class View {
       if (box) camera.approach(box, this.width, this.height, isInstant ? 1 : 1 - Math.exp(-elapsedMs / FOLLOW_MS));
       this.#settled ||= box !== null;
     }
-    const { width, height, options, selected, colours } = this;
-    const drawn = draw(this.ctx, camera, motion, { width, height, options, selected, colours, nowMs: this.timeOf(nowMs) });
+    const { width, height, options, selected, colours, layers } = this;
+    const drawn = draw(this.ctx, camera, motion, { width, height, options, selected, colours, layers, nowMs: this.timeOf(nowMs) });
     this.#points = drawn.points;
     this.#showScaleAndMarker(drawn.stepMm);
     this.drawMs = performance.now() - beganMs;
@@ -143,7 +147,7 @@ export class View {
     const age = (this.timeOf(performance.now()) - motion.lastSeenMs[selected]) / 1000;
     const place = Number.isFinite(x) ? `x ${x.toFixed(1)}  y ${y.toFixed(1)}  z ${z.toFixed(1)} mm`
       : Number.isFinite(age) ? `not seen for ${duration(age).join(" ")}` : "not seen yet";
-    setText(byId("view-marker"), `${motion.labels[selected]}   ${place}`);
+    setText(byId("view-marker"), `${motion.labels[selected]}   ${place}${this.textOf(selected)}`);
   }
 
   /** Moves the camera for the user; it no longer follows the markers. */

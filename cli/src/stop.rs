@@ -49,6 +49,16 @@ fn is_ignored(status: &str, signal: i32) -> bool {
 /// # Errors
 /// If the system refuses the handlers or their thread.
 pub fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
+    stop_on_signal_or(|| ())
+}
+
+/// Returns a flag like [`stop_on_signal`]. If a second signal ends the process, `clean_up` runs before.
+///
+/// # Errors
+/// If the system refuses the handlers or their thread.
+pub fn stop_on_signal_or(
+    clean_up: impl FnOnce() + Send + 'static,
+) -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
     let watching = || "cannot watch for Ctrl-C";
@@ -62,9 +72,11 @@ pub fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
         for _ in signals.forever() {
             stopped.store(true, Ordering::Relaxed);
             if first.get_or_insert_with(Instant::now).elapsed() > SAME_SIGNAL_WINDOW {
-                low_level::exit(EXIT_FAILED);
+                break;
             }
         }
+        clean_up();
+        low_level::exit(EXIT_FAILED);
     };
     Builder::new().name("mocapd-signal".to_owned()).spawn(watch).with_context(watching)?;
     Ok(stop)

@@ -9,6 +9,10 @@ use std::{
 };
 
 use crossbeam_channel::Receiver;
+use mocapd_acquire::pipeline::SampleRange;
+use mocapd_drivers::device::{SampleForm, SampledChannelInfo, SampledGroupInfo};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 /// The placement of the face in the device's volume: for each axis three factors of a vertex, and an offset in
 /// millimetres.
@@ -24,7 +28,7 @@ pub enum LiveMessage {
 }
 
 /// The markers of the frames that follow.
-#[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct LiveTable {
     /// Labels, by slot.
     pub labels: Vec<String>,
@@ -40,10 +44,35 @@ pub struct LiveTable {
     pub limbs: Vec<LiveLimb>,
     /// The subject's face, if its markers are mapped.
     pub face: Option<LiveFace>,
+    /// The groups of sampled channels.
+    pub groups: Vec<LiveGroup>,
+}
+
+/// A group of sampled channels.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LiveGroup {
+    /// Its number.
+    pub number: u8,
+    /// Samples of a channel in a second.
+    pub rate_hz: f64,
+    /// Its channels.
+    pub channels: Vec<LiveChannel>,
+}
+
+/// A sampled channel.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LiveChannel {
+    /// Its name; may be empty, and may repeat.
+    pub name: String,
+    /// The unit of its values; may be empty.
+    pub unit: String,
+    /// The least and the largest value that its counts can express: a channel that reaches them is clipped. Null for samples
+    /// that are no counts.
+    pub full_scale: Option<[f64; 2]>,
 }
 
 /// The wireframe of a face.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct LiveFace {
     /// Vertices in the face's own coordinates, in millimetres.
     pub vertices_mm: Vec<[f32; 3]>,
@@ -52,7 +81,7 @@ pub struct LiveFace {
 }
 
 /// A limb of the subject's skeleton between two markers.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct LiveLimb {
     /// The slots of the two markers.
     pub ends: [u16; 2],
@@ -75,13 +104,30 @@ pub struct LiveFrame {
     pub positions_mm: Vec<[f32; 3]>,
     /// The placement of the subject's face, if its markers are seen.
     pub face: Option<FacePose>,
+    /// What the sampled channels did since the previous frame: columns of a strip chart, in order of time.
+    pub samples: Vec<LiveSamples>,
+}
+
+/// About a twentieth of a second of a group of sampled channels; more while a viewer does not read.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LiveSamples {
+    /// The index of the group in the table.
+    pub group: u8,
+    /// Number of the first sample since the device was armed.
+    pub first: u64,
+    /// Samples of a channel from the first to the last.
+    pub n: u32,
+    /// By channel the least and the largest value, in its unit; NaN if there is none.
+    pub ranges: Vec<[f32; 2]>,
 }
 
 impl LiveMessage {
     /// Appends the message in the wire format, little endian: u32 length of what follows, u8 kind. Kind 1 is a table in
     /// JSON. Kind 2 is a frame: three zero bytes, u64 row, u64 ticks, u64 arrival in microseconds since 1970, then
     /// three f32 per marker (NaN if it is not seen). Kind 3, the placement of the subject's face, follows the frame
-    /// that it belongs to: three zero bytes, then for each axis three factors of a vertex and an offset, as f32.
+    /// that it belongs to: three zero bytes, then for each axis three factors of a vertex and an offset, as f32. So does
+    /// kind 4, about a twentieth of a second of a group of sampled channels: u8 index of the group in the table, two zero bytes,
+    /// u64 number of the first sample, u32 number of samples, then for each channel its least and its largest value as f32.
     pub fn put(&self, out: &mut Vec<u8>) {
         match self {
             Self::Table(table) => message(out, |out| {
@@ -91,6 +137,17 @@ impl LiveMessage {
             }),
             Self::Frame(frame) => {
                 message(out, |out| frame.put(out));
+                for LiveSamples { group, first, n, ranges } in &frame.samples {
+                    message(out, |out| {
+                        out.extend_from_slice(&[4, *group, 0, 0]);
+                        out.extend_from_slice(&first.to_le_bytes());
+                        out.extend_from_slice(&n.to_le_bytes());
+                        ranges
+                            .as_flattened()
+                            .iter()
+                            .for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
+                    });
+                }
                 if let Some(face) = &frame.face {
                     message(out, |out| {
                         out.extend_from_slice(&[3, 0, 0, 0]);
@@ -100,6 +157,38 @@ impl LiveMessage {
             }
         }
     }
+}
+
+/// The groups as viewers need them.
+pub(crate) fn live_groups(groups: &[SampledGroupInfo]) -> Vec<LiveGroup> {
+    let group = |group: &SampledGroupInfo| LiveGroup {
+        number: group.id,
+        rate_hz: f64::from(group.rate_millihertz) / 1000.0,
+        channels: group.channels.iter().map(|channel| live_channel(group.form, channel)).collect(),
+    };
+    groups.iter().map(group).collect()
+}
+
+fn live_channel(form: SampleForm, channel: &SampledChannelInfo) -> LiveChannel {
+    let counts = match form {
+        SampleForm::Int16 => Some([f64::from(i16::MIN), f64::from(i16::MAX)]),
+        // A converter of 24 bits and others send these, and nobody says which.
+        SampleForm::Int32 | SampleForm::Float32 => None,
+    };
+    let full_scale = counts.map(|counts| {
+        let [a, b] = counts.map(|count| (count - channel.offset) * channel.scale);
+        [a.min(b), a.max(b)]
+    });
+    LiveChannel { name: channel.name.clone(), unit: channel.unit.clone(), full_scale }
+}
+
+/// By channel the ends of what the device sent, in the channel's unit.
+pub(crate) fn values_of(group: &SampledGroupInfo, sent: &[SampleRange]) -> Vec<[f32; 2]> {
+    let value = |(range, channel): (&SampleRange, &SampledChannelInfo)| {
+        let [a, b] = range.map(|sent| (f64::from(sent) - channel.offset) * channel.scale);
+        [a.min(b) as f32, a.max(b) as f32]
+    };
+    sent.iter().zip(&group.channels).map(value).collect()
 }
 
 /// Appends the length of what `put` appends, then that.

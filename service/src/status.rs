@@ -2,7 +2,11 @@
 
 use std::fmt;
 
-use mocapd_acquire::{files::FileState, health::TakeHealth, ledger::LedgerDocument};
+use mocapd_acquire::{
+    files::FileState,
+    health::TakeHealth,
+    ledger::{LedgerDocument, SampleLedgerDocument},
+};
 use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -307,6 +311,9 @@ pub struct TakeStatus {
     pub max_error_mm: f64,
     /// Its ledger so far.
     pub ledger: LedgerDocument,
+    /// Its ledger of sampled channels so far, by group; null without sampled channels.
+    #[serde(default)]
+    pub sample_ledger: Option<SampleLedgerDocument>,
     /// What other programs did to its file.
     #[serde(default)]
     pub file: FileState,

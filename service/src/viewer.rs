@@ -60,6 +60,15 @@ impl TakeViewer {
         &self.takes
     }
 
+    /// The query by which the player compares two takes.
+    #[must_use]
+    pub fn comparison(take: &str, against: &str) -> String {
+        form_urlencoded::Serializer::new(String::new())
+            .append_pair("take", take)
+            .append_pair("against", against)
+            .finish()
+    }
+
     /// A new token for the viewer's address: 256 random bits in hexadecimal digits.
     ///
     /// # Errors

@@ -1,6 +1,7 @@
 //! `view`: plays takes and motion files in a browser.
 
 use std::{
+    fs,
     io::{self, BufReader, BufWriter, Write},
     net::{Ipv4Addr, SocketAddr},
     path::{Path, PathBuf},
@@ -23,13 +24,14 @@ use mocapd_service::{
 };
 use mocapd_take::{
     TakeMap,
+    foreign::analog,
     interchange::ReadOptions,
     motion::{FrameSource, MotionInfo, Position},
 };
 use tempfile::TempDir;
 
 use super::{
-    batch::{FileKinds, Input, inputs},
+    batch::{FileKinds, Input, Inputs, inputs},
     original::{MotionSource, header_of, open_motion},
     output::{Progress, notify, plain_path, print},
     paths::InputFormat,
@@ -54,6 +56,10 @@ pub(crate) struct Args {
     /// Takes, C3D, TRC, TSV or CSV files, or folders with such files
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
+    /// Show how far the take is from this take or motion file, such as its lossless original: markers are matched by their
+    /// labels, and frames by their numbers
+    #[arg(long, value_name = "FILE")]
+    against: Option<PathBuf>,
     /// With folders, also show the files in their subfolders
     #[arg(short, long)]
     recursive: bool,
@@ -66,7 +72,10 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let stop = stop::stop_on_signal()?;
+    let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
+    let made = folder.path().to_owned();
+    // A second Ctrl-C ends the process at once, while a file may still be written into the folder.
+    let stop = stop::stop_on_signal_or(move || drop(fs::remove_dir_all(made)))?;
     let inputs = inputs::find_named(&args.files, args.recursive, FileKinds::Both)?;
     for message in &inputs.unreadable {
         notify(message);
@@ -75,17 +84,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if n_files > FILES_MAX {
         bail!(UsageError(format!("{n_files} files: give at most {FILES_MAX}")));
     }
-    let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
     let mut viewer = TakeViewer::default();
+    let against = args.against.as_deref().map(|path| original(args, &inputs, path)).transpose()?;
     let mut failed = inputs.unreadable.len();
-    for input in &inputs.files {
+    for input in inputs.files.iter().chain(&against) {
         if stop.load(Ordering::Relaxed) {
             return Ok(Outcome::Done);
         }
         match take_of(input, &folder, viewer.takes().len(), &stop) {
             Ok(path) => viewer.add(&name_of(&input.name), path),
             Err(_) if stop.load(Ordering::Relaxed) => return Ok(Outcome::Done),
-            Err(error) if inputs.is_single => return Err(error),
+            Err(error) if inputs.is_single || against.is_some() => return Err(error),
             Err(error) => {
                 notify(&format!("{error:#}"));
                 failed += 1;
@@ -95,7 +104,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if viewer.takes().is_empty() {
         bail!("none of the files can be shown");
     }
-    let n_takes = viewer.takes().len();
+    let names: Vec<String> = viewer.takes().iter().map(|take| take.name.clone()).collect();
+    let n_takes = names.len();
     let token = TakeViewer::token()?;
     let options = HttpOptions {
         tcp: Some(SocketAddr::from((Ipv4Addr::LOCALHOST, args.port))),
@@ -105,9 +115,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let server = HttpServer::start(options, Arc::new(viewer))?;
     let address = server.tcp_address().context("the server has no address")?;
-    let url = format!("http://{address}/#token={token}");
+    let query = match names.as_slice() {
+        [take, other] if against.is_some() => format!("?{}", TakeViewer::comparison(take, other)),
+        _ => String::new(),
+    };
+    let url = format!("http://{address}/{query}#token={token}");
     print(&format!("{url}\n"))?;
-    let shown = if n_takes == 1 { "1 file".to_owned() } else { format!("{n_takes} files") };
+    let shown = if against.is_some() {
+        "a comparison".to_owned()
+    } else if n_takes == 1 {
+        "1 file".to_owned()
+    } else {
+        format!("{n_takes} files")
+    };
     notify(&format!("showing {shown}; Ctrl-C ends it"));
     if args.open {
         open_browser(&url, &folder)?;
@@ -117,6 +137,24 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     server.stop(SHUTDOWN_TIMEOUT)?;
     if failed > 0 { bail!("{failed} of the files could not be shown") } else { Ok(Outcome::Done) }
+}
+
+/// The file that a take is compared with.
+fn original(args: &Args, inputs: &Inputs, path: &Path) -> anyhow::Result<Input> {
+    ensure!(
+        inputs.files.len() == 1,
+        UsageError("--against compares one file with another: give one file".to_owned())
+    );
+    let found = inputs::find_named(&[path.to_owned()], args.recursive, FileKinds::Both)?;
+    let n_files = found.files.len();
+    let mut files = found.files.into_iter();
+    match (files.next(), n_files) {
+        (Some(file), 1) => Ok(file),
+        _ => bail!(UsageError(format!(
+            "--against compares with one file, and {} has {n_files}",
+            path.display()
+        ))),
+    }
 }
 
 /// The name of a file in the list, without folders; that of a take without its extension.
@@ -146,8 +184,9 @@ fn take_of(
     }
     let source = MotionSource::of(input)?;
     let bytes_read = Arc::default();
-    let mut reader = open_motion(&source, &ReadOptions::default(), false, &bytes_read)?;
-    reader.info_mut().foreign.clear();
+    // The player shows force plates.
+    let mut reader = open_motion(&source, &ReadOptions::default(), true, &bytes_read)?;
+    reader.info_mut().foreign.retain(|part| analog::is_needed(&part.kind));
     let codec = Settings { kind: ResamplerKind::Lossless, tolerance: Tolerance::from_mm(1.0)? };
     let header = header_of(&*reader.info_mut(), &input.name, &codec);
     let samples = Arc::default();

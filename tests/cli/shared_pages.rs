@@ -132,7 +132,10 @@ fn positions_on_a_page_are_within_the_tolerance_that_is_stated() {
 fn the_report_states_the_tolerance() {
     let folder = folder(&jump(1, 60.0, 2.0), &[]);
     let ran = folder.run(&["export", "jump.take", "-o", "jump.html"]).with_code(0);
-    assert_mentions(&ran.stderr, &["jump.html", "within 1 mm", "0.5 mm by the take"]);
+    assert_mentions(
+        &ran.stderr,
+        &["jump.html", "within 1 mm", "take within 0.5 mm", "adds at most"],
+    );
     for (value, format) in [("0.5mm", "jump2.html"), ("0.4mm", "jump2.html"), ("1mm", "jump2.csv")]
     {
         let line = folder.refuses(&["export", "jump.take", "-o", format, "--tolerance", value], 2);

@@ -28,7 +28,8 @@ impl Viewing {
         let mut url = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut url).unwrap();
         let url = url.trim().to_owned();
-        let (at, token) = url.strip_prefix("http://").unwrap().split_once("/#token=").unwrap();
+        let (address, token) = url.strip_prefix("http://").unwrap().split_once("#token=").unwrap();
+        let at = address.split('/').next().unwrap();
         Self { at: at.parse().unwrap(), token: token.to_owned(), url: url.clone(), child }
     }
 
@@ -174,4 +175,91 @@ fn files_that_cannot_be_shown_are_reported_and_the_others_shown() {
     let (code, said) = viewing.end(Signal::INT);
     assert_eq!(code, Some(1), "{said}");
     assert_mentions(&said, &["bad.take", "bad.c3d", "2"]);
+}
+
+/// The loads of a window of forces: nine numbers for each frame of one plate.
+fn loads(body: &[u8]) -> Vec<Vec<f32>> {
+    assert_eq!(&body[..4], b"MPF1");
+    let floats: Vec<f32> = body[32..]
+        .chunks_exact(4)
+        .map(|bytes| f32::from_le_bytes(bytes.try_into().unwrap()))
+        .collect();
+    floats.chunks_exact(9).map(<[f32]>::to_vec).collect()
+}
+
+#[test]
+fn the_force_plates_of_a_c3d_file_are_served_as_loads() {
+    let folder = Folder::new();
+    folder.write("walk.c3d", super::forces::plate([1, 10]));
+    folder.run(&["import", "walk.c3d", "-o", "walk.take"]).with_code(0);
+    folder.run(&["import", "walk.c3d", "-o", "bare.take", "--drop-foreign"]).with_code(0);
+    let viewing = Viewing::start(&folder, &["walk.take", "walk.c3d", "bare.take"]);
+    for name in ["walk", "walk.c3d"] {
+        let list = viewing.json(&format!("/v1/takes/{name}/plates"));
+        assert_eq!(list["plates"][0]["name"], "1", "{list}");
+        assert_eq!(list["plates"][0]["corners_mm"][0], serde_json::json!([1200.0, 800.0, 0.0]));
+        let get = |query: &str| {
+            let path = format!("/v1/takes/{name}/forces{query}");
+            let (status, body) = viewing.get(&path, "localhost", &viewing.token);
+            assert_eq!(status, 200, "{path}");
+            loads(&body)
+        };
+        let all = get("?seconds=10");
+        assert_eq!(all.len(), 20);
+        // 5 N of drift downwards: too little for a centre of pressure.
+        assert_eq!(all[9][..3], [0.0, 0.0, -5.0]);
+        assert!(all[9][3..7].iter().all(|value| value.is_nan()), "{:?}", all[9]);
+        assert_eq!(all[9][7..], [-5.0, -5.0]);
+        let arm = 1000.0 + 70_000.0 / 695.0;
+        for (found, expected) in
+            all[10].iter().zip([0.0, 0.0, 695.0, arm, 500.0, 0.0, 0.0, 695.0, 695.0])
+        {
+            assert!((found - expected).abs() < 0.01, "{:?}", all[10]);
+        }
+        // A part, and every fourth frame with the ends of the forces in all four.
+        assert_eq!(get("?from=0.1&seconds=0.05"), all[10..15]);
+        let thinned = get("?seconds=10&every=4");
+        assert_eq!(thinned.len(), 5);
+        assert_eq!((thinned[2][2], &thinned[2][7..]), (-5.0, &[-5.0, 695.0][..]));
+    }
+    assert_eq!(viewing.json("/v1/takes/bare/plates")["plates"], serde_json::json!([]));
+    let (status, body) = viewing.get("/v1/takes/bare/forces", "localhost", &viewing.token);
+    assert_eq!((status, body.len()), (200, 32));
+    assert_eq!(viewing.get("/v1/takes/walk/forces?from=9", "localhost", &viewing.token).0, 416);
+}
+
+#[test]
+fn a_take_is_compared_with_its_original() {
+    let folder = Folder::new();
+    let motion = jump(1, 100.0, 2.0);
+    folder.write_motion("a.c3d", &motion);
+    folder.run(&["import", "a.c3d", "-o", "a.take", "--tolerance", "2mm"]).with_code(0);
+    let report = folder.run(&["verify", "a.take", "--against", "a.c3d", "--json"]).with_code(0);
+    let report: Value = serde_json::from_str(&report.stdout).unwrap();
+    let viewing = Viewing::start(&folder, &["a.take", "--against", "a.c3d"]);
+    assert_mentions(&viewing.url, &["/?take=a&against=a.c3d#token="]);
+    let found = viewing.json("/v1/takes/a/difference?against=a.c3d");
+    assert_eq!((&found["first_frame"], &found["frames"]), (&0.into(), &200.into()), "{found}");
+    let n = |name: &str| found[name].as_f64().unwrap();
+    let rms_mm = (n("sum_of_squares_mm2") / n("samples")).sqrt();
+    let expected = &report["against"];
+    assert!((rms_mm - expected["rms_error_mm"].as_f64().unwrap()).abs() < 1e-9, "{report}");
+    let largest = &found["largest"];
+    assert_eq!(largest["error_mm"], expected["max_error_mm"], "{report}");
+    assert_eq!(largest["frame"], expected["worst_frame"]);
+    assert_eq!(found["gaps_differing"], 0);
+    let other = viewing.json("/v1/takes/a.c3d/difference?against=a.c3d");
+    assert_eq!(other["largest"]["error_mm"], 0.0);
+    let get = |path: &str| viewing.get(path, "localhost", &viewing.token).0;
+    assert_eq!(get("/v1/takes/a/difference?against=none"), 404);
+    assert_eq!(get("/v1/takes/a/difference"), 400);
+    drop(viewing);
+    let refused = folder.refuses(&["view", "a.take", "a.c3d", "--against", "a.c3d"], 2);
+    assert_mentions(&refused, &["--against", "one file"]);
+    folder.write_motion("fast.csv", &jump(1, 200.0, 1.0));
+    let viewing = Viewing::start(&folder, &["a.take", "--against", "fast.csv"]);
+    let (status, body) =
+        viewing.get("/v1/takes/a/difference?against=fast.csv", "localhost", &viewing.token);
+    assert_eq!(status, 409);
+    assert_mentions(&String::from_utf8_lossy(&body), &["100 and 200 Hz", "same rate"]);
 }

@@ -20,6 +20,7 @@ from pathlib import Path
 import checks_finished
 import checks_page
 import checks_player
+import checks_sampled
 import checks_service
 import checks_subject
 import checks_view
@@ -30,6 +31,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--chromium", default=shutil.which("chromium"))
     parser.add_argument("--chromedriver", default=shutil.which("chromedriver"))
+    parser.add_argument("--firefox", default=shutil.which("firefox-esr") or shutil.which("firefox"), help="without it, the shared page is tested in chromium alone")
     parser.add_argument("--pictures", type=Path, help="folder for the screenshots; without it they are discarded")
     parser.add_argument("--mocapd", type=Path, help="the daemon; without it only the page is tested")
     parser.add_argument("--mocapd-sim", type=Path, help="the simulated device")
@@ -42,9 +44,10 @@ def main():
         parser.error("chromium or chromedriver is missing: apt-get install chromium chromium-driver")
     if (args.mocapd is None) != (args.mocapd_sim is None):
         parser.error("--mocapd and --mocapd-sim go together")
-    checks = [*checks_page.CHECKS, *checks_player.CHECKS, *checks_finished.CHECKS]
+    checks = [*checks_page.CHECKS, *checks_player.CHECKS, *checks_sampled.CHECKS, *checks_finished.CHECKS]
     if args.mocapd:
         checks += checks_finished.checks(args.mocapd.resolve(), args.mocapd_sim.resolve())
+        checks += checks_sampled.checks(args.mocapd.resolve(), args.mocapd_sim.resolve())
         checks += checks_service.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(), args.picture)
         checks += checks_view.checks(args.mocapd.resolve())
         if args.drawn_subject:
@@ -55,6 +58,8 @@ def main():
         pictures, downloads = args.pictures or Path(temporary) / "pictures", Path(temporary) / "downloads"
         for folder in (pictures, downloads):
             folder.mkdir(parents=True, exist_ok=True)
+        if args.mocapd and args.firefox:
+            checks += checks_view.firefox_checks(args.mocapd.resolve(), args.firefox, pictures.resolve())
         browser = Browser(args.chromium, args.chromedriver, pictures.resolve(), downloads.resolve())
         browser.media(prefers_color_scheme="dark")
         try:

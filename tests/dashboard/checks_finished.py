@@ -2,6 +2,7 @@
 
 import json
 
+from accessible import faults
 from browser import DESKTOP, PHONE
 from checks_page import HERE, Mock
 from checks_service import Rig
@@ -140,17 +141,17 @@ def dialogs_readable(browser, _log):
                     browser.js("document.getElementById('takes-title').scrollIntoView()")
                     browser.picture(f"finished-list-{name}-{scheme}")
                     edit(browser, "jump-004")
-                    found = [browser.js(contrast), browser.js(unnamed), browser.js(small)]
-                    assert found == [[], [], []], f"{name}, {scheme}: {found}"
+                    found = [browser.js(contrast), browser.js(unnamed), browser.js(small), faults(browser)]
+                    assert found == [[], [], [], []], f"{name}, {scheme}: {found}"
                     browser.picture(f"finished-dialog-{name}-{scheme}")
                     browser.click("take-trash")
-                    assert browser.js(contrast) == [] and browser.js(small) == [], scheme
+                    assert browser.js(contrast) == [] and browser.js(small) == [] and faults(browser) == [], scheme
                     browser.picture(f"finished-confirm-{name}-{scheme}")
                     browser.click("take-trash-now")
                     browser.wait("it is gone", f"return !{row('jump-004')}")
                     browser.click("trash-button")
                     browser.wait("the trash", "return document.querySelectorAll('#trash-list button').length === 1")
-                    assert browser.js(contrast) == [] and browser.js(small) == [], scheme
+                    assert browser.js(contrast) == [] and browser.js(small) == [] and faults(browser) == [], scheme
                     browser.picture(f"finished-trash-{name}-{scheme}")
     finally:
         browser.size(DESKTOP)

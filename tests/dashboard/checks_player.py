@@ -3,6 +3,7 @@
 import math
 import time
 
+from accessible import faults
 from browser import DESKTOP, PHONE
 from checks_page import HERE, Mock
 from mock_take import LOST_S, MockTake
@@ -87,7 +88,7 @@ def steps(browser, _log):
         browser.js("mocapdPlayer.seek(arguments[0])", lost)
         assert_shown(browser, take, lost)
         assert browser.text("view-stats") == f"0 of {MARKERS} seen"
-        assert browser.text("frame").replace("\u202f", "") == f"frame {lost} of {take.frames - 1}"
+        assert browser.text("frame").replace("\u202f", "") == f"frame {lost + 1} of {take.frames}"
         assert browser.errors() == []
 
 
@@ -160,7 +161,7 @@ def axis(browser, _log):
         open_take(browser, mock)
         browser.wait("all gaps", lambda: "reading on" not in browser.text("axis-hint"))
         time.sleep(0.3)
-        colour = "return mocapdPlayer.axis.colours[arguments[0]].match(/\\d+/g).slice(0, 3).join()"
+        colour = "return mocapdPlayer.axis.drawing.colours[arguments[0]].match(/\\d+/g).slice(0, 3).join()"
         bad, watch, mark = (browser.js(colour, name) for name in ("bad", "watch", "selected"))
         lost = int((LOST_S[0] + LOST_S[1]) / 2 * RATE_HZ)
         assert bad in browser.js(AXIS_PIXEL, lost, 20), "lost frames"
@@ -203,7 +204,7 @@ def charts(browser, _log):
         image = "return document.getElementById('charts').toDataURL()"
         before = browser.wait("a chart", lambda: browser.js(image))
         browser.type("marker-filter", "knee")
-        visible = "return [...document.querySelectorAll('#marker-list li:not([hidden])')].map((e) => e.textContent)"
+        visible = "return [...document.querySelectorAll('#marker-list li:not([hidden])')].map((e) => e.querySelector('span').textContent)"
         assert browser.js(visible) == ["l_knee", "r_knee"], browser.js(visible)
         browser.js("document.querySelector('#marker-list li:not([hidden]) input').click()")
         assert browser.js(chosen) == [0, 10]
@@ -321,8 +322,9 @@ def readable(browser, _log):
                 assert browser.js("return document.documentElement.scrollWidth") <= size[0], device
                 assert browser.js(contrast) == [], (scheme, device)
                 assert browser.js(unnamed) == [], (scheme, device)
+                assert faults(browser) == [], (scheme, device)
                 small = """return [...document.querySelectorAll('.transport button, .view-buttons button')]
-                    .filter((b) => b.getBoundingClientRect().height < 38).map((b) => b.textContent)"""
+                    .filter((b) => b.checkVisibility() && b.getBoundingClientRect().height < 38).map((b) => b.textContent)"""
                 assert browser.js(small) == []
                 browser.picture(f"player-{device}-{scheme}", whole=True)
         browser.size(DESKTOP)

@@ -41,7 +41,9 @@ class Rig:
         self.takes = self.folder / "takes"
         self.takes.mkdir()
         line = self.folder / "line"
-        self._run([mocapd_sim, "serve", *motion, "--loop", f"--pty={line}"], "device")
+        # A motion with force plates is played once.
+        loop = [] if "--plates" in motion else ["--loop"]
+        self._run([mocapd_sim, "serve", *motion, *loop, f"--pty={line}"], "device")
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]

@@ -11,6 +11,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from accessible import faults
+from browser import Browser
+from firefox import Firefox
 from selenium.webdriver.common.keys import Keys
 
 
@@ -20,6 +23,17 @@ def checks(mocapd):
              lambda browser, log: view(browser, log, mocapd)),
             ("the player: a shared page plays from disk, within the stated tolerance, and loads nothing",
              lambda browser, log: shared_page(browser, log, mocapd))]
+
+
+def firefox_checks(mocapd, firefox, pictures):
+    """The shared page in Firefox, which shares nothing with Chromium."""
+    def check(_browser, log):
+        browser = Firefox(firefox, pictures)
+        try:
+            shared_page(browser, log, mocapd)
+        finally:
+            browser.close()
+    return [("the player: a shared page plays from disk in Firefox, too", check)]
 
 
 class Files:
@@ -128,5 +142,7 @@ def shared_page(browser, log, mocapd):
         assert browser.js("return performance.getEntriesByType('resource').map((e) => e.name)") == []
         log(f"{size} bytes of at most {bound}; furthest position {worst:.3f} mm of {added} mm added; "
             f"script per drawn frame p95 {stats['p95Ms']:.1f} ms")
+        if isinstance(browser, Browser):
+            assert faults(browser) == []
         browser.picture("shared-page", whole=True)
         assert browser.errors() == []

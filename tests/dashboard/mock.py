@@ -88,9 +88,9 @@ class Handler(BaseHTTPRequestHandler):
             if url.path == "/v1/trash":
                 return self.reply(200, [trashed for trashed, _ in self.rig.trash])
         if url.path.startswith("/v1/takes/") and url.path.endswith("/download"):
-            name = unquote(url.path.split("/")[3])
-            return self.reply(200, b"mock take\n", "application/octet-stream",
-                               [("Content-Disposition", f'attachment; filename="{name}.take"')])
+            name, file_format = unquote(url.path.split("/")[3]), parse_qs(url.query).get("format", ["take"])[0]
+            return self.reply(200, f"mock {file_format}\n".encode(), "application/octet-stream",
+                               [("Content-Disposition", f'attachment; filename="{name}.{file_format}"')])
         if url.path.startswith("/v1/takes/"):
             return self.playback(url)
         return self.reply(404, {"kind": "not_found", "message": f"there is no {url.path}"})
@@ -98,7 +98,7 @@ class Handler(BaseHTTPRequestHandler):
     def playback(self, url):
         """The overview, a window or the gaps of a take in the list."""
         name, what = unquote(url.path.split("/")[3]), url.path.split("/")[-1]
-        query = {key: float(values[0]) for key, values in parse_qs(url.query).items()}
+        query = {key: values[0] if key == "against" else float(values[0]) for key, values in parse_qs(url.query).items()}
         rig = self.rig
         with rig.lock:
             rig.requests.append(self.path)
@@ -108,12 +108,20 @@ class Handler(BaseHTTPRequestHandler):
             return self.reply(404, {"kind": "not_found", "message": "no take has this name: see /v1/takes"})
         if refused:
             return self.reply(CODES[refused[0]], {"kind": refused[0], "message": refused[1]})
-        take = MockTake(name, found["seconds"] or 12.5, len(rig.body.labels), rig.rate_hz,
-                        damaged=found["health"] == "damaged")
+        def mock_take(called):
+            return MockTake(called, found["seconds"] or 12.5, len(rig.body.labels), rig.rate_hz, damaged=found["health"] == "damaged")
+        take = mock_take(name)
         if what == "overview":
             return self.reply(200, take.overview())
         if what == "gaps":
             return self.reply(200, take.gaps(query.get("from", 0.0)))
+        if what == "difference":
+            return self.reply(200, take.difference(mock_take(query["against"]), query.get("from", 0.0)))
+        if what == "plates":
+            return self.reply(200, take.plates())
+        if what == "forces":
+            data = take.forces(query.get("from", 0.0), query.get("seconds", 4.0), int(query.get("every", 1)))
+            return self.reply(200, data, "application/octet-stream")
         if what == "window":
             data = take.window(query.get("from", 0.0), query.get("seconds", 4.0), int(query.get("every", 1)))
             return self.reply(200, data, "application/octet-stream")
@@ -209,7 +217,7 @@ class Handler(BaseHTTPRequestHandler):
     def live(self):
         rig, body = self.rig, self.rig.body
         table = {"labels": body.labels, "labelled": body.labelled, "up_axis": 3, "rate_hz": rig.rate_hz,
-                 "bones": body.bones}
+                 "bones": body.bones, "groups": rig.groups}
         self.stream("application/octet-stream")
         data = b"\x01" + json.dumps(table).encode()
         nothing = (math.nan,) * 3
@@ -229,6 +237,8 @@ class Handler(BaseHTTPRequestHandler):
                 values = [value for at in body.positions(t) for value in (at or nothing)]
                 frame = struct.pack(f"<B3xQQQ{len(values)}f", 2, row, row * 1000, int(now * 1e6), *values)
                 self.chunk(struct.pack("<I", len(frame)) + frame)
+                for column in rig.columns(t):
+                    self.chunk(struct.pack("<I", len(column)) + column)
         except (BrokenPipeError, ConnectionResetError):
             pass
 
@@ -261,11 +271,12 @@ def main():
     parser.add_argument("--markers", type=int, default=200)
     parser.add_argument("--rate", type=float, default=120.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--sampled", action="store_true", help="with force plates and electrodes")
     parser.add_argument("--token", help="require this token")
     parser.add_argument("--scenario", default="armed",
                         choices=["idle", "armed", "recording", "lossy", "absent", "silent", "armed-absent", "recording-absent", "failed"])
     args = parser.parse_args()
-    Handler.rig, Handler.token = Rig(args.markers, args.rate, args.seed, args.scenario), args.token
+    Handler.rig, Handler.token = Rig(args.markers, args.rate, args.seed, args.scenario, args.sampled), args.token
     server = ThreadingHTTPServer(("127.0.0.1", args.port), Handler)
     server.daemon_threads = True
     print(f"http://127.0.0.1:{server.server_port}/", flush=True)

@@ -1,7 +1,9 @@
 """The state of the mock: takes, events and metrics that change as those of a service. Nothing is recorded."""
 
+import math
 import random
 import secrets
+import struct
 import threading
 import time
 import uuid
@@ -20,10 +22,20 @@ class Refused(Exception):
         self.kind, self.message = kind, message
 
 
+def sampled_groups():
+    """Two force plates, and eight electrodes."""
+    plates = [{"name": f"{name}{plate}", "unit": "N" if name[0] == "F" else "Nm", "full_scale": [-8192.0, 8191.75]}
+              for plate in (1, 2) for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")]
+    electrodes = [{"name": f"EMG{i + 1}", "unit": "V", "full_scale": [-5e-3, 4.99985e-3]} for i in range(8)]
+    return [{"number": 1, "rate_hz": 1000.0, "channels": plates}, {"number": 2, "rate_hz": 1000.0, "channels": electrodes}]
+
+
 class Rig:
     """Every method is called with `lock` held."""
 
-    def __init__(self, markers, rate_hz, seed, scenario):
+    def __init__(self, markers, rate_hz, seed, scenario, sampled=False):
+        self.groups = sampled_groups() if sampled else []
+        self.columns_sent = 0
         self.lock = threading.Condition()
         self.rate_hz, self.born = rate_hz, time.time()
         self.body = Body(markers, seed, strays=markers // 12)
@@ -255,7 +267,40 @@ class Rig:
         return {"take_id": take["take_id"], "name": take["name"], "path": take["path"],
                 "started_unix_ms": int(take["started"] * 1000), "rows": rows, "seconds": seconds,
                 "bytes": raw // 21, "durable_bytes": max(0, raw // 21 - 30_000), "ratio": 21.0,
-                "max_error_mm": 0.499, "ledger": self.ledger(rows), "wanted_s": take["wanted"]}
+                "max_error_mm": 0.499, "ledger": self.ledger(rows), "wanted_s": take["wanted"],
+                "sample_ledger": self.sample_ledger(seconds)}
+
+    def sample_ledger(self, seconds):
+        """Of the second group a batch was lost on the link."""
+        if not self.groups:
+            return None
+        groups = []
+        for index, group in enumerate(self.groups):
+            taken, lost = int(seconds * group["rate_hz"]), 20 * index
+            groups.append({"group": group["number"], "taken": taken, "stored": taken - lost, "lost_on_link": lost,
+                           "dropped_by_device": 0, "lost_ring_full": 0, "lost_other": 0, "unknown_after_disconnect": 0,
+                           "duplicates": 0, "jumps": 0})
+        return {"finished": False, "closes": True, "batches_refused": 0, "groups": groups}
+
+    def columns(self, t):
+        """The messages of the sampled channels since the last call: the second electrode is clipped in every second."""
+        if not self.groups:
+            return []
+        due = max(self.columns_sent + 1, int(t * 20))
+        number, self.columns_sent = self.columns_sent, due
+        messages = []
+        for index, group in enumerate(self.groups):
+            for column in range(max(number, due - 3), due):
+                ranges = []
+                for channel in range(len(group["channels"])):
+                    if index == 0:
+                        up = 700.0 * max(0.0, math.sin(column / 20 + channel))
+                        ranges += [up - 10.0, up + 10.0]
+                    else:
+                        size = 5e-3 if channel == 1 and column % 20 == 0 else 1e-3 * abs(math.sin(column / 13 + channel))
+                        ranges += [-size, size]
+                messages.append(struct.pack(f"<BBxxQI{len(ranges)}f", 4, index, column * 50, 50, *ranges))
+        return messages
 
     def status(self):
         self.step()

@@ -44,6 +44,7 @@ pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
 pub use progress::{PipelineProgress, TakeProgress, lock};
 pub use ring::{PreviewFrame, PreviewReceiver};
+pub use sampled::{SampleColumn, SampleRange, SampleTapReceiver};
 pub use split::{NextTake, Split, SplitAt, TakeSeries};
 
 use self::{
@@ -77,6 +78,8 @@ pub struct ArmedHandles {
     pub tap: PreviewReceiver,
     /// Every frame, if the configuration wants it.
     pub frames: Option<FrameTap>,
+    /// Sampled channels to preview.
+    pub sample_tap: SampleTapReceiver,
     /// The visibility of each marker.
     pub seen: VisibilityCounters,
 }
@@ -161,7 +164,7 @@ impl Pipeline {
         groups.push(timeline_group);
 
         let buffers_back = groups.iter().map(|group| group.buffers_back.clone()).collect();
-        let (samples, sample_returns, sampling) =
+        let (samples, sample_returns, sampling, sample_tap) =
             sampled::start(&sampled_groups, config, &parts_in)?;
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
         let (takes, commands) = commands::command_channel();
@@ -193,7 +196,8 @@ impl Pipeline {
             drop(guard);
             written
         })?;
-        let armed = ArmedHandles { takes, tap, frames, seen: visibility.unwrap_or_default() };
+        let seen = visibility.unwrap_or_default();
+        let armed = ArmedHandles { takes, tap, frames, sample_tap, seen };
         Ok((intake, Self { pool, sampling, writer, progress, take: None }, armed))
     }
 

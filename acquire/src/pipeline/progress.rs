@@ -5,7 +5,7 @@ use std::sync::{
     atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering},
 };
 
-use mocapd_take::record::{Channel, Ledger, TakeEnding};
+use mocapd_take::record::{Channel, Ledger, SampleLedger, TakeEnding};
 
 use crate::files::{DisplacedFile, FileState};
 
@@ -139,6 +139,8 @@ pub struct TakeProgress {
     pub max_error_mm: f64,
     /// The ledger so far.
     pub ledger: Ledger,
+    /// The ledger of sampled channels so far, if there are any.
+    pub sample_ledger: Option<SampleLedger>,
 }
 
 /// Locks a mutex even if a thread panicked with it: a counter or a name is never half written.

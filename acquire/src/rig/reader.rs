@@ -8,9 +8,7 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{
-        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, Mark, Pong, Status, Trigger,
-    },
+    device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, Mark, Pong, Status, Trigger},
     transport::TransportError,
 };
 use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};

@@ -12,8 +12,12 @@ use std::{
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use mocapd_acquire::{
     host_clock::monotonic_ns,
-    pipeline::{PipelineProgress, PreviewFrame, PreviewReceiver, lock},
+    pipeline::{
+        PipelineProgress, PreviewFrame, PreviewReceiver, SampleColumn, SampleRange,
+        SampleTapReceiver, lock,
+    },
 };
+use mocapd_drivers::device::SampledGroupInfo;
 use mocapd_report::labels::marker_lines;
 use mocapd_take::{
     motion::Position,
@@ -22,7 +26,7 @@ use mocapd_take::{
 
 use super::{Inner, quality::MarkerStatistics};
 use crate::{
-    live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
+    live::{LiveFeed, LiveFrame, LiveMessage, LiveSamples, LiveTable, live_groups, values_of},
     subject::{FaceOverlay, live_limbs, with_limbs},
 };
 
@@ -32,6 +36,10 @@ const POLL_INTERVAL: Duration = Duration::from_millis(8);
 /// Maximum number of messages waiting for a viewer, a tenth of a second. Newer ones replace the oldest.
 const WAITING_MAX: usize = 4;
 
+/// Columns of sampled channels that wait for a frame: a quarter of a second of sixteen groups, which are all that a device can
+/// have. While no frames come, older ones are left out.
+const COLUMNS_MAX: usize = 80;
+
 /// Maximum number of viewers. The HTTP server limits its connections to fewer.
 const VIEWERS_MAX: usize = 64;
 
@@ -39,6 +47,9 @@ const VIEWERS_MAX: usize = 64;
 #[derive(Debug)]
 pub(super) struct NewSession {
     pub(super) tap: PreviewReceiver,
+    pub(super) sample_tap: SampleTapReceiver,
+    /// The groups of sampled channels.
+    pub(super) sampled: Vec<SampledGroupInfo>,
     pub(super) progress: Arc<PipelineProgress>,
     pub(super) header: Header,
 }
@@ -68,6 +79,9 @@ pub(super) struct Hub {
     table: Arc<LiveTable>,
     face: Option<FaceOverlay>,
     positions: Vec<Position>,
+    /// Columns of sampled channels that wait for the next frame.
+    samples: VecDeque<LiveSamples>,
+    ranges: Vec<SampleRange>,
 }
 
 impl Viewers {
@@ -135,6 +149,8 @@ impl Hub {
             table: Arc::default(),
             face: None,
             positions: Vec::new(),
+            samples: VecDeque::with_capacity(COLUMNS_MAX),
+            ranges: Vec::new(),
         };
         (hub, sessions_in)
     }
@@ -150,6 +166,7 @@ impl Hub {
                 if let Ok(session) = self.sessions.try_recv() {
                     self.begin(session);
                 }
+                self.collect_samples();
                 self.publish_frames();
                 std::thread::sleep(POLL_INTERVAL);
             }
@@ -159,8 +176,31 @@ impl Hub {
 
     fn begin(&mut self, session: NewSession) {
         *lock(&self.inner.statistics) = MarkerStatistics::new(session.header.rate_hz);
+        let groups = live_groups(&session.sampled);
         self.session = Some(session);
-        self.table = Arc::default();
+        self.table = Arc::new(LiveTable { groups, ..LiveTable::default() });
+        self.samples.clear();
+    }
+
+    /// Takes what the sampled channels did.
+    fn collect_samples(&mut self) {
+        let Some(session) = &mut self.session else { return };
+        while let Some(SampleColumn { group: number, first, n, .. }) =
+            session.sample_tap.next(&mut self.ranges)
+        {
+            let mut groups = session.sampled.iter().enumerate();
+            let Some((index, group)) = groups.find(|(_, group)| group.id == number) else {
+                continue;
+            };
+            if self.inner.viewers.is_empty() {
+                continue;
+            }
+            if self.samples.len() == COLUMNS_MAX {
+                self.samples.pop_front();
+            }
+            let ranges = values_of(group, &self.ranges);
+            self.samples.push_back(LiveSamples { group: index as u8, first, n, ranges });
+        }
     }
 
     fn publish_frames(&mut self) {
@@ -188,7 +228,9 @@ impl Hub {
             let arrival_unix_us = offset_us + arrival_ns / 1000;
             let positions_mm = self.positions.clone();
             let face = self.face.as_ref().and_then(|face| face.pose(&positions_mm));
-            let frame = LiveFrame { row, device_ticks, arrival_unix_us, positions_mm, face };
+            let samples = self.samples.drain(..).collect();
+            let frame =
+                LiveFrame { row, device_ticks, arrival_unix_us, positions_mm, face, samples };
             self.inner.viewers.send(&self.table, &Arc::new(frame));
         }
     }
@@ -202,6 +244,7 @@ fn table(session: &NewSession, subject: Option<&Subject>) -> LiveTable {
         bones: with_limbs(marker_lines(&labels), &limbs),
         limbs,
         face: None,
+        groups: live_groups(&session.sampled),
         labels,
         labelled: channels.iter().map(|channel| channel.labelled).collect(),
         up_axis: session.header.up_axis.code(),

@@ -163,6 +163,7 @@ impl Core {
 
     pub(super) fn new(options: EngineOptions) -> Self {
         Self {
+            names: TrialNames::last(&options.take.directory),
             device: KnownDevice { uri: options.device.uri.to_string(), ..KnownDevice::default() },
             options: Arc::new(options),
             arm_requested: false,
@@ -172,7 +173,6 @@ impl Core {
             last_take: None,
             scheduled: None,
             missed_start: None,
-            names: None,
             closing: 0,
             data_lost: None,
             kept_open: Vec::new(),

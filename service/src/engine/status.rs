@@ -148,6 +148,7 @@ impl Core {
             },
             max_error_mm: now.max_error_mm,
             ledger: (&now.ledger).into(),
+            sample_ledger: now.sample_ledger.as_ref().map(Into::into),
             file: progress.file_state(),
             file_notice: progress.displaced().map(|displaced| displaced.message()),
         });

@@ -251,7 +251,9 @@ impl Inner {
             self.publication.add(PublishedSource { frames, progress, header });
         }
         // The hub drops the previous session: it checks this channel in every round.
-        sessions.try_send(NewSession { tap: armed.tap, progress, header }).ok();
+        let (tap, sample_tap) = (armed.tap, armed.sample_tap);
+        let sampled = config.sampled.clone();
+        sessions.try_send(NewSession { tap, sample_tap, sampled, progress, header }).ok();
         let mut core = self.core();
         core.session = Some(session);
         // A disarm or stop may have been requested during arming.

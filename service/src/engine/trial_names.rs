@@ -33,9 +33,9 @@ const COUNTS: &str = ".mocapd-counts.json";
 /// Names whose counts are kept: years of sessions. Of others the count continues from the folder alone.
 const COUNTS_MAX: usize = 1000;
 
-/// Longest file of counts that is read: each entry has a name of at most 182 bytes, six times as many in JSON, and two
-/// numbers.
-const COUNTS_BYTES_MAX: usize = COUNTS_MAX * 1200;
+/// Longest file of counts that is read: each entry has a name of at most 182 bytes twice, as a whole and in its parts, six
+/// times as many in JSON, and two numbers.
+const COUNTS_BYTES_MAX: usize = COUNTS_MAX * 2400;
 
 /// Most files of a folder that are looked at, as for the list of takes.
 const FILES_MAX: usize = 100_000;
@@ -45,10 +45,13 @@ const FILES_MAX: usize = 100_000;
 #[serde(transparent)]
 struct TrialCounts(BTreeMap<String, LastCount>);
 
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct LastCount {
     count: u64,
     used_unix_ms: i64,
+    /// Of what the name consists; an earlier version did not keep it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    names: Option<TrialNames>,
 }
 
 impl TrialNames {
@@ -81,6 +84,17 @@ impl TrialNames {
             check_part(what, part)?;
         }
         Ok(Some(names))
+    }
+
+    /// The names that were used last in a folder, for a service that has just started; `None` if that is not known.
+    pub(super) fn last(folder: &Path) -> Option<Self> {
+        let counts = TrialCounts::read(folder).ok()?;
+        let last = counts.0.into_values().max_by_key(|last| last.used_unix_ms)?;
+        // Anybody can have written the file.
+        last.names.filter(|names| {
+            let parts = [&names.subject, &names.session, &names.trial];
+            parts.iter().all(|part| check_part("name", part).is_ok())
+        })
     }
 
     /// The name without its count.
@@ -124,7 +138,8 @@ impl TrialNames {
         // Counts that cannot be read are left as they are.
         let mut counts = TrialCounts::read(folder)?;
         let count = counts.0.get(&base).map_or(count, |last| last.count.max(count));
-        counts.0.insert(base, LastCount { count, used_unix_ms: now_unix_ms });
+        let names = Some(self.clone());
+        counts.0.insert(base, LastCount { count, used_unix_ms: now_unix_ms, names });
         while counts.0.len() > COUNTS_MAX {
             let oldest = counts.0.iter().min_by_key(|(_, last)| last.used_unix_ms);
             let Some(oldest) = oldest.map(|(base, _)| base.clone()) else { break };
@@ -267,12 +282,32 @@ mod tests {
     }
 
     #[test]
+    fn the_names_of_the_last_take_are_known_after_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(TrialNames::last(folder.path()), None);
+        names("S01", "session1", "jump").note("S01_session1_jump_001", folder.path(), 7).unwrap();
+        names("S02", "", "walk").note("S02_walk_001", folder.path(), 9).unwrap();
+        names("", "", "x").note("x_001", folder.path(), 8).unwrap();
+        assert_eq!(TrialNames::last(folder.path()), Some(names("S02", "", "walk")));
+        // The file of an earlier version, and one that somebody has written.
+        let file = folder.path().join(COUNTS);
+        fs::write(&file, r#"{"S01_jump":{"count":3,"used_unix_ms":1}}"#).unwrap();
+        assert_eq!(TrialNames::last(folder.path()), None);
+        let hostile = r#"{"a":{"count":3,"used_unix_ms":1,"names":{"subject":"../a","session":"","trial":""}}}"#;
+        fs::write(&file, hostile).unwrap();
+        assert_eq!(TrialNames::last(folder.path()), None);
+    }
+
+    #[test]
     fn the_file_of_counts_is_bounded() {
         let folder = tempfile::tempdir().unwrap();
         let mut counts = TrialCounts::default();
         for n in 0..COUNTS_MAX as i64 {
             let long = format!("{n:04}{}", "\u{e9}".repeat(89));
-            counts.0.insert(long, LastCount { count: COUNT_MAX, used_unix_ms: i64::MAX - n });
+            counts.0.insert(
+                long,
+                LastCount { count: COUNT_MAX, used_unix_ms: i64::MAX - n, names: None },
+            );
         }
         counts.write(folder.path()).unwrap();
         assert_eq!(TrialCounts::read(folder.path()).unwrap().0.len(), COUNTS_MAX);

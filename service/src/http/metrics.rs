@@ -13,7 +13,10 @@ use axum::{
     http::{HeaderMap, header},
     response::{IntoResponse, Response},
 };
-use mocapd_acquire::{health::TakeHealth, ledger::LedgerDocument};
+use mocapd_acquire::{
+    health::TakeHealth,
+    ledger::{LedgerDocument, SampleLedgerDocument},
+};
 use prometheus_client::{
     collector::Collector,
     encoding::{DescriptorEncoder, EncodeMetric, text::encode},
@@ -93,6 +96,9 @@ impl Collector for StatusMetrics {
         if let Some(take) = &self.status.take {
             of_take(take, &mut out)?;
             of_ledger(&take.ledger, &mut out)?;
+            if let Some(ledger) = &take.sample_ledger {
+                of_sample_ledger(ledger, &mut out)?;
+            }
         }
         if let Some(archive) = &self.status.archive {
             of_archive(archive, &mut out)?;
@@ -389,6 +395,50 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> fmt::Result
     out.by("take_link_messages", "Messages received during the take", "fate", &messages)
 }
 
+fn of_sample_ledger(ledger: &SampleLedgerDocument, out: &mut MetricWriter<'_>) -> fmt::Result {
+    let help = "Samples of each channel of a group in the take, by fate";
+    let mut metric =
+        out.0.encode_descriptor("take_sampled_samples", help, None, MetricType::Gauge)?;
+    for group in &ledger.groups {
+        let number = group.group.to_string();
+        for (fate, n) in [
+            ("stored", group.stored),
+            ("lost_on_link", group.lost_on_link),
+            ("dropped_by_device", group.dropped_by_device),
+            ("lost_ring_full", group.lost_ring_full),
+            ("lost_other", group.lost_other),
+            ("unknown_after_disconnect", group.unknown_after_disconnect),
+            ("duplicate", group.duplicates),
+        ] {
+            let labels = [("group", number.as_str()), ("fate", fate)];
+            ConstGauge::new(n as f64).encode(metric.encode_family(&labels)?)?;
+        }
+    }
+    let help = "Samples of each channel of a group that the device took for the take";
+    let mut metric =
+        out.0.encode_descriptor("take_sampled_taken", help, None, MetricType::Gauge)?;
+    for group in &ledger.groups {
+        let number = group.group.to_string();
+        ConstGauge::new(group.taken as f64)
+            .encode(metric.encode_family(&[("group", number.as_str())])?)?;
+    }
+    let help = "Times that the numbers of a group's samples began again or jumped";
+    let mut metric =
+        out.0.encode_descriptor("take_sampled_jumps", help, None, MetricType::Gauge)?;
+    for group in &ledger.groups {
+        let number = group.group.to_string();
+        ConstGauge::new(group.jumps as f64)
+            .encode(metric.encode_family(&[("group", number.as_str())])?)?;
+    }
+    figures! { out:
+        /// Batches of samples that did not fit their announcement, or had none
+        gauge take_sampled_batches_refused = ledger.batches_refused as f64;
+        /// 1 if every sample of every group is accounted for
+        gauge take_sampled_ledger_closes = flag(ledger.closes);
+    }
+    Ok(())
+}
+
 fn of_archive(archive: &ArchiveStatus, out: &mut MetricWriter<'_>) -> fmt::Result {
     figures! { out:
         /// Takes that wait to be uploaded, or are being uploaded
@@ -425,6 +475,7 @@ fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> fmt::Result {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_acquire::ledger::GroupLedgerDocument;
     use serde_json::Value;
 
     use super::*;
@@ -458,9 +509,11 @@ mod tests {
     #[test]
     fn every_number_of_the_status_is_a_metric() {
         let outage = OutageStatus { ends_in_s: Some(0.0), ..OutageStatus::default() };
+        let groups = vec![GroupLedgerDocument::default()];
+        let samples = SampleLedgerDocument { groups, ..SampleLedgerDocument::default() };
         let full = Status {
             device: DeviceStatus { outage: Some(outage), ..DeviceStatus::default() },
-            take: Some(TakeStatus::default()),
+            take: Some(TakeStatus { sample_ledger: Some(samples), ..TakeStatus::default() }),
             last_take: Some(TakeSummary::default()),
             archive: Some(ArchiveStatus::default()),
             disk: crate::status::DiskStatus {
@@ -480,6 +533,11 @@ mod tests {
             .map(|line| line.rsplit_once(' ').unwrap().1.parse().unwrap())
             .collect();
         for (path, number) in numbers {
+            // The number of a group is a label.
+            if path.ends_with(".group") {
+                assert!(text.contains(&format!("group=\"{number}\"")), "{path}");
+                continue;
+            }
             let in_base_units = [1.0, 1e-3, 1e-6].map(|factor| number as f64 * factor);
             let found = values.iter().any(|value| {
                 in_base_units.iter().any(|wanted| (value - wanted).abs() < 1e-9 * wanted)

@@ -15,6 +15,7 @@ mod body;
 mod broadcast;
 mod commands;
 mod connection;
+mod download;
 mod finished;
 mod guard;
 mod login;

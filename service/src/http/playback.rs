@@ -2,7 +2,6 @@
 
 use std::{
     collections::VecDeque,
-    fs::File,
     io::BufReader,
     sync::{Arc, Mutex, PoisonError, Weak},
 };
@@ -24,13 +23,14 @@ use tokio::sync::watch;
 use super::{
     Shared,
     problem::{Problem, ProblemKind},
-    takes::{CancellableReader, OpenedTake, open, take_name, unreadable},
+    takes::{CancellableReader, finished, take_name, unreadable},
 };
 use crate::{
     control::Control,
     playback::{
-        EVERY_MAX, FrameWindow, GapBins, SECONDS_MAX, TakeOverview, WINDOW_BYTES_MAX, WindowError,
-        WindowRequest, map_of_end, read_gaps,
+        CompareError, EVERY_MAX, FaceWindow, FrameWindow, GapBins, PlateList, SECONDS_MAX,
+        TakeDifference, TakeForces, TakeOverview, WINDOW_BYTES_MAX, WindowError, WindowRequest,
+        map_of_end, read_difference, read_gaps,
     },
 };
 
@@ -102,15 +102,142 @@ pub(super) async fn window(
 ) -> Result<Response, Problem> {
     let request = window_request(query)?;
     read_take(app, name, Whole::No, move |name, input, map| {
-        let window = FrameWindow::read(input, map, &request).map_err(|error| match error {
-            WindowError::BehindEnd { .. } => Problem::of(ProblemKind::Range, error.to_string()),
-            WindowError::TooManyMarkers { .. } => {
-                Problem::of(ProblemKind::TooLarge, error.to_string())
+        let window = FrameWindow::read(input, map, &request);
+        let window = window.map_err(|error| window_problem(name, error))?;
+        Ok(binary(window.to_bytes()))
+    })
+    .await
+}
+
+fn window_problem(name: &str, error: WindowError) -> Problem {
+    match error {
+        WindowError::BehindEnd { .. } => Problem::of(ProblemKind::Range, error.to_string()),
+        WindowError::TooManyMarkers { .. } | WindowError::TooMuchWork => {
+            Problem::of(ProblemKind::TooLarge, error.to_string())
+        }
+        WindowError::Take(error) => problem(name, error),
+    }
+}
+
+fn binary(bytes: Vec<u8>) -> Response {
+    let kind = HeaderValue::from_static("application/octet-stream");
+    ([(header::CONTENT_TYPE, kind)], bytes).into_response()
+}
+
+/// The force plates of a finished take
+///
+/// Those of an imported C3D file, or of a recording with sampled channels that are named as those of force plates.
+#[utoipa::path(get, path = "/v1/takes/{name}/plates", tag = "takes",
+    params(("name" = String, Path, description = "The take's name, without `.take`")),
+    responses((status = 200, body = PlateList)))]
+pub(super) async fn plates(
+    State(app): State<Shared>,
+    name: Result<Path<String>, PathRejection>,
+) -> Result<Json<PlateList>, Problem> {
+    read_forces(app, name, |_, _, forces| Ok(Json(forces.list()))).await
+}
+
+/// The forces of a part of a finished take
+///
+/// Little endian: the bytes `MPF1`, u32 number of plates, u64 first frame, u32 number of frames that follow, u32 distance
+/// from one to the next, u32 flags (bit 0: ends before the requested end; bit 1: samples are missing), u32 zero; then for
+/// each frame and plate nine f32: the force along x, y and z in newtons, the centre of pressure in millimetres, the free
+/// moment in newton metres, and the least and the largest upward force up to the next frame in newtons. NaN where there is
+/// none. A response has at most a megabyte: a longer window ends earlier.
+#[utoipa::path(get, path = "/v1/takes/{name}/forces", tag = "takes",
+    params(("name" = String, Path, description = "The take's name, without `.take`"),
+        ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
+            description = "The first frame is the one at or after this time in seconds; 0 by default"),
+        ("seconds" = Option<f64>, Query, exclusive_minimum = 0, maximum = 3600,
+            description = "The length in seconds; 4 by default"),
+        ("every" = Option<u32>, Query, minimum = 1, maximum = 10000,
+            description = "Only every n-th frame; 1 by default")),
+    responses((status = 200, description = "The forces", body = Vec<u8>,
+            content_type = "application/octet-stream"),
+        (status = 416, description = "The take ends before the window begins", body = Problem,
+            content_type = "application/problem+json")))]
+pub(super) async fn forces(
+    State(app): State<Shared>,
+    name: Result<Path<String>, PathRejection>,
+    query: Result<Query<WindowQuery>, QueryRejection>,
+) -> Result<Response, Problem> {
+    let request = window_request(query)?;
+    read_forces(app, name, move |name, input, forces| {
+        let window = forces.window(input, &request);
+        Ok(binary(window.map_err(|error| window_problem(name, error))?.to_bytes()))
+    })
+    .await
+}
+
+/// The poses of the subject's face in a part of a finished take
+///
+/// Little endian: the bytes `MPP1`, u32 1, u64 first frame, u32 number of frames that follow, u32 distance from one to the next,
+/// u32 flags (as of `window`), u32 zero; then for each frame twelve f32 as in the live stream, NaN where the pose is not known.
+/// No frames follow if the take has no face whose markers are mapped.
+#[utoipa::path(get, path = "/v1/takes/{name}/face", tag = "takes",
+    params(("name" = String, Path, description = "The take's name, without `.take`"),
+        ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
+            description = "The first frame is the one at or after this time in seconds; 0 by default"),
+        ("seconds" = Option<f64>, Query, exclusive_minimum = 0, maximum = 3600,
+            description = "The length in seconds; 4 by default"),
+        ("every" = Option<u32>, Query, minimum = 1, maximum = 10000,
+            description = "Only every n-th frame; 1 by default")),
+    responses((status = 200, description = "The poses", body = Vec<u8>,
+            content_type = "application/octet-stream"),
+        (status = 416, description = "The take ends before the window begins", body = Problem,
+            content_type = "application/problem+json")))]
+pub(super) async fn face(
+    State(app): State<Shared>,
+    name: Result<Path<String>, PathRejection>,
+    query: Result<Query<WindowQuery>, QueryRejection>,
+) -> Result<Response, Problem> {
+    let request = window_request(query)?;
+    read_take(app, name, Whole::No, move |name, input, map| {
+        let window = FaceWindow::read(input, map, &request);
+        Ok(binary(window.map_err(|error| window_problem(name, error))?.to_bytes()))
+    })
+    .await
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct DifferenceQuery {
+    against: Option<String>,
+    from: Option<f64>,
+}
+
+/// How far apart the samples of two finished takes are
+///
+/// The largest distance in at most 1024 bins of the whole take. Markers are matched by their labels, and frames by their
+/// numbers. A response covers as much of the take as a tenth of a second of work decodes; request the rest from the end of
+/// that part on.
+#[utoipa::path(get, path = "/v1/takes/{name}/difference", tag = "takes",
+    params(("name" = String, Path, description = "The take's name, without `.take`"),
+        ("against" = String, Query, description = "The other take's name, without `.take`"),
+        ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
+            description = "Compares from this time in seconds on; 0 by default")),
+    responses((status = 200, body = TakeDifference)))]
+pub(super) async fn difference(
+    State(app): State<Shared>,
+    name: Result<Path<String>, PathRejection>,
+    query: Result<Query<DifferenceQuery>, QueryRejection>,
+) -> Result<Json<TakeDifference>, Problem> {
+    let refused = |_| Problem::invalid(DIFFERENCE_REFUSED);
+    let Query(DifferenceQuery { against, from }) = query.map_err(refused)?;
+    let from_s = seconds_from(from)?;
+    read_takes(app, name, move |reading| {
+        let ours = reading.name.clone();
+        let (mut input, map) = reading.open(&ours, Whole::No)?;
+        let theirs = against.ok_or_else(|| Problem::invalid(DIFFERENCE_REFUSED))?;
+        let (mut other, other_map) = reading.open(&theirs, Whole::No)?;
+        let found = read_difference((&mut input, &map), (&mut other, &other_map), from_s);
+        let found = found.map_err(|error| match error {
+            CompareError::Take(error) => problem(&ours, error),
+            error => {
+                let message = format!("{ours} and {theirs} cannot be compared: {error}");
+                Problem::of(ProblemKind::Conflict, message)
             }
-            WindowError::Take(error) => problem(name, error),
         })?;
-        let kind = HeaderValue::from_static("application/octet-stream");
-        Ok(([(header::CONTENT_TYPE, kind)], window.to_bytes()).into_response())
+        Ok(Json(TakeDifference { against: theirs, ..found }))
     })
     .await
 }
@@ -143,6 +270,9 @@ pub(super) async fn gaps(
     .await
 }
 
+const DIFFERENCE_REFUSED: &str =
+    "`against` must be the name of a take, and `from` a time in seconds, each at most once";
+
 const FROM_REFUSED: &str = "`from` must be a time in seconds, from 0 to 1e9";
 
 fn seconds_from(from: Option<f64>) -> Result<f64, Problem> {
@@ -174,27 +304,78 @@ fn window_request(
     Ok(WindowRequest { from_s, length_s: seconds, every })
 }
 
-/// Opens a take that is not being written, and reads it on a thread that may wait, in its turn.
-async fn read_take<T: Send + 'static>(
+/// What a request needs to read takes on a thread that may wait.
+struct Reading {
+    /// The name of the take in the request's path.
+    name: String,
+    control: Arc<dyn Control>,
+    maps: Arc<KnownMaps>,
+    client_alive: Weak<()>,
+    stopping: watch::Receiver<bool>,
+}
+
+impl Reading {
+    /// Opens a take that is not being written.
+    fn file(&self, name: &str) -> Result<(Input, Option<String>), Problem> {
+        let take = finished(self.control.as_ref(), name)?;
+        let client_alive = Weak::clone(&self.client_alive);
+        let stopping = self.stopping.clone();
+        let input = SparseFile::of(take.file);
+        Ok((BufReader::new(CancellableReader { input, client_alive, stopping }), take.tag))
+    }
+
+    /// Opens a take, with its map.
+    fn open(&self, name: &str, whole: Whole) -> Result<(Input, Arc<TakeMap>), Problem> {
+        let (mut input, tag) = self.file(name)?;
+        let map = self.maps.map(&mut input, tag, whole).map_err(|error| problem(name, error))?;
+        Ok((input, map))
+    }
+}
+
+/// Reads takes on a thread that may wait, in its turn.
+async fn read_takes<T: Send + 'static>(
     app: Shared,
     name: Result<Path<String>, PathRejection>,
-    whole: Whole,
-    read: impl FnOnce(&str, &mut Input, &TakeMap) -> Result<T, Problem> + Send + 'static,
+    read: impl FnOnce(&Reading) -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
     let name = take_name(name)?;
     // Dropped with the request, which ends when the client disconnects.
     let client = Arc::new(());
     let (control, maps) = (Arc::clone(&app.control), Arc::clone(&app.maps));
     let (client_alive, stopping) = (Arc::downgrade(&client), app.stopping.clone());
-    let work = move || {
-        let take = finished(control.as_ref(), &name)?;
-        let mut input = input(take.file, client_alive, stopping);
-        let map = maps.map(&mut input, take.tag, whole).map_err(|error| problem(&name, error))?;
-        read(&name, &mut input, &map)
-    };
-    let done = app.queues.decodes.run(work).await?;
+    let reading = Reading { name, control, maps, client_alive, stopping };
+    let done = app.queues.decodes.run(move || read(&reading)).await?;
     drop(client);
     done
+}
+
+/// Reads a take that is not being written, with its map.
+async fn read_take<T: Send + 'static>(
+    app: Shared,
+    name: Result<Path<String>, PathRejection>,
+    whole: Whole,
+    read: impl FnOnce(&str, &mut Input, &TakeMap) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    read_takes(app, name, move |reading| {
+        let (mut input, map) = reading.open(&reading.name, whole)?;
+        read(&reading.name, &mut input, &map)
+    })
+    .await
+}
+
+/// Reads a take that is not being written, with its force plates.
+async fn read_forces<T: Send + 'static>(
+    app: Shared,
+    name: Result<Path<String>, PathRejection>,
+    read: impl FnOnce(&str, &mut Input, &TakeForces) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    read_takes(app, name, move |reading| {
+        let name = &reading.name;
+        let (mut input, tag) = reading.file(name)?;
+        let forces = reading.maps.forces(&mut input, tag).map_err(|error| problem(name, error))?;
+        read(name, &mut input, &forces)
+    })
+    .await
 }
 
 /// Whether a request needs all of a map, or only what the end of a take states.
@@ -204,29 +385,57 @@ enum Whole {
     No,
 }
 
-/// The maps of the takes that were played last. Without them every window of a take that was cut off would read the whole
-/// file.
+/// What was found in the takes that were played last. Without it every window of a take that was cut off, and every window
+/// of forces, would read the whole file.
 #[derive(Debug, Default)]
-pub(super) struct KnownMaps(Mutex<VecDeque<(String, Arc<TakeMap>)>>);
+pub(super) struct KnownMaps {
+    maps: LastUsed<TakeMap>,
+    forces: LastUsed<TakeForces>,
+}
 
-/// Maximum number of maps that are kept: a few players.
-const MAPS_MAX: usize = 4;
+/// Maximum number of takes of which something is kept: a few players.
+const KEPT_MAX: usize = 4;
 
-/// Maximum number of key stretches and channels of a map that is kept: together some megabytes. A take of days at one key
-/// stretch per second has as many.
+/// Maximum number of key stretches, channels and parts of a take that is kept: together some megabytes. A take of days at one
+/// key stretch per second has as many.
 const MAP_ENTRIES_MAX: usize = 1 << 18;
 
+/// What was found in some takes, by their entity tags, which change with the files; the last one first.
+#[derive(Debug)]
+struct LastUsed<T>(Mutex<VecDeque<(String, Arc<T>)>>);
+
+impl<T> Default for LastUsed<T> {
+    fn default() -> Self {
+        Self(Mutex::default())
+    }
+}
+
+impl<T> LastUsed<T> {
+    fn get(&self, tag: Option<&String>) -> Option<Arc<T>> {
+        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = known.iter().find(|(known, _)| Some(known) == tag);
+        found.map(|(_, found)| Arc::clone(found))
+    }
+
+    fn put(&self, tag: Option<String>, found: &Arc<T>) {
+        let Some(tag) = tag else { return };
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        known.retain(|(other, _)| *other != tag);
+        known.truncate(KEPT_MAX - 1);
+        known.push_front((tag, Arc::clone(found)));
+    }
+}
+
 impl KnownMaps {
-    /// The map of a take with this entity tag, which changes with the file.
+    /// The map of a take with this entity tag.
     fn map(
         &self,
         input: &mut Input,
         tag: Option<String>,
         whole: Whole,
     ) -> Result<Arc<TakeMap>, TakeError> {
-        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, known)) = lock().iter().find(|(known, _)| Some(known) == tag.as_ref()) {
-            return Ok(Arc::clone(known));
+        if let Some(known) = self.maps.get(tag.as_ref()) {
+            return Ok(known);
         }
         if whole == Whole::No
             && let Some(map) = map_of_end(input)?
@@ -234,28 +443,20 @@ impl KnownMaps {
             return Ok(Arc::new(map));
         }
         let map = Arc::new(TakeMap::open(input)?);
-        if let Some(tag) = tag.filter(|_| map.keys.len() + map.channels.len() <= MAP_ENTRIES_MAX) {
-            let mut known = lock();
-            known.retain(|(other, _)| *other != tag);
-            known.truncate(MAPS_MAX - 1);
-            known.push_front((tag, Arc::clone(&map)));
-        }
+        let is_small = map.keys.len() + map.channels.len() <= MAP_ENTRIES_MAX;
+        self.maps.put(tag.filter(|_| is_small), &map);
         Ok(map)
     }
-}
 
-/// Opens a take that is not being written.
-fn finished(control: &dyn Control, name: &str) -> Result<OpenedTake, Problem> {
-    let take = open(control, name)?;
-    if take.is_growing {
-        let message = format!("{name} is being recorded: stop it first");
-        return Err(Problem::of(ProblemKind::Conflict, message));
+    /// The force plates of a take with this entity tag.
+    fn forces(&self, input: &mut Input, tag: Option<String>) -> Result<Arc<TakeForces>, TakeError> {
+        if let Some(known) = self.forces.get(tag.as_ref()) {
+            return Ok(known);
+        }
+        let forces = Arc::new(TakeForces::open(input)?);
+        self.forces.put(tag.filter(|_| forces.n_entries() <= MAP_ENTRIES_MAX), &forces);
+        Ok(forces)
     }
-    Ok(take)
-}
-
-fn input(file: File, client_alive: Weak<()>, stopping: watch::Receiver<bool>) -> Input {
-    BufReader::new(CancellableReader { input: SparseFile::of(file), client_alive, stopping })
 }
 
 fn problem(name: &str, error: TakeError) -> Problem {

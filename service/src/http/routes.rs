@@ -26,7 +26,7 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     Shared,
     auth::COOKIE,
-    commands, finished, guard, login, metrics, playback,
+    commands, download, finished, guard, login, metrics, playback,
     problem::{PROBLEM_JSON, Problem},
     streams, takes,
 };
@@ -46,11 +46,15 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(commands::mark))
         .routes(routes!(commands::save_last))
         .routes(routes!(takes::takes))
-        .routes(routes!(takes::download))
+        .routes(routes!(download::download))
         .routes(routes!(takes::verify))
         .routes(routes!(playback::overview))
         .routes(routes!(playback::window))
         .routes(routes!(playback::gaps))
+        .routes(routes!(playback::face))
+        .routes(routes!(playback::plates))
+        .routes(routes!(playback::forces))
+        .routes(routes!(playback::difference))
         .routes(routes!(finished::notes_file, finished::edit_notes))
         .routes(routes!(finished::rename))
         .routes(routes!(finished::trash))

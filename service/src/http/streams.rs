@@ -135,8 +135,10 @@ fn missed(missed: Option<u64>) -> Event {
 /// sent before the first frame and whenever the markers change. Kind 2 is a frame: three zero bytes, u64 row, u64
 /// device ticks, u64 arrival in microseconds since 1970, then three f32 per marker in millimetres, NaN if it is not
 /// seen. Kind 3 follows the frame that it belongs to if the subject's face is seen: three zero bytes, then for each
-/// axis three f32 factors of a vertex of the face, and one f32 offset. A slow viewer misses frames, but never the
-/// table.
+/// axis three f32 factors of a vertex of the face, and one f32 offset. Kind 4 follows the next frame, a column of a strip
+/// chart of a group of sampled channels: u8 index of the group in the table, two zero bytes, u64 number of its first sample,
+/// u32 number of samples, then for each channel its least and its largest value as f32. A slow viewer misses frames, but
+/// never the table.
 #[utoipa::path(get, path = "/v1/live", tag = "streams",
     responses((status = 200, description = "Messages, until the client closes", body = Vec<u8>,
         content_type = "application/octet-stream")))]

@@ -123,6 +123,16 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenedTake, Prob
     })
 }
 
+/// Opens a take that is not being written.
+pub(super) fn finished(control: &dyn Control, name: &str) -> Result<OpenedTake, Problem> {
+    let take = open(control, name)?;
+    if take.is_growing {
+        let message = format!("{name} is being recorded: stop it first");
+        return Err(Problem::of(ProblemKind::Conflict, message));
+    }
+    Ok(take)
+}
+
 pub(super) fn unreadable(error: &io::Error) -> Problem {
     Problem::of(ProblemKind::Disk, format!("cannot read the take: {error}"))
 }
@@ -139,37 +149,13 @@ pub(super) fn is_name(name: &str) -> bool {
 /// Size of a chunk: read quickly by a disk, and the memory that a slow client costs.
 const CHUNK_BYTES: u64 = 128 << 10;
 
-/// Download a take
-///
-/// Byte ranges get 206. Of a take that is being written, the download contains what would survive a power cut; these
-/// bytes never change, and the rest can be requested later by a range.
-#[utoipa::path(get, path = "/v1/takes/{name}/download", tag = "takes",
-    params(("name" = String, Path, description = "The take's name, without `.take`")),
-    responses((status = 200, description = "The file", body = Vec<u8>,
-            content_type = "application/octet-stream"),
-        (status = 206, description = "The bytes of a range", body = Vec<u8>,
-            content_type = "application/octet-stream"),
-        (status = 304, description = "The client's copy is current"),
-        (status = 416, description = "The requested range is not satisfiable", body = Problem,
-            content_type = "application/problem+json")))]
-pub(super) async fn download(
-    State(app): State<Shared>,
-    name: Result<Path<String>, PathRejection>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    let name = take_name(name)?;
-    let permit = app.stream_permit()?;
-    let (control, requested) = (Arc::clone(&app.control), name.clone());
-    let take = app.queues.files.run(move || open(control.as_ref(), &requested)).await??;
-    answer(app, take, &name, &headers, permit)
-}
-
 /// The take name in a request's path.
 pub(super) fn take_name(name: Result<Path<String>, PathRejection>) -> Result<String, Problem> {
     name.map(|Path(name)| name).map_err(|_| Problem::invalid("the take name is not UTF-8"))
 }
 
-fn answer(
+/// Sends a take as it is, or a range of it.
+pub(super) fn answer(
     app: Shared,
     take: OpenedTake,
     name: &str,
@@ -196,7 +182,7 @@ fn answer(
     out.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
     out.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
     out.insert(header::CONTENT_LENGTH, HeaderValue::from(bytes.end - bytes.start));
-    out.insert(header::CONTENT_DISPOSITION, value(&disposition(name))?);
+    out.insert(header::CONTENT_DISPOSITION, value(&disposition(name, "take"))?);
     if let Some(tag) = tag {
         out.insert(header::ETAG, value(tag)?);
     }
@@ -215,12 +201,12 @@ fn unsatisfiable(len: u64) -> Result<Response, Problem> {
     Ok(response)
 }
 
-fn value(text: &str) -> Result<HeaderValue, Problem> {
+pub(super) fn value(text: &str) -> Result<HeaderValue, Problem> {
     HeaderValue::from_str(text).map_err(|error| Problem::internal(error.to_string()))
 }
 
 /// The file name for browsers: in ASCII for old ones, and in UTF-8 (RFC 6266).
-fn disposition(name: &str) -> String {
+pub(super) fn disposition(name: &str, extension: &str) -> String {
     let is_plain = |c: char| c.is_ascii_graphic() && !"\"\\%;".contains(c) || c == ' ';
     let plain: String = name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect();
     let mut exact = String::with_capacity(name.len());
@@ -231,7 +217,7 @@ fn disposition(name: &str) -> String {
             exact += &format!("%{byte:02X}");
         }
     }
-    format!("attachment; filename=\"{plain}.take\"; filename*=UTF-8''{exact}.take")
+    format!("attachment; filename=\"{plain}.{extension}\"; filename*=UTF-8''{exact}.{extension}")
 }
 
 /// Reads each chunk after the previous one was sent: a slow client costs the memory of one chunk and no thread.
@@ -347,11 +333,7 @@ pub(super) async fn verify(
     let control = Arc::clone(&app.control);
     let (client_alive, stopping) = (Arc::downgrade(&client), app.stopping.clone());
     let work = move || {
-        let take = open(control.as_ref(), &name)?;
-        if take.is_growing {
-            let message = format!("{name} is being recorded: stop it first");
-            return Err(Problem::of(ProblemKind::Conflict, message));
-        }
+        let take = finished(control.as_ref(), &name)?;
         let input = CancellableReader { input: SparseFile::of(take.file), client_alive, stopping };
         check(name, take.len, Summary::read(BufReader::new(input)))
     };
@@ -433,10 +415,10 @@ mod tests {
     #[test]
     fn names_in_headers() {
         let plain = "attachment; filename=\"jump-1.take\"; filename*=UTF-8''jump-1.take";
-        assert_eq!(disposition("jump-1"), plain);
+        assert_eq!(disposition("jump-1", "take"), plain);
         let odd =
             "attachment; filename=\"a_b _ _.take\"; filename*=UTF-8''a%22b%20%C3%A9%20%3B.take";
-        assert_eq!(disposition("a\"b é ;"), odd);
+        assert_eq!(disposition("a\"b é ;", "take"), odd);
     }
 
     #[test]

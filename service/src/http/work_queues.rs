@@ -19,11 +19,16 @@ const CHECKS: Size = Size { running: 1, waiting: 0 };
 /// wait.
 const DECODES: Size = Size { running: 1, waiting: 5 };
 
+/// Takes written in another format at once. Each waits while its client is slow, so one slow client alone does not hold up
+/// the next.
+const EXPORTS: Size = Size { running: 2, waiting: 4 };
+
 /// Threads that a listener's runtime may have for all queues.
 pub(super) const THREADS: usize =
-    COMMANDS.running + FILES.running + CHECKS.running + DECODES.running;
+    COMMANDS.running + FILES.running + CHECKS.running + DECODES.running + EXPORTS.running;
 
 /// Requests that can be running or waiting at once; all others are replied to immediately.
+/// Conversions are downloads, which have a limit of their own.
 pub(super) const REQUESTS_MAX: usize = COMMANDS.all() + FILES.all() + CHECKS.all() + DECODES.all();
 
 #[derive(Debug, Clone, Copy)]
@@ -49,6 +54,8 @@ pub(super) struct WorkQueues {
     pub(super) checks: WorkQueue,
     /// Decodes parts of takes.
     pub(super) decodes: WorkQueue,
+    /// Writes takes in other formats.
+    pub(super) exports: WorkQueue,
 }
 
 impl WorkQueues {
@@ -59,6 +66,7 @@ impl WorkQueues {
             files: WorkQueue::new("too many files are being read", FILES, work_max),
             checks: WorkQueue::new("another take is being verified", CHECKS, None),
             decodes: WorkQueue::new("too many players are reading takes", DECODES, None),
+            exports: WorkQueue::new("too many takes are being converted", EXPORTS, None),
         }
     }
 }

@@ -4,8 +4,12 @@
 //! middle of an hour costs as much as one at its beginning. The number of samples that a call decodes and the size of its
 //! result are bounded; a caller keeps the map of a take that was cut off, whose chunks have to be read for it.
 
+mod compare;
+mod face;
+mod forces;
 mod gaps;
 mod overview;
+mod plate_names;
 mod window;
 
 use std::io::{Read, Seek};
@@ -13,6 +17,9 @@ use std::io::{Read, Seek};
 use mocapd_take::{TakeError, TakeMap, TakeTail};
 
 pub use self::{
+    compare::{CompareError, LargestError, TakeDifference, read_difference},
+    face::FaceWindow,
+    forces::{ForceWindow, PlateList, PlateOverview, TakeForces},
     gaps::{BINS, GapBins, lost_runs, read_gaps},
     overview::{PlaybackEvent, TakeOverview},
     window::{
@@ -25,7 +32,7 @@ pub use self::{
 /// about a second of work.
 const WINDOW_SAMPLES_MAX: u64 = 1 << 22;
 
-/// Samples after which a part of the gaps ends: about a tenth of a second of work, since windows wait for it.
+/// Samples after which a part of the gaps or of the differences ends: about a tenth of a second of work, since windows wait for it.
 const GAPS_SAMPLES_MAX: u64 = 1 << 19;
 
 /// What the end of a closed take states: the key stretches, the channel table and the number of rows. `None` for any other

@@ -11,7 +11,11 @@ use mocapd_take::{
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::window::frames_max;
+use super::{face::labels, window::frames_max};
+use crate::{
+    live::{LiveFace, LiveLimb},
+    subject::{FaceOverlay, live_limbs, with_limbs},
+};
 
 /// Maximum number of events in an overview: more than a time axis can show.
 const EVENTS_MAX: usize = 1000;
@@ -33,6 +37,8 @@ pub struct TakeOverview {
     pub created_unix_ms: i64,
     /// Number of frames, including lost ones.
     pub frames: u64,
+    /// Number of the first frame in its source: 1, or that of an excerpt or of an imported file.
+    pub first_frame: u64,
     /// Frame rate in Hz.
     pub rate_hz: f64,
     /// Length in seconds.
@@ -47,6 +53,10 @@ pub struct TakeOverview {
     pub up_axis: u8,
     /// Pairs of markers to join by a line.
     pub bones: Vec<[u16; 2]>,
+    /// The lines that are limbs of the subject's skeleton.
+    pub limbs: Vec<LiveLimb>,
+    /// The wireframe of the subject's face, if its markers are mapped; `face` has its poses.
+    pub face: Option<LiveFace>,
     /// Largest distance in millimetres between a sample and its original; 0 for a lossless take.
     pub tolerance_mm: f64,
     /// Number of lost frames by the last ledger; null if there is none.
@@ -82,8 +92,7 @@ impl TakeOverview {
     #[must_use]
     pub fn of(name: &str, map: &TakeMap) -> Self {
         let header = &map.header;
-        let labels: Vec<String> =
-            map.channels.iter().map(|channel| channel.label.clone()).collect();
+        let labels = labels(map);
         let recorded = map.ledger.as_ref().map(|ledger| ledger.recorded);
         let samples = map.statistics.as_ref().map(TakeStatistics::samples);
         let missing = recorded.zip(samples).map(|(rows, samples)| {
@@ -96,17 +105,22 @@ impl TakeOverview {
             (None, Some(source)) => source.file.clone(),
             (None, None) => String::new(),
         };
+        let limbs = live_limbs(map.subject.as_ref(), &labels);
+        let face = FaceOverlay::new(map.subject.as_ref(), &labels);
         Self {
             name: name.to_owned(),
             source: cut(&source),
             created_unix_ms: header.created_unix_ms,
             frames: map.n_rows,
+            first_frame: header.source.as_ref().map_or(1, |source| source.first_frame),
             rate_hz: header.rate_hz,
             seconds: map.n_rows as f64 / header.rate_hz,
             markers: labels.len(),
             labelled: map.channels.iter().map(|channel| channel.labelled).collect(),
             up_axis: header.up_axis.code(),
-            bones: marker_lines(&labels),
+            bones: with_limbs(marker_lines(&labels), &limbs),
+            limbs,
+            face: face.as_ref().map(FaceOverlay::wireframe),
             labels,
             tolerance_mm: header.tolerance_mm,
             frames_lost: map.ledger.as_ref().map(Ledger::frames_lost),
@@ -137,10 +151,15 @@ impl TakeOverview {
     pub fn of_export(name: &str, map: &TakeMap, info: &MotionInfo) -> Self {
         let labels: Vec<String> = info.markers.iter().map(|marker| marker.label.clone()).collect();
         let events = info.events.iter().take(EVENTS_MAX);
+        let limbs = live_limbs(map.subject.as_ref(), &labels);
         Self {
             frames: info.n_frames,
+            first_frame: info.source.first_frame,
             seconds: info.n_frames as f64 / info.rate_hz,
-            bones: marker_lines(&labels),
+            bones: with_limbs(marker_lines(&labels), &limbs),
+            limbs,
+            // A page has no poses of it.
+            face: None,
             labels,
             up_axis: info.up.code(),
             events_total: info.events.len(),

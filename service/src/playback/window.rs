@@ -32,9 +32,9 @@ pub const EVERY_MAX: u32 = 10_000;
 const MAGIC: &[u8; 4] = b"MPW1";
 
 /// The window ends before the requested end, because it would be larger than [`WINDOW_BYTES_MAX`] or need too much work.
-const SHORTENED: u32 = 1;
+pub(super) const SHORTENED: u32 = 1;
 /// Something in it, or before it in its key stretch, is damaged: the frames that cannot be read are gaps.
-const DAMAGED: u32 = 2;
+pub(super) const DAMAGED: u32 = 2;
 
 /// The frames that a window is to have.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,6 +73,9 @@ pub enum WindowError {
         /// Number of markers.
         n_markers: usize,
     },
+    /// A frame of it needs too many samples.
+    #[error("a frame of this window needs too many samples: request it with a smaller `every`")]
+    TooMuchWork,
     /// The take cannot be read.
     #[error(transparent)]
     Take(#[from] TakeError),
@@ -109,27 +112,80 @@ impl FrameWindow {
             flags |= SHORTENED;
         }
         let rows = rows.start..end;
-        let n_frames = (rows.end - rows.start).div_ceil(every.into());
-        let positions = vec![GAP; n_frames as usize * n_markers];
-        let n_markers = n_markers as u32;
-        let mut window = Self { n_markers, first_row: rows.start, every, flags, positions };
-        if n_markers > 0 {
-            let mut take = TakeTraversal::from_map(input, map, Decode::All)?;
-            take.read_rows(&rows, |take, part, offset| {
-                window.copy(take, &part, offset);
-                Ok(())
-            })?;
-            if !take.is_intact() || map.damaged {
-                window.flags |= DAMAGED;
-            }
-        }
-        Ok(window)
+        let (positions, is_damaged) = decode_rows(input, map, &rows, every)?;
+        flags |= if is_damaged { DAMAGED } else { 0 };
+        Ok(Self { n_markers: n_markers as u32, first_row: rows.start, every, flags, positions })
     }
 
-    /// Copies those rows of the last stretch that the window has. `part` are its rows within the window, and the first of
+    /// The window as bytes, little endian: the four bytes `MPW1`, u32 number of markers, u64 first row, u32 number of
+    /// frames, u32 rows from one frame to the next, u32 flags, u32 zero; then the frames, each three f32 per marker in
+    /// millimetres, NaN where the sample is missing.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let n_frames = self.positions.len() as u64 / u64::from(self.n_markers.max(1));
+        let n_bytes = HEADER_BYTES as usize + self.positions.len() * SAMPLE_BYTES as usize;
+        let mut out = Vec::with_capacity(n_bytes);
+        put_header(
+            &mut out,
+            MAGIC,
+            self.first_row,
+            [self.n_markers, n_frames as u32, self.every, self.flags],
+        );
+        for value in self.positions.iter().flatten() {
+            out.extend_from_slice(&value.to_le_bytes());
+        }
+        out
+    }
+}
+
+/// Appends the header of a window, [`HEADER_BYTES`] long: a signature, u32 number of signals, u64 first row, u32 number of
+/// frames, u32 rows from one to the next, u32 flags, u32 zero. `words` are the four numbers of 32 bits.
+pub(super) fn put_header(out: &mut Vec<u8>, magic: &[u8; 4], first_row: u64, words: [u32; 4]) {
+    let [n_signals, n_frames, every, flags] = words;
+    out.extend_from_slice(magic);
+    out.extend_from_slice(&n_signals.to_le_bytes());
+    out.extend_from_slice(&first_row.to_le_bytes());
+    for word in [n_frames, every, flags, 0] {
+        out.extend_from_slice(&word.to_le_bytes());
+    }
+}
+
+/// Decodes every n-th of the rows, and says whether something in them or before them in their key stretch is damaged. One
+/// position for each marker; a row that cannot be read has gaps. The caller bounds the number of rows.
+pub(super) fn decode_rows(
+    input: &mut (impl Read + Seek),
+    map: &TakeMap,
+    rows: &Range<u64>,
+    every: u32,
+) -> Result<(Vec<Position>, bool), TakeError> {
+    let n_markers = map.channels.len();
+    let n_frames = (rows.end - rows.start).div_ceil(every.into());
+    let positions = vec![GAP; n_frames as usize * n_markers];
+    let mut decoded = DecodedFrames { n_markers, first_row: rows.start, every, positions };
+    if n_markers == 0 {
+        return Ok((decoded.positions, map.damaged));
+    }
+    let mut take = TakeTraversal::from_map(input, map, Decode::All)?;
+    take.read_rows(rows, |take, part, offset| {
+        decoded.copy(take, &part, offset);
+        Ok(())
+    })?;
+    Ok((decoded.positions, !take.is_intact() || map.damaged))
+}
+
+/// Frames that are being decoded.
+struct DecodedFrames {
+    n_markers: usize,
+    first_row: u64,
+    every: u32,
+    positions: Vec<Position>,
+}
+
+impl DecodedFrames {
+    /// Copies those rows of the last stretch that are among the frames. `part` are its rows within them, and the first of
     /// them has the index `offset` in the stretch.
     fn copy<R: Read + Seek>(&mut self, take: &TakeTraversal<R>, part: &Range<u64>, offset: usize) {
-        let (every, n_markers) = (u64::from(self.every), self.n_markers as usize);
+        let (every, n_markers) = (u64::from(self.every), self.n_markers);
         let skipped = (part.start - self.first_row).next_multiple_of(every);
         let first = self.first_row + skipped;
         if first >= part.end {
@@ -151,26 +207,6 @@ impl FrameWindow {
             }
         }
     }
-
-    /// The window as bytes, little endian: the four bytes `MPW1`, u32 number of markers, u64 first row, u32 number of
-    /// frames, u32 rows from one frame to the next, u32 flags, u32 zero; then the frames, each three f32 per marker in
-    /// millimetres, NaN where the sample is missing.
-    #[must_use]
-    pub fn to_bytes(&self) -> Vec<u8> {
-        let n_frames = self.positions.len() as u64 / u64::from(self.n_markers.max(1));
-        let n_bytes = HEADER_BYTES as usize + self.positions.len() * SAMPLE_BYTES as usize;
-        let mut out = Vec::with_capacity(n_bytes);
-        out.extend_from_slice(MAGIC);
-        out.extend_from_slice(&self.n_markers.to_le_bytes());
-        out.extend_from_slice(&self.first_row.to_le_bytes());
-        for word in [n_frames as u32, self.every, self.flags, 0] {
-            out.extend_from_slice(&word.to_le_bytes());
-        }
-        for value in self.positions.iter().flatten() {
-            out.extend_from_slice(&value.to_le_bytes());
-        }
-        out
-    }
 }
 
 /// The first frame at or after a time. A time that a client computed from the number of a frame is that frame's, whatever
@@ -187,7 +223,7 @@ pub(super) fn frame_at(time_s: f64, rate_hz: f64) -> u64 {
 const FRAME_TOLERANCE: f64 = 1e-6;
 
 /// The rows from the first to the last of a request, within the take.
-fn rows_of(map: &TakeMap, request: &WindowRequest) -> Result<Range<u64>, WindowError> {
+pub(super) fn rows_of(map: &TakeMap, request: &WindowRequest) -> Result<Range<u64>, WindowError> {
     let rate_hz = map.header.rate_hz;
     let first = frame_at(request.from_s, rate_hz);
     if first >= map.n_rows {

@@ -38,21 +38,26 @@ impl fmt::Display for PageAccuracy {
         let Self { tolerance_mm, take_tolerance_mm, added_mm, max_added_mm } = self;
         write!(
             f,
-            "positions within {} mm of the original: {} mm by the take, {} mm by the page (measured: {} mm)",
-            rounded_up(*tolerance_mm),
-            rounded_up(*take_tolerance_mm),
-            rounded_up(*added_mm),
-            rounded_up(*max_added_mm)
+            "positions within {} mm of the original: those of the take within {} mm, and the page adds at most {} mm (the largest \
+             that it added is {} mm)",
+            rounded_up(*tolerance_mm, BOUND_DIGITS),
+            rounded_up(*take_tolerance_mm, BOUND_DIGITS),
+            rounded_up(*added_mm, BOUND_DIGITS),
+            rounded_up(*max_added_mm, MEASURED_DIGITS)
         )
     }
 }
 
-/// A bound with three significant digits: never rounded down, since it would be wrong then.
-fn rounded_up(mm: f64) -> String {
+/// Significant digits of a bound, and of what was measured, which is often just below it.
+const BOUND_DIGITS: i32 = 3;
+const MEASURED_DIGITS: i32 = 4;
+
+/// A bound with so many significant digits: never rounded down, since it would be wrong then.
+fn rounded_up(mm: f64, digits: i32) -> String {
     if mm <= 0.0 {
         return "0".to_owned();
     }
-    let digits = 2 - mm.log10().floor() as i32;
+    let digits = digits - 1 - mm.log10().floor() as i32;
     let scale = 10_f64.powi(digits);
     // A bound that is computed from decimal numbers is not meant to be above them by the last bit.
     let text = format!("{:.*}", digits.max(0) as usize, (mm * scale - 1e-9).ceil() / scale);
@@ -133,7 +138,8 @@ mod tests {
             (39.96, "40"),
             (1234.5, "1240"),
         ] {
-            assert_eq!(rounded_up(mm), text);
+            assert_eq!(rounded_up(mm, BOUND_DIGITS), text);
         }
+        assert_eq!(rounded_up(0.499_79, MEASURED_DIGITS), "0.4998");
     }
 }

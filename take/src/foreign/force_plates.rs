@@ -26,7 +26,7 @@ pub use super::force_plate::{
 };
 use crate::{
     TakeError,
-    foreign::analog::{self, AnalogSamples},
+    foreign::analog::{self, AnalogChannel, AnalogSamples},
     interchange::c3d,
     motion::MotionInfo,
 };
@@ -40,13 +40,35 @@ impl ForcePlates {
         let Some(parameters) = analog::parameters(info)? else { return Ok(None) };
         let samples = AnalogSamples::open(info)?;
         let channels = samples.as_ref().map_or(&[][..], AnalogSamples::channels);
-        let unit_mm = Some(info.source.factor).filter(|factor| factor.is_normal()).unwrap_or(1.0);
-        let mut found = c3d::force_plates(&parameters, channels, unit_mm);
+        let mut found = c3d::force_plates(&parameters, channels, unit_mm(info));
         if let (Some(found), Some(samples)) = (&mut found, &samples) {
             found.warnings.extend_from_slice(samples.warnings());
         }
         Ok(found)
     }
+}
+
+impl ForcePlates {
+    /// The plates of a take by the parameters of its file, and its analog channels, of which there are `n_channels`. The
+    /// samples of these need not have been read. `None` if there are no plates.
+    ///
+    /// # Errors
+    /// `InvalidArgument` if the parameters were not read, or have another layout; `Io` if their scratch file cannot be read.
+    pub fn described(
+        info: &MotionInfo,
+        n_channels: usize,
+    ) -> Result<Option<(Self, Vec<AnalogChannel>)>, TakeError> {
+        let Some(parameters) = analog::parameters(info)? else { return Ok(None) };
+        let mut warnings = Vec::new();
+        let channels = c3d::analog_channels(&parameters, n_channels, &mut warnings);
+        let found = c3d::force_plates(&parameters, &channels, unit_mm(info));
+        Ok(found.map(|plates| (plates, channels)))
+    }
+}
+
+/// Millimetres in the unit of length of the file.
+fn unit_mm(info: &MotionInfo) -> f64 {
+    Some(info.source.factor).filter(|factor| factor.is_normal()).unwrap_or(1.0)
 }
 
 /// What is subtracted from the channels of force plates.

@@ -289,7 +289,14 @@ impl Format {
     #[must_use]
     pub fn leaves_out(self, info: &MotionInfo, up_is_chosen: bool) -> Vec<String> {
         let others = info.foreign.iter().filter(|part| !self.holds(&part.kind, info));
-        let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
+        let mut left_out: Vec<String> = match self {
+            // Nobody looks for a header in a page.
+            Self::Html => others
+                .filter(|part| part.kind == c3d::ANALOG)
+                .map(|_| "analog channels and force plates".to_owned())
+                .collect(),
+            _ => others.map(|part| part.kind.clone()).collect(),
+        };
         let documents = info.subject.iter().flat_map(|subject| &subject.documents);
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));
         if let (false, Some(axis)) = (self.capabilities().up_axis || up_is_chosen, info.up.name()) {

@@ -3,6 +3,7 @@
 use std::{
     convert::Infallible,
     io::{self, Read, Seek, SeekFrom},
+    ops::Range,
     sync::Arc,
 };
 
@@ -91,6 +92,12 @@ impl GroupSamples {
     pub fn n_samples(&self) -> u64 {
         let found = self.chunks.last().map_or(0, |chunk| chunk.span.end());
         self.group.n_samples.unwrap_or(found.max(self.n_stated))
+    }
+
+    /// Number of its chunks of samples.
+    #[must_use]
+    pub fn n_chunks(&self) -> usize {
+        self.chunks.len()
     }
 
     /// A ledger states that the take had this many samples by then.
@@ -196,6 +203,35 @@ impl GroupSamples {
             first += n;
             Ok(())
         })
+    }
+
+    /// Decodes the samples with these numbers, from the key block before them on. `each` receives the number of a first
+    /// sample, the number of samples of each channel and the samples, channel after channel, or `None` where they are lost
+    /// or cannot be decoded; some of them may lie outside of the range.
+    ///
+    /// # Errors
+    /// `Io`, and those of `each`.
+    pub fn read_range(
+        &self,
+        input: &mut (impl Read + Seek),
+        numbers: &Range<u64>,
+        mut each: impl FnMut(u64, u64, Option<&[f32]>) -> io::Result<()>,
+    ) -> Result<(), TakeError> {
+        let reached = self.chunks.partition_point(|chunk| chunk.span.first <= numbers.start);
+        let before = self.chunks.get(..reached).unwrap_or_default();
+        let is_key = |chunk: &SamplesChunk| chunk.span.content == SampleContent::Key;
+        let from = before.iter().rfind(|chunk| is_key(chunk)).map_or(0, |key| key.span.first);
+        let mut reader = self.reader();
+        reader.skip_to(from);
+        while let Some((span, samples)) = reader.next(input)? {
+            if span.first >= numbers.end {
+                break;
+            }
+            if span.end() > numbers.start {
+                each(span.first, span.n, samples)?;
+            }
+        }
+        Ok(())
     }
 
     /// All samples in order. `each` receives them run by run.
@@ -358,6 +394,14 @@ pub(crate) struct GroupReader<'a> {
 }
 
 impl GroupReader<'_> {
+    /// Leaves out the runs before a sample. The run that begins with it must not depend on those.
+    fn skip_to(&mut self, number: u64) {
+        let before = self.runs.as_slice().partition_point(|(span, _)| span.first < number);
+        if let Some(last) = before.checked_sub(1) {
+            self.runs.nth(last);
+        }
+    }
+
     /// The next run: its span and its samples, channel after channel, or `None` where they are lost or cannot be decoded.
     pub(crate) fn next(
         &mut self,

@@ -6,6 +6,7 @@ import "./metrics.test.js";
 import "./messages.test.js";
 import "./playback.test.js";
 import "./finished.test.js";
+import "./overlays.test.js";
 import { run } from "./harness.js";
 
 window.unitResults = await run();

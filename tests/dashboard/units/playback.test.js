@@ -1,10 +1,10 @@
-import { chartRows, column, limits, speedAt } from "/charts.js";
+import { chartRows, column, limits, speedAt, tickSeconds } from "/charts.js";
 import { roundedUp, takeTime } from "/format.js";
 import { FrameBuffer } from "/frame_buffer.js";
 import { Playback } from "/playback.js";
 import { parseWindow } from "/service_source.js";
 import { TakeMotion } from "/take_motion.js";
-import { GapCounts, gapBegins, tickSeconds } from "/time_axis.js";
+import { GapCounts, gapBegins } from "/time_axis.js";
 import { equal, isTrue, near, test, throws } from "./harness.js";
 
 const always = () => true;
@@ -205,7 +205,7 @@ test("a gap begins where a marker is missing that was there before", () => {
 });
 
 test("a bound is never rounded down", () => {
-  equal([0, 0.004, 0.1125, 0.5 + 0.5, 0.1 + 0.2, 1.004, 0.49991, 39.96, 1234.5].map(roundedUp),
+  equal([0, 0.004, 0.1125, 0.5 + 0.5, 0.1 + 0.2, 1.004, 0.49991, 39.96, 1234.5].map((mm) => roundedUp(mm)),
     ["0", "0.004", "0.113", "1", "0.3", "1.01", "0.5", "40", "1240"]);
 });
 

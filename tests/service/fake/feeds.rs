@@ -8,7 +8,7 @@ use std::sync::{
 use crossbeam_channel::{Sender, bounded};
 use mocapd_service::{
     control::EventFeed,
-    live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
+    live::{LiveFeed, LiveFrame, LiveMessage, LiveSamples, LiveTable},
     status::{ServiceEvent, ServiceEventKind, State},
 };
 
@@ -72,12 +72,18 @@ impl Feeds {
 
     /// Sends a frame to all viewers; returns their number.
     pub(crate) fn send_frame(&self, row: u64, n_markers: usize) -> usize {
+        // Sampled channels in one frame.
+        let samples = match row {
+            7 => vec![LiveSamples { group: 1, first: 40, n: 50, ranges: vec![[-0.5, 9.0]] }],
+            _ => Vec::new(),
+        };
         let frame = Arc::new(LiveFrame {
             row,
             device_ticks: row * 10,
             arrival_unix_us: 1,
             positions_mm: vec![[row as f32, 2.0, f32::NAN]; n_markers],
             face: None,
+            samples,
         });
         self.send(&LiveMessage::Frame(frame))
     }
@@ -114,5 +120,6 @@ fn table(n_markers: usize) -> Arc<LiveTable> {
         bones: vec![[0, 1]],
         limbs: Vec::new(),
         face: None,
+        groups: Vec::new(),
     })
 }

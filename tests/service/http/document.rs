@@ -2,12 +2,20 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use mocapd_acquire::{files::FileState, ledger::LedgerDocument, listing::ListedDevice};
+use mocapd_acquire::{
+    files::FileState,
+    ledger::{GroupLedgerDocument, LedgerDocument, SampleLedgerDocument},
+    listing::ListedDevice,
+};
 use mocapd_service::{
     control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
     finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, TakeRating, Trash, TrashedTake},
     http::{Problem, ProblemKind, openapi},
-    playback::{GapBins, PlaybackEvent, TakeOverview},
+    live::{LiveFace, LiveLimb},
+    playback::{
+        GapBins, LargestError, PlateList, PlateOverview, PlaybackEvent, TakeDifference,
+        TakeOverview,
+    },
     status::{
         ArchiveStatus, DeviceStatus, MarkerQuality, OutageStatus, PendingStart, PublishStatus,
         PublishedClient, ServiceEvent, ServiceEventKind, State, Status, TakeStatus, TakeSummary,
@@ -33,10 +41,14 @@ const ROUTES: &[(&str, &str)] = &[
     ("get", "/v1/quality"),
     ("get", "/v1/status"),
     ("get", "/v1/takes"),
+    ("get", "/v1/takes/{name}/difference"),
     ("get", "/v1/takes/{name}/download"),
+    ("get", "/v1/takes/{name}/face"),
+    ("get", "/v1/takes/{name}/forces"),
     ("get", "/v1/takes/{name}/gaps"),
     ("get", "/v1/takes/{name}/notes"),
     ("get", "/v1/takes/{name}/overview"),
+    ("get", "/v1/takes/{name}/plates"),
     ("get", "/v1/takes/{name}/window"),
     ("get", "/v1/trash"),
     ("post", "/login"),
@@ -98,9 +110,11 @@ fn the_document_and_the_server_have_the_same_routes() {
 /// An example of each type, with every optional field set.
 fn examples() -> Vec<(&'static str, Value)> {
     let outage = OutageStatus { ends_in_s: Some(1.0), ..OutageStatus::default() };
+    let groups = vec![GroupLedgerDocument::default()];
+    let samples = SampleLedgerDocument { groups, ..SampleLedgerDocument::default() };
     let status = Status {
         device: DeviceStatus { outage: Some(outage), ..DeviceStatus::default() },
-        take: Some(TakeStatus::default()),
+        take: Some(TakeStatus { sample_ledger: Some(samples), ..TakeStatus::default() }),
         pending_start: Some(PendingStart {
             name: Some("jump".to_owned()),
             remarks: vec!["x".to_owned()],
@@ -163,6 +177,8 @@ fn examples() -> Vec<(&'static str, Value)> {
         labels: vec!["a".to_owned()],
         labelled: vec![true],
         bones: vec![[0, 1]],
+        limbs: vec![LiveLimb::default()],
+        face: Some(LiveFace { vertices_mm: vec![[1.0; 3]], lines: vec![[0, 0]] }),
         frames_lost: Some(1),
         samples_missing: Some(1),
         events: vec![PlaybackEvent::default()],
@@ -221,6 +237,26 @@ fn examples() -> Vec<(&'static str, Value)> {
                 missing_samples: vec![1],
                 lost_frames: vec![1],
                 ..GapBins::new(1)
+            })),
+        ),
+        (
+            "PlateList",
+            value(serde_json::to_value(PlateList {
+                plates: vec![PlateOverview {
+                    name: "1".to_owned(),
+                    corners_mm: Some([[1.0; 3]; 4]),
+                }],
+                window_frames_max: 1,
+                unusable: vec!["2: no channels".to_owned()],
+            })),
+        ),
+        (
+            "TakeDifference",
+            value(serde_json::to_value(TakeDifference {
+                markers: vec![Some(1)],
+                max_error_mm: vec![Some(0.5)],
+                largest: Some(LargestError { error_mm: 0.5, frame: 1, marker: 0 }),
+                ..TakeDifference::default()
             })),
         ),
         ("Problem", value(serde_json::to_value(problem))),

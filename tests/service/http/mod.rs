@@ -5,6 +5,7 @@ mod commands;
 mod connections;
 mod document;
 mod finished;
+mod forces;
 mod hostile;
 mod lifecycle;
 mod page;

@@ -48,7 +48,10 @@ fn the_page_has_every_route_and_its_examples_work() {
 
     let served = serve();
     for (method, path, cells) in &rows {
-        if ["/login", "/logout", "/v1/events", "/v1/live", "/"].contains(&path.as_str()) {
+        // Of the last one, which needs another take, see `a_take_is_compared_with_its_original`.
+        let others =
+            ["/login", "/logout", "/v1/events", "/v1/live", "/", "/v1/takes/jump-001/difference"];
+        if others.contains(&path.as_str()) {
             continue;
         }
         let body = cells[0].trim_matches('`');

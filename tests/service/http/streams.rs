@@ -167,14 +167,19 @@ fn frames_follow_their_table_of_markers() {
     let table: serde_json::Value = serde_json::from_slice(&table).unwrap();
     assert_eq!((kind, &table["labels"][1]), (1, &"m1".into()));
     served.fake.feeds.send_frame(7, 2);
-    viewer.until(|stream| stream.messages().len() == 2);
+    viewer.until(|stream| stream.messages().len() == 3);
     let (kind, frame) = viewer.messages().remove(1);
     assert_eq!((kind, frame.len()), (2, 3 + 24 + 24));
     assert_eq!(u64::from_le_bytes(frame[3..11].try_into().unwrap()), 7);
     assert!(f32::from_le_bytes(frame[35..39].try_into().unwrap()).is_nan());
+    // Its sampled channels follow it: group 1, one channel from -0.5 to 9.
+    let (kind, samples) = viewer.messages().remove(2);
+    assert_eq!((kind, &samples[..3]), (4, &[1, 0, 0][..]));
+    assert_eq!(samples[3..15], [&40_u64.to_le_bytes()[..], &50_u32.to_le_bytes()].concat());
+    assert_eq!(samples[15..], [(-0.5_f32).to_le_bytes(), 9_f32.to_le_bytes()].concat());
     // A later viewer gets the table at once.
     served.fake.feeds.send_table(5);
-    viewer.until(|stream| stream.messages().len() == 3);
+    viewer.until(|stream| stream.messages().len() == 4);
     let mut second = Stream::open(served.at, "/v1/live", &[]);
     second.until(|stream| stream.messages().len() == 1);
     assert_eq!(served.fake.feeds.send_frame(8, 5), 1, "one feed serves all viewers");

@@ -6,11 +6,13 @@ use std::{
     os::unix::fs::symlink,
 };
 
+use mocapd_take::{interchange::Format, motion::is_gap};
+
 use super::{
     client::{Answer, ask, connect, exchange, get, post, request},
     serve,
 };
-use crate::support::assert_mentions;
+use crate::support::{assert_mentions, config, crowd, dense, record};
 
 fn with_take(name: &str) -> super::Served {
     let served = serve();
@@ -185,5 +187,83 @@ fn a_client_that_stops_reading_costs_a_slot_and_no_memory() {
         let mut rest = Vec::new();
         stream.read_to_end(&mut rest).ok();
         assert!(rest.len() < 64 << 20, "{} bytes were on their way", rest.len());
+    }
+}
+
+#[test]
+fn a_take_is_downloaded_in_the_formats_of_other_programs() {
+    let served = serve();
+    fs::write(served.folder.path().join("takes/knee-1.take"), super::take()).unwrap();
+    let path = "/v1/takes/knee-1/download";
+    let bytes = fs::read(served.folder.path().join("takes/knee-1.take")).unwrap();
+    let decoded = crate::support::rows(&bytes).0;
+    let file = |format: &str| get(served.at, &format!("{path}?format={format}"));
+    for (format, read, media_type) in [
+        ("c3d", Format::C3d, "application/octet-stream"),
+        ("trc", Format::Trc, "text/tab-separated-values; charset=utf-8"),
+        ("csv", Format::Csv, "text/csv; charset=utf-8"),
+    ] {
+        let answer = file(format);
+        assert_eq!(answer.status, 200, "{format}");
+        assert_eq!(answer.header("content-type"), Some(media_type));
+        assert_eq!(answer.header("accept-ranges"), Some("none"));
+        assert_eq!(answer.header("content-length"), None);
+        let name = format!("filename*=UTF-8''knee-1.{format}");
+        assert_mentions(answer.header("content-disposition").unwrap(), &["attachment", &name]);
+        let motion = read.read(&answer.body).unwrap();
+        assert_eq!((motion.info.n_frames, motion.info.rate_hz), (120, 120.0), "{format}");
+        let n = motion.info.markers.len();
+        for (row, expected) in decoded.iter().enumerate() {
+            for (a, b) in motion.positions_mm[row * n..(row + 1) * n].iter().zip(expected) {
+                assert_eq!(is_gap(*a), is_gap(*b), "{format} {row}");
+                let is_near = |(a, b): (&f32, &f32)| (a - b).abs() < 1e-4 * b.abs().max(1.0);
+                assert!(is_gap(*a) || a.iter().zip(b).all(is_near), "{format} {row}: {a:?} {b:?}");
+            }
+        }
+    }
+    // As it is; and what is no format.
+    assert_eq!(file("take").body, bytes);
+    assert_eq!(fs::read(served.folder.path().join("takes/knee-1.take")).unwrap(), bytes);
+    assert_mentions(&file("html").refused(400, "invalid"), &["c3d", "trc", "csv"]);
+    get(served.at, &format!("{path}?format=c3d&format=trc")).refused(400, "invalid");
+    get(served.at, "/v1/takes/none/download?format=c3d").refused(404, "not_found");
+    fs::write(served.folder.path().join("takes/noise.take"), "no take at all").unwrap();
+    get(served.at, "/v1/takes/noise/download?format=csv").refused(409, "conflict");
+    post(served.at, "/v1/start", r#"{"name":"live"}"#);
+    let refused = get(served.at, "/v1/takes/live/download?format=c3d").refused(409, "conflict");
+    assert_mentions(&refused, &["live", "being recorded"]);
+}
+
+#[test]
+fn a_client_that_leaves_during_a_conversion_ends_it() {
+    let options =
+        mocapd_service::http::HttpOptions { limits: super::short_limits(), ..super::local() };
+    let served = super::serve_with(options);
+    let motion = crowd(1, 240.0, 20.0);
+    let (_, take, _) = record(&motion, &config(&motion, dense(0.5)), 0..motion.n_frames());
+    fs::write(served.folder.path().join("takes/long.take"), take).unwrap();
+    // More clients than conversions can run or wait, which read nothing: the last ones are refused, and 0.8 s later,
+    // when the others have been cut off, nothing of them is left.
+    let path = "/v1/takes/long/download?format=csv";
+    let mut held: Vec<_> = (0..6)
+        .map(|_| {
+            let mut stream = connect(served.at);
+            stream.write_all(&request("GET", path, &[], "")).unwrap();
+            stream
+        })
+        .collect();
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    assert_mentions(&get(served.at, path).refused(503, "unavailable"), &["converted"]);
+    assert_eq!(get(served.at, "/v1/status").status, 200);
+    held.clear();
+    let began = std::time::Instant::now();
+    loop {
+        let answer = get(served.at, "/v1/takes/long/download?format=trc");
+        if answer.status == 200 {
+            assert_eq!(Format::Trc.read(&answer.body).unwrap().n_frames(), motion.n_frames());
+            break;
+        }
+        assert!(began.elapsed().as_secs() < 10, "the conversions go on");
+        std::thread::sleep(std::time::Duration::from_millis(50));
     }
 }

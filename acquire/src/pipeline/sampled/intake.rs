@@ -11,6 +11,7 @@ use super::{
     SampleWakes,
     counter::{BatchStep, SampleCounter},
     poses::{PoseRows, PosesOutcome},
+    tap::SampleTapSender,
 };
 use crate::pipeline::{PipelineConfig, messages::BlockTime};
 
@@ -50,6 +51,7 @@ pub(in crate::pipeline) struct SampledIntake {
     by_id: [Option<u8>; 256],
     wakes: SampleWakes,
     poses: PoseRows,
+    tap: SampleTapSender,
 }
 
 /// One group.
@@ -81,6 +83,8 @@ struct GroupIntake {
     needs_key: bool,
     /// Whether a block of the open stretch has ended.
     has_early_block: bool,
+    /// Number of the first sample of the last batch, unless it came before.
+    accepted: Option<u64>,
 }
 
 /// The block that is being filled.
@@ -98,7 +102,7 @@ impl SampledIntake {
         plans: &[GroupPlan],
         rings: Vec<Rings>,
         config: &PipelineConfig,
-        wakes: SampleWakes,
+        (wakes, tap): (SampleWakes, SampleTapSender),
     ) -> Self {
         let mut by_id = [None; 256];
         let groups = infos.iter().zip(plans).zip(rings).enumerate();
@@ -125,10 +129,11 @@ impl SampledIntake {
                 key_at: 0,
                 needs_key: true,
                 has_early_block: false,
+                accepted: None,
             }
         });
         let groups = groups.collect();
-        Self { groups, by_id, wakes, poses: PoseRows::new(config.recorded_bodies()) }
+        Self { groups, by_id, wakes, poses: PoseRows::new(config.recorded_bodies()), tap }
     }
 
     fn group_mut(&mut self, id: u8) -> Option<&mut GroupIntake> {
@@ -170,10 +175,15 @@ impl SampledIntake {
             return BatchOutcome::Refused;
         }
         // While no stretch ends, nothing else wakes its thread.
-        if group.batch(batch, stretch, segment)
-            && let Some(index) = index
-        {
-            self.wakes.wake(index.into());
+        let is_block_ended = group.batch(batch, stretch, segment);
+        let first = group.accepted;
+        if let Some(index) = index.map(usize::from) {
+            if is_block_ended {
+                self.wakes.wake(index);
+            }
+            if let Some(first) = first {
+                self.tap.offer(index, first, batch);
+            }
         }
         BatchOutcome::Counted
     }
@@ -314,9 +324,11 @@ impl GroupIntake {
     /// Returns whether there is something to encode.
     fn batch(&mut self, batch: &SampleBatch<'_>, stretch: u64, segment: u32) -> bool {
         let n = batch.n_samples() as u32;
+        self.accepted = None;
         if !self.follow(batch) {
             return false;
         }
+        self.accepted = Some(self.pending.iter().fold(self.next, |sum, n| sum.saturating_add(*n)));
         if n == 0 {
             return false;
         }

@@ -17,6 +17,7 @@ mod coder;
 mod counter;
 mod intake;
 mod poses;
+mod tap;
 
 use std::{
     sync::{
@@ -41,6 +42,7 @@ use mocapd_take::{
 use self::coder::SampledGroupCoder;
 pub(super) use self::intake::{BatchOutcome, SampledIntake};
 pub(super) use self::poses::PosesOutcome;
+pub use self::tap::{SampleColumn, SampleRange, SampleTapReceiver};
 use super::{
     PipelineConfig,
     messages::{BlockTime, WriterInput},
@@ -196,7 +198,7 @@ pub(super) fn start(
     groups: &[SampledGroupInfo],
     config: &PipelineConfig,
     to_writer: &Sender<WriterInput>,
-) -> anyhow::Result<(SampledIntake, SampleReturns, SamplingThreads)> {
+) -> anyhow::Result<(SampledIntake, SampleReturns, SamplingThreads, SampleTapReceiver)> {
     let plans: Vec<GroupPlan> =
         groups.iter().map(|group| GroupPlan::new(group, config.stretch)).collect();
     let bytes: usize = plans.iter().map(GroupPlan::block_bytes_max).sum();
@@ -234,10 +236,11 @@ pub(super) fn start(
         })?);
     }
     let wakes = SampleWakes(wakes);
-    let intake = SampledIntake::new(groups, &plans, rings, config, wakes.clone());
+    let (tap_in, tap) = tap::tap(&config.sampled);
+    let intake = SampledIntake::new(groups, &plans, rings, config, (wakes.clone(), tap_in));
     let block_bytes_max = plans.iter().map(GroupPlan::block_bytes_max).max().unwrap_or(0);
     let returns = SampleReturns { buffers, wakes, block_bytes_max, are_gone };
-    Ok((intake, returns, SamplingThreads(handles)))
+    Ok((intake, returns, SamplingThreads(handles), tap))
 }
 
 /// Tells the writer that a thread has ended, also if it panicked: takes then are not closed later than needed.

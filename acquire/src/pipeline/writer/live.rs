@@ -22,7 +22,7 @@ use crate::{
     files::FileState,
     pipeline::{
         Counts, FirstRow, NewTake, NothingRecorded, PipelineProgress, TakeAccount, TakeFailed,
-        TakeOutput, TakeProgress, TakeResult,
+        TakeOutput, TakeResult,
         commands::Reply,
         disk::DiskReserve,
         lock,
@@ -275,15 +275,15 @@ impl LiveTake {
     pub(super) fn publish(&self, progress: &PipelineProgress) {
         progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
         progress.samples.store(self.report.samples, Ordering::Relaxed);
-        let now = TakeProgress {
-            rows: self.counts.seen(),
-            bytes: self.take.bytes(),
-            durable_bytes: self.synced_bytes,
-            samples: self.report.samples,
-            max_error_mm: self.report.max_error_mm,
-            ledger: self.counts.ledger(false),
-        };
-        *lock(&progress.take) = Some(now);
+        let mut now = lock(&progress.take);
+        let now = now.get_or_insert_default();
+        now.rows = self.counts.seen();
+        now.bytes = self.take.bytes();
+        now.durable_bytes = self.synced_bytes;
+        now.samples = self.report.samples;
+        now.max_error_mm = self.report.max_error_mm;
+        now.ledger = self.counts.ledger(false);
+        self.samples.state_ledger(&mut now.sample_ledger, self.counts.batches_refused);
     }
 
     /// Ends the take after an error: its unused reserve is released, and what was written stays.

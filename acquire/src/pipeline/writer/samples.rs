@@ -239,4 +239,16 @@ impl TakeSamples {
         let has_some = !groups.is_empty() || batches_refused > 0;
         has_some.then_some(SampleLedger { finished, groups, batches_refused })
     }
+
+    /// Updates the ledger so far in place, without allocation after the first time.
+    pub(super) fn state_ledger(&self, stated: &mut Option<SampleLedger>, batches_refused: u64) {
+        if self.groups.is_empty() && batches_refused == 0 {
+            *stated = None;
+            return;
+        }
+        let stated = stated.get_or_insert_default();
+        stated.batches_refused = batches_refused;
+        stated.groups.clear();
+        stated.groups.extend(self.groups.iter().map(|group| group.ledger));
+    }
 }
