@@ -8,14 +8,14 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail, ensure};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol, SampledGroupInfo},
+    device::{Command, DeviceEvent, ForcePlateInfo, Hello, LinkBudget, MarkerInfo, Protocol, SampledGroupInfo},
     registry::{self, Candidate, OpenedDevice},
     transport::{Transport, TransportError},
     uri::{DeviceUri, Location},
 };
 use mocapd_take::{
     motion::UpAxis,
-    record::{Channel, Device, Header},
+    record::{Channel, Device, Header, RecordedPlate},
 };
 pub use reader::{ReadOptions, ReaderOutcome};
 
@@ -48,6 +48,7 @@ pub struct Rig {
     hello: Hello,
     markers: Vec<MarkerInfo>,
     sampled: Vec<SampledGroupInfo>,
+    plates: Vec<ForcePlateInfo>,
     not_finite_before: u64,
     /// Identifies the device after it was plugged in again.
     identity: Candidate,
@@ -178,12 +179,13 @@ impl Rig {
             tick_hz: self.hello.tick_hz,
             low_latency: self.transport.is_low_latency(),
         };
+        let plates = self.plates.iter().filter_map(plate_setting);
         Ok(Header {
             up_axis: UpAxis::from_code(self.hello.up_axis),
             device: Some(device),
             channels: config.channels.clone(),
             stretch_rows: config.stretch_rows(),
-            settings: config.custom_times(),
+            settings: [config.custom_times(), plates.collect()].concat(),
             ..header::new(&config.codec, config.rate_hz)?
         })
     }
@@ -303,6 +305,7 @@ impl Rig {
             hello: Hello::default(),
             markers: Vec::new(),
             sampled: Vec::new(),
+            plates: Vec::new(),
             not_finite_before: 0,
             identity,
             replug_timeout: Duration::ZERO,
@@ -321,7 +324,7 @@ impl Rig {
             self.send(Command::Stop)?;
             let damaged = self.protocol.counters().messages_damaged;
             let mut hello = None;
-            let (mut markers, mut sampled) = (Vec::new(), Vec::new());
+            let (mut markers, mut sampled, mut plates) = (Vec::new(), Vec::new(), Vec::new());
             self.send(Command::Identify)?;
             let host_ns = monotonic_ns();
             self.request(Command::Ping { host_ns }, cancel, |event| {
@@ -330,9 +333,11 @@ impl Rig {
                         hello = Some(new.clone());
                         markers.clear();
                         sampled.clear();
+                        plates.clear();
                     }
                     DeviceEvent::Markers(more) => merge_markers(&mut markers, more),
                     DeviceEvent::SampledGroup(group) => merge_group(&mut sampled, group),
+                    DeviceEvent::ForcePlate(plate) => merge_plate(&mut plates, plate),
                     // The device answers in order: the pong comes after the answers to earlier commands.
                     DeviceEvent::Pong(pong) if pong.host_ns == host_ns => return Some(()),
                     _ => {}
@@ -345,7 +350,8 @@ impl Rig {
                 self.hello = hello;
                 // Takes and their ledgers have the groups in order of numbers, whatever the order of the answers.
                 sampled.sort_by_key(|group| group.id);
-                (self.markers, self.sampled) = (markers, sampled);
+                plates.sort_by_key(|plate| plate.number);
+                (self.markers, self.sampled, self.plates) = (markers, sampled, plates);
                 return Ok(());
             }
         }
@@ -367,6 +373,25 @@ fn merge_group(groups: &mut Vec<SampledGroupInfo>, new: &SampledGroupInfo) {
         Some(known) => known.clone_from(new),
         None => groups.push(new.clone()),
     }
+}
+
+/// Adds a force plate; of two with the same number the last description counts. There are as many numbers as plates that
+/// the link allows.
+fn merge_plate(plates: &mut Vec<ForcePlateInfo>, new: &ForcePlateInfo) {
+    match plates.iter_mut().find(|known| known.number == new.number) {
+        Some(known) => known.clone_from(new),
+        None => plates.push(new.clone()),
+    }
+}
+
+/// The setting of a take's header that states a force plate; `None` for one whose corners span no surface.
+fn plate_setting(plate: &ForcePlateInfo) -> Option<(String, String)> {
+    let channels = plate.channels.iter().map(|&index| index.into()).collect();
+    let corners_mm = plate.corners_mm.map(|corner| corner.map(f64::from));
+    let names = (plate.number, plate.output.code());
+    let origin_mm = plate.origin_mm.map(f64::from);
+    let plate = RecordedPlate::new(names, plate.group.into(), channels, corners_mm, origin_mm);
+    plate.ok().map(|plate| plate.setting())
 }
 
 /// Merges markers into the table. Repeated commands repeat markers: the last description of an id counts.

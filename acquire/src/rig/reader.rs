@@ -456,6 +456,8 @@ impl Reader<'_> {
             }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
             DeviceEvent::SampledGroup(group) => self.intake.announce_group(group),
+            // A take has those that were announced before it.
+            DeviceEvent::ForcePlate(_) => {}
             DeviceEvent::Status(status) => {
                 self.last_status = Some(status);
                 self.intake.status(status, false);

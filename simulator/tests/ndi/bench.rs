@@ -151,6 +151,7 @@ impl Bench {
             DeviceEvent::Status(now) => *status = Some(now),
             // An NDI system has no sampled channels.
             DeviceEvent::SampledGroup(_)
+            | DeviceEvent::ForcePlate(_)
             | DeviceEvent::Samples(_)
             | DeviceEvent::Trigger(_)
             | DeviceEvent::RateSet(_) => {}

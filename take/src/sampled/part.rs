@@ -92,6 +92,15 @@ impl GroupSamples {
         self.group.n_samples.unwrap_or(found.max(self.n_stated))
     }
 
+    /// From its first sample in the file to after its last one.
+    pub(crate) fn stored_range(&self) -> std::ops::Range<u64> {
+        let mut stored = self.chunks.iter().map(|chunk| chunk.span);
+        let is_block = |span: &SampleSpan| !matches!(span.content, SampleContent::Lost(_));
+        let first = stored.clone().find(is_block);
+        let last = stored.rfind(is_block);
+        first.zip(last).map_or(0..0, |(first, last)| first.first..last.end())
+    }
+
     /// A ledger states that the take had this many samples by then.
     fn state(&mut self, ledger: &GroupLedger) {
         if self.group.kind == RECORDED && ledger.taken <= SAMPLES_MAX {

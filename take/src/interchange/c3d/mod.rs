@@ -17,6 +17,7 @@ mod marker_order;
 mod parameter_values;
 mod parameters;
 mod read;
+mod recorded;
 pub(crate) mod sample_parts;
 mod sampled_channels;
 mod stride;
@@ -37,9 +38,11 @@ pub(crate) use parameter_values::parameter_values;
 pub use parameter_values::{C3dParameter, C3dValues};
 pub(crate) use parameters::Parameters;
 pub(super) use read::{C3dFrames, open};
+pub(super) use recorded::{RecordedPlan, name_of};
 pub(crate) use sampled_channels::describe as describe_sampled;
 pub(crate) use stride::ANALOG_MAX;
 pub(super) use write::write;
+pub(crate) use force_platform::factor_of_unit;
 
 /// Version of the layouts of the foreign parts (`docs/foreign.md`).
 const VERSION: u8 = 1;

@@ -1,0 +1,392 @@
+//! The sampled channels of a recording on the time line of its frames: the one place that says when a sample was taken.
+//!
+//! A sample has the device's time that SAMPLE_TIMES gives it, and a place among the rows by [`RowClock`]: sample times and
+//! frame times agree wherever the device took both at once, whatever its rates are. All exports, the plots and the
+//! Python package read recorded samples from here.
+
+use std::{
+    fmt,
+    io::{self, Read, Seek},
+    ops::Range,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use super::{GroupReader, GroupSamples, RowClock, SampleClock, SampleTime};
+use crate::{
+    TakeError, TakeMap,
+    interchange::Rotation,
+    record::{RecordedPlate, SampledChannel},
+};
+
+/// Samples of a block that are decoded at once are those of a block of the take; lost ones come in blocks of this many.
+const LOST_AT_ONCE: u64 = 1 << 16;
+
+/// Most lost samples of a channel between others: half a day at 1000 Hz. A few bytes of a damaged take can claim years.
+const LOST_MAX: u64 = 1 << 26;
+
+/// The file of a take, for readers that share it.
+pub trait ReadSeek: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> ReadSeek for T {}
+
+/// What all copies of a recording share.
+struct Shared {
+    groups: Vec<GroupSamples>,
+    clock: RowClock,
+    tick_hz: u64,
+    rate_hz: f64,
+    n_rows: u64,
+    first_frame: u64,
+    input: Mutex<Box<dyn ReadSeek>>,
+    /// For groups and ranges of rows that were asked for before: the numbers of their samples.
+    found: Mutex<Vec<((usize, u64, u64), Arc<[Range<u64>]>)>>,
+}
+
+/// The sampled channels of a recording, and its force plates.
+#[derive(Clone)]
+pub struct Recording {
+    shared: Arc<Shared>,
+    plates: Vec<RecordedPlate>,
+    warnings: Vec<String>,
+    resamples: bool,
+}
+
+impl fmt::Debug for Recording {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let n_groups = self.shared.groups.len();
+        let mut out = f.debug_struct("Recording");
+        out.field("n_groups", &n_groups).field("plates", &self.plates).finish_non_exhaustive()
+    }
+}
+
+impl PartialEq for Recording {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.shared, &other.shared)
+            && self.plates == other.plates
+            && self.resamples == other.resamples
+    }
+}
+
+impl Recording {
+    /// The sampled channels of a take, whose file `input` reads; `None` if it has none.
+    ///
+    /// # Errors
+    /// Those of [`RowClock::read`].
+    pub fn open(
+        map: &TakeMap,
+        mut input: impl Read + Seek + Send + 'static,
+    ) -> Result<Option<Self>, TakeError> {
+        let groups: Vec<GroupSamples> = map.recorded_groups().cloned().collect();
+        if groups.is_empty() {
+            return Ok(None);
+        }
+        let clock = RowClock::read(&mut input, map)?;
+        let (plates, mut warnings) = map.header.force_plates();
+        let has_channels = |plate: &RecordedPlate| {
+            let mut groups = groups.iter().map(|group| &group.group);
+            let group = groups.find(|group| group.number == plate.group);
+            let n_channels = group.map_or(0, |group| group.channels.len());
+            plate.channels.iter().all(|&channel| channel < n_channels)
+        };
+        let (plates, others): (Vec<_>, Vec<_>) = plates.into_iter().partition(has_channels);
+        warnings.extend(others.iter().map(|plate| {
+            format!("Force plate {} has channels that the take does not have.", plate.number)
+        }));
+        let shared = Arc::new(Shared {
+            groups,
+            clock,
+            tick_hz: map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1)),
+            rate_hz: map.header.rate_hz,
+            n_rows: map.n_rows,
+            first_frame: map.header.source.as_ref().map_or(1, |source| source.first_frame),
+            input: Mutex::new(Box::new(input)),
+            found: Mutex::default(),
+        });
+        Ok(Some(Self { shared, plates, warnings, resamples: false }))
+    }
+
+    /// The same, for an export that may resample channels where the format needs it.
+    #[must_use]
+    pub fn resampling(self, resamples: bool) -> Self {
+        Self { resamples, ..self }
+    }
+
+    /// Whether an export may resample channels.
+    #[must_use]
+    pub fn resamples(&self) -> bool {
+        self.resamples
+    }
+
+    /// The force plates in the axes after a rotation.
+    pub(crate) fn rotated(&self, rotation: Rotation) -> Self {
+        let mut all = self.clone();
+        for plate in &mut all.plates {
+            plate.geometry = plate.geometry.rotated(rotation);
+        }
+        all
+    }
+
+    /// The groups, in order of their numbers.
+    #[must_use]
+    pub fn groups(&self) -> &[GroupSamples] {
+        &self.shared.groups
+    }
+
+    /// The force plates that can be used.
+    #[must_use]
+    pub fn plates(&self) -> &[RecordedPlate] {
+        &self.plates
+    }
+
+    /// Why force plates cannot be used, one sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Number of the take's first frame.
+    pub(crate) fn first_frame(&self) -> u64 {
+        self.shared.first_frame
+    }
+
+    /// Number of rows of the take.
+    #[must_use]
+    pub fn n_rows(&self) -> u64 {
+        self.shared.n_rows
+    }
+
+    /// The clock of a group; `None` beyond the last one.
+    #[must_use]
+    pub fn clock(&self, group: usize) -> Option<RecordingClock<'_>> {
+        let samples = self.shared.groups.get(group)?.clock(self.shared.tick_hz);
+        Some(RecordingClock { samples, rows: &self.shared.clock })
+    }
+
+    /// The time of a place among the rows, in seconds from row `first_row`, to the nanosecond.
+    #[must_use]
+    pub fn time_s(&self, position: f64, first_row: u64) -> f64 {
+        ((position - first_row as f64) / self.shared.rate_hz * 1e9).round() / 1e9
+    }
+
+    /// The numbers of a group's samples that were taken from row `rows.start` to before row `rows.end`, in ascending order;
+    /// those before the first row and after the last one of the take belong to a range that has that row. Lost samples
+    /// count, unless none follows or precedes them.
+    ///
+    /// # Errors
+    /// `InvalidArgument` if more samples are lost than any take has.
+    pub fn numbers(&self, group: usize, rows: &Range<u64>) -> Result<Arc<[Range<u64>]>, TakeError> {
+        let key = (group, rows.start, rows.end);
+        let lock = || self.shared.found.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, known)) = lock().iter().find(|(known, _)| *known == key) {
+            return Ok(Arc::clone(known));
+        }
+        let found: Arc<[Range<u64>]> = self.find_numbers(group, rows)?.into();
+        lock().push((key, Arc::clone(&found)));
+        Ok(found)
+    }
+
+    fn find_numbers(&self, group: usize, rows: &Range<u64>) -> Result<Vec<Range<u64>>, TakeError> {
+        let (Some(samples), Some(clock)) = (self.shared.groups.get(group), self.clock(group)) else {
+            return Ok(Vec::new());
+        };
+        let lost: u64 = samples.lost().iter().fold(0, |sum, lost| sum.saturating_add(lost.n));
+        let stored = samples.stored_range();
+        if lost > LOST_MAX && lost > stored.end - stored.start.min(stored.end) {
+            return Err(TakeError::InvalidArgument(format!(
+                "group {} has lost {lost} samples of each channel, more than can be exported: recover the take",
+                samples.group.number
+            )));
+        }
+        let from = if rows.start == 0 { f64::NEG_INFINITY } else { rows.start as f64 };
+        let to = if rows.end >= self.shared.n_rows { f64::INFINITY } else { rows.end as f64 };
+        let mut found: Vec<Range<u64>> = Vec::new();
+        for number in stored {
+            let Some(at) = clock.position(number) else { continue };
+            if !(from..to).contains(&at) {
+                continue;
+            }
+            match found.last_mut() {
+                Some(last) if last.end == number => last.end = number + 1,
+                _ => found.push(number..number + 1),
+            }
+        }
+        Ok(found)
+    }
+
+    /// How many samples of each channel have no place on the time line, because the take does not say when they were taken,
+    /// or no frame was taken for seconds.
+    ///
+    /// # Errors
+    /// Those of [`numbers`](Self::numbers).
+    pub fn n_without_time(&self, group: usize) -> Result<u64, TakeError> {
+        let placed = self.numbers(group, &(0..self.shared.n_rows))?;
+        let n_placed: u64 = placed.iter().map(|range| range.end - range.start).sum();
+        let stored = self.shared.groups.get(group).map(GroupSamples::stored_range);
+        Ok(stored.map_or(0, |stored| stored.end.saturating_sub(stored.start).saturating_sub(n_placed)))
+    }
+
+    /// The samples of a group in those rows, block by block.
+    ///
+    /// # Errors
+    /// Those of [`numbers`](Self::numbers).
+    pub fn samples(&self, group: usize, rows: &Range<u64>) -> Result<RecordedSamples<'_>, TakeError> {
+        let numbers = self.numbers(group, rows)?;
+        let found = self.shared.groups.get(group);
+        Ok(RecordedSamples {
+            recording: self,
+            clock: self.clock(group),
+            reader: found.map(GroupSamples::reader),
+            channels: found.map_or(&[][..], |found| &found.group.channels),
+            numbers,
+            next_range: 0,
+            lost: None,
+        })
+    }
+}
+
+/// The times of a group's samples on the time line of the rows.
+#[derive(Debug, Clone, Copy)]
+pub struct RecordingClock<'a> {
+    samples: SampleClock<'a>,
+    rows: &'a RowClock,
+}
+
+impl RecordingClock<'_> {
+    /// The place of a sample among the rows.
+    #[must_use]
+    pub fn position(&self, number: u64) -> Option<f64> {
+        self.rows.position(&self.samples.at(number)?)
+    }
+
+    /// The time of a sample by the device's clock.
+    #[must_use]
+    pub fn device_time(&self, number: u64) -> Option<SampleTime> {
+        self.samples.at(number)
+    }
+}
+
+/// Consecutive samples of all channels of a group.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SampleBlock {
+    /// Numbers of the samples.
+    pub numbers: Vec<u64>,
+    /// Their places among the rows, ascending.
+    pub positions: Vec<f64>,
+    /// The samples as the take stores them, one after another; of each, all channels in order. NaN where they are lost.
+    pub stored: Vec<f32>,
+    /// Whether they are lost.
+    pub is_lost: bool,
+}
+
+/// The samples of a group, decoded block by block.
+pub struct RecordedSamples<'a> {
+    recording: &'a Recording,
+    clock: Option<RecordingClock<'a>>,
+    reader: Option<GroupReader<'a>>,
+    channels: &'a [SampledChannel],
+    numbers: Arc<[Range<u64>]>,
+    next_range: usize,
+    /// Lost samples that have not been returned yet.
+    lost: Option<Range<u64>>,
+}
+
+impl fmt::Debug for RecordedSamples<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("RecordedSamples").field("numbers", &self.numbers).finish_non_exhaustive()
+    }
+}
+
+impl<'a> RecordedSamples<'a> {
+    /// The channels.
+    #[must_use]
+    pub fn channels(&self) -> &'a [SampledChannel] {
+        self.channels
+    }
+
+    /// Samples of each channel.
+    #[must_use]
+    pub fn n_samples(&self) -> u64 {
+        self.numbers.iter().map(|range| range.end - range.start).sum()
+    }
+
+    /// The places of all samples among the rows, in order.
+    pub fn positions(&self) -> impl Iterator<Item = f64> + '_ {
+        let numbers = self.numbers.iter().cloned().flatten();
+        numbers.map(|number| self.position(number))
+    }
+
+    fn position(&self, number: u64) -> f64 {
+        self.clock.and_then(|clock| clock.position(number)).unwrap_or(f64::NAN)
+    }
+
+    /// Replaces `block` by the next samples; `false` at the end.
+    ///
+    /// # Errors
+    /// Those of reading the take.
+    pub fn next_block(&mut self, block: &mut SampleBlock) -> io::Result<bool> {
+        let recording = self.recording;
+        let mut input = recording.shared.input.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            if let Some(lost) = self.lost.take() {
+                let end = lost.end.min(lost.start + LOST_AT_ONCE);
+                self.lost = Some(end..lost.end).filter(|rest| !rest.is_empty());
+                if self.fill(block, lost.start..end, None) {
+                    return Ok(true);
+                }
+                continue;
+            }
+            let Some(reader) = &mut self.reader else { return Ok(false) };
+            let last = self.numbers.last().map_or(0, |range| range.end);
+            let Some((span, samples)) = reader.next(&mut &mut **input).map_err(io::Error::other)? else {
+                return Ok(false);
+            };
+            let Some(samples) = samples else {
+                self.lost = Some(span.first..span.end().min(last)).filter(|lost| !lost.is_empty());
+                if span.first >= last {
+                    return Ok(false);
+                }
+                continue;
+            };
+            let samples = samples.to_vec();
+            if self.fill(block, span.first..span.end(), Some(&samples)) {
+                return Ok(true);
+            }
+            if span.first >= last {
+                return Ok(false);
+            }
+        }
+    }
+
+    /// Fills a block with those of the samples that are wanted; `samples` has them channel after channel. Returns whether
+    /// there is one.
+    fn fill(&mut self, block: &mut SampleBlock, all: Range<u64>, samples: Option<&[f32]>) -> bool {
+        block.numbers.clear();
+        block.positions.clear();
+        block.stored.clear();
+        block.is_lost = samples.is_none();
+        let n = (all.end - all.start) as usize;
+        while let Some(wanted) = self.numbers.get(self.next_range) {
+            for number in wanted.start.max(all.start)..wanted.end.min(all.end) {
+                let at = (number - all.start) as usize;
+                block.numbers.push(number);
+                let value = |channel: usize| samples.and_then(|samples| samples.get(channel * n + at));
+                let values = (0..self.channels.len()).map(|channel| value(channel).copied());
+                block.stored.extend(values.map(|value| value.unwrap_or(f32::NAN)));
+            }
+            if wanted.end > all.end {
+                break;
+            }
+            self.next_range += 1;
+        }
+        block.positions.extend(block.numbers.iter().map(|&number| self.position(number)));
+        !block.numbers.is_empty()
+    }
+}
+
+impl SampledChannel {
+    /// The value of a stored sample, in the channel's unit.
+    #[must_use]
+    pub fn value(&self, stored: f32) -> f64 {
+        (f64::from(stored) - self.offset) * self.scale
+    }
+}
