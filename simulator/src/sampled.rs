@@ -7,7 +7,9 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use mocapd_drivers::device::{ForcePlateInfo, PlateOutput, SampleForm, SampledChannelInfo, SampledGroupInfo};
+use mocapd_drivers::device::{
+    ForcePlateInfo, PlateOutput, SampleForm, SampledChannelInfo, SampledGroupInfo,
+};
 use mocapd_drivers::link::{SAMPLE_VALUES_MAX, SAMPLED_CHANNELS_MAX};
 use mocapd_take::quantity::rate_hz;
 

@@ -8,7 +8,10 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail, ensure};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, ForcePlateInfo, Hello, LinkBudget, MarkerInfo, Protocol, SampledGroupInfo},
+    device::{
+        Command, DeviceEvent, ForcePlateInfo, Hello, LinkBudget, MarkerInfo, Protocol,
+        SampledGroupInfo,
+    },
     registry::{self, Candidate, OpenedDevice},
     transport::{Transport, TransportError},
     uri::{DeviceUri, Location},

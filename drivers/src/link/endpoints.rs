@@ -11,8 +11,8 @@ use super::{
 use crate::{
     bytes::WireValue,
     device::{
-        Command, DeviceEvent, ForcePlateInfo, Frame, Hello, LinkBudget, LinkCounters, MarkerInfo, MarkerSample,
-        Pong, Protocol, SampleBatch, SampledGroupInfo, Status, Trigger,
+        Command, DeviceEvent, ForcePlateInfo, Frame, Hello, LinkBudget, LinkCounters, MarkerInfo,
+        MarkerSample, Pong, Protocol, SampleBatch, SampledGroupInfo, Status, Trigger,
     },
 };
 

@@ -147,7 +147,9 @@ impl FormatArgs {
             return usage("--subtract-baseline is for .mot: omit it");
         }
         if self.resample && format != Format::C3d {
-            return usage("--resample is for .c3d: omit it, other formats have the samples and their times");
+            return usage(
+                "--resample is for .c3d: omit it, other formats have the samples and their times",
+            );
         }
         if self.tolerance.is_some() && format != Format::Html {
             return usage(

@@ -22,9 +22,7 @@ use mocapd_service::units;
 use mocapd_store::is_url;
 use mocapd_take::{
     TakeFrames,
-    interchange::{
-        Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz, write_c3d,
-    },
+    interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz, write_c3d},
     motion::{FrameSource, MotionInfo, UpAxis},
     record::Ledger,
 };

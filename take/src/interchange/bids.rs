@@ -36,14 +36,8 @@ const BIDS_VERSION: &str = "1.10.0";
 const MISSING: &str = "n/a";
 
 /// The parts of the names of a recording's files.
-const SUFFIXES: [&str; 6] = [
-    "motion.tsv",
-    "motion.json",
-    "channels.tsv",
-    "channels.json",
-    "events.tsv",
-    "events.json",
-];
+const SUFFIXES: [&str; 6] =
+    ["motion.tsv", "motion.json", "channels.tsv", "channels.json", "events.tsv", "events.json"];
 
 /// Most groups of sampled channels of a recording: the link protocol numbers them from 0 to 15.
 const GROUPS_MAX: u32 = 16;
@@ -302,7 +296,8 @@ fn sampled_json(labels: &BidsLabels, table: &SampledTable<'_>) -> io::Result<Vec
         number(table.times_s().next().unwrap_or(0.0)),
         json!(names),
     ];
-    let about_time = json!({ "Description": "Time from the first frame of the motion", "Units": "s" });
+    let about_time =
+        json!({ "Description": "Time from the first frame of the motion", "Units": "s" });
     let own_time = own_time.map(|name| (name, about_time));
     let common = RECORDING_MEMBERS.into_iter().zip(values).chain(own_time);
     let columns = table.columns().iter().map(|column| {

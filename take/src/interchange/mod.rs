@@ -30,13 +30,13 @@ mod mcap;
 mod metadata;
 pub mod mot;
 mod motion_reader;
-mod recorded_rows;
 pub mod npz;
 mod origin;
 mod origin_gaps;
 pub mod page_motion;
 #[cfg(feature = "full")]
 mod parquet;
+mod recorded_rows;
 mod rotated;
 mod rotation;
 mod row_timing;

@@ -38,10 +38,13 @@ pub fn write(
 ) -> Result<Vec<String>> {
     let info = frames.info().clone();
     let tables = SampledTable::all(&info)?.into_iter();
-    let mut recorded: Vec<_> = tables.filter(|t| t.is_recorded() && t.kind().is_of_plates()).collect();
+    let mut recorded: Vec<_> =
+        tables.filter(|t| t.is_recorded() && t.kind().is_of_plates()).collect();
     match (recorded.pop(), recorded.is_empty(), baseline) {
         (None, ..) => {}
-        (Some(table), true, Baseline::AsStored) => return write_recorded(table, frames, &info, out),
+        (Some(table), true, Baseline::AsStored) => {
+            return write_recorded(table, frames, &info, out);
+        }
         (Some(_), false, _) => {
             return unsupported(
                 "the channels of the force plates are in several groups, which have times of their own, but .mot has one \
@@ -116,7 +119,8 @@ fn write_recorded(
         line.clear();
         write!(line, "{last_s}")?;
         for (load, counts) in row.as_chunks::<3>().0.as_chunks::<4>().0.iter().zip(&mut counts) {
-            let [force_n, moment_nm, cop_mm, free_moment_nm] = load.map(|vector| vector.map(f64::from));
+            let [force_n, moment_nm, cop_mm, free_moment_nm] =
+                load.map(|vector| vector.map(f64::from));
             let load = PlateLoad { force_n, moment_nm, cop_mm, free_moment_nm };
             counts.add(&load, info);
             put_load(&mut line, &load)?;
@@ -125,7 +129,8 @@ fn write_recorded(
         out.write_all(&line)
     })?;
     out.flush()?;
-    let of_plates = numbers.iter().zip(&counts).flat_map(|(number, counts)| counts.remarks(*number));
+    let of_plates =
+        numbers.iter().zip(&counts).flat_map(|(number, counts)| counts.remarks(*number));
     let mut remarks: Vec<String> = of_plates.collect();
     remarks.extend((n_left_out > 0).then(|| {
         format!("{} left out, because their times do not ascend.", counted(n_left_out, "row"))
@@ -208,7 +213,8 @@ impl LoadCounts {
 pub(super) fn left_out(info: &MotionInfo) -> Vec<String> {
     let mut left_out = vec![counted(info.markers.len() as u64, "marker")];
     if let Some(recording) = &info.recording {
-        let channels = recording.groups().iter().map(|found| found.group.channels.len()).sum::<usize>();
+        let channels =
+            recording.groups().iter().map(|found| found.group.channels.len()).sum::<usize>();
         let n_used: usize = recording.plates().iter().map(|plate| plate.channels.len()).sum();
         let others = channels.saturating_sub(n_used) as u64;
         left_out.extend((others > 0).then(|| counted(others, "other sampled channel")));

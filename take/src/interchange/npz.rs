@@ -120,7 +120,8 @@ fn write_table(
             vec![n_rows, n_columns]
         }
         SampledKind::ForcePlates(group) => {
-            let plate = group.map_or("force_plate".to_owned(), |group| format!("force_plate_{group}"));
+            let plate =
+                group.map_or("force_plate".to_owned(), |group| format!("force_plate_{group}"));
             let n_plates = table.plates().len() as u64;
             let mut numbers = npy_header(I64, &[n_plates]);
             let number = |plate: &ForcePlate| (plate.number as u64).to_le_bytes();

@@ -5,33 +5,11 @@ use std::io;
 use crate::{
     TakeError,
     foreign::force_plates::{ForcePlate, PlateLoad},
-    interchange::c3d::{AnalogChannel, factor_of_unit},
+    interchange::c3d::AnalogChannel,
     motion::MotionInfo,
-    record::{RecordedPlate, SampledChannel},
+    record::SampledChannel,
     sampled::{RecordedSamples, Recording, SampleBlock},
 };
-
-/// The plates of a recording whose channels a group has, as those of imported files.
-pub(super) fn plates_of(recording: &Recording, group: usize) -> Vec<ForcePlate> {
-    let Some(found) = recording.groups().get(group) else { return Vec::new() };
-    let plate = |plate: &RecordedPlate| {
-        let units = plate.channels.iter().map(|&channel| {
-            found.group.channels.get(channel).map_or("", |channel| channel.unit.trim())
-        });
-        // Units that are unknown are taken for N, N m and mm.
-        let factor = |(place, unit)| factor_of_unit(plate.kind, place, unit).unwrap_or(1.0);
-        ForcePlate {
-            number: plate.number,
-            kind: plate.kind,
-            geometry: plate.geometry.clone(),
-            channels: plate.channels.clone(),
-            calibration: None,
-            factors: units.enumerate().map(factor).collect(),
-        }
-    };
-    let of_group = recording.plates().iter().filter(|plate| plate.group == found.group.number);
-    of_group.map(plate).collect()
-}
 
 /// A recorded channel, as those of imported files.
 pub(super) fn as_analog(channel: &SampledChannel) -> AnalogChannel {

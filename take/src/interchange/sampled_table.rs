@@ -7,7 +7,7 @@ use std::io::{self, Write};
 use super::{
     Result,
     csv::quote,
-    recorded_rows::{RecordedRows, as_analog, plates_of},
+    recorded_rows::{RecordedRows, as_analog},
     text::{unique_names, without_tabs},
 };
 use crate::{
@@ -51,7 +51,9 @@ impl SampledKind {
             Self::Analog => "the analog channels".to_owned(),
             Self::Group(number) => format!("group {number} of sampled channels"),
             Self::ForcePlates(None) => "the loads of the force plates".to_owned(),
-            Self::ForcePlates(Some(number)) => format!("the loads of the force plates of group {number}"),
+            Self::ForcePlates(Some(number)) => {
+                format!("the loads of the force plates of group {number}")
+            }
         }
     }
 
@@ -154,7 +156,13 @@ impl<'a> SampledTable<'a> {
             let columns = plate_columns(&loads.plates().plates);
             let (rate_hz, ratio) = (loads.rate_hz(), loads.samples_per_frame());
             let source = TableSource::ForcePlates(Box::new(loads), Vec::new());
-            Self::new(SampledKind::ForcePlates(None), columns, (rate_hz, ratio), info.n_frames, source)
+            Self::new(
+                SampledKind::ForcePlates(None),
+                columns,
+                (rate_hz, ratio),
+                info.n_frames,
+                source,
+            )
         });
         let mut all: Vec<Self> = analog.into_iter().chain(plates).collect();
         if let Some(recording) = &info.recording {
@@ -167,18 +175,20 @@ impl<'a> SampledTable<'a> {
     fn all_recorded(info: &'a MotionInfo, recording: &'a Recording) -> io::Result<Vec<Self>> {
         let groups = recording.groups().iter().enumerate();
         let n_with_plates =
-            groups.clone().filter(|(index, _)| !plates_of(recording, *index).is_empty()).count();
+            groups.clone().filter(|(index, _)| !recording.force_plates(*index).is_empty()).count();
         let (mut of_channels, mut of_plates) = (Vec::new(), Vec::new());
         for (index, found) in groups {
             let number = found.group.number;
             let table = |kind, columns, plates| {
-                let rows = RecordedRows::new(info, recording, index, plates).map_err(io::Error::other)?;
+                let rows =
+                    RecordedRows::new(info, recording, index, plates).map_err(io::Error::other)?;
                 let shape = (found.group.rate_hz, 0);
                 let source = TableSource::Recorded(Box::new(rows));
                 Ok::<_, io::Error>(Self::new(kind, columns, shape, info.n_frames, source))
             };
             let channels: Vec<AnalogChannel> = found.group.channels.iter().map(as_analog).collect();
-            let mut channels = table(SampledKind::Group(number), analog_columns(&channels), Vec::new())?;
+            let mut channels =
+                table(SampledKind::Group(number), analog_columns(&channels), Vec::new())?;
             let n = recording.n_without_time(index).map_err(io::Error::other)?;
             channels.warnings.extend((n > 0).then(|| {
                 format!(
@@ -187,7 +197,7 @@ impl<'a> SampledTable<'a> {
                 )
             }));
             of_channels.push(channels);
-            let plates = plates_of(recording, index);
+            let plates = recording.force_plates(index);
             if !plates.is_empty() {
                 let kind = SampledKind::ForcePlates(Some(number).filter(|_| n_with_plates > 1));
                 of_plates.push(table(kind, plate_columns(&plates), plates)?);
@@ -212,7 +222,19 @@ impl<'a> SampledTable<'a> {
             TableSource::ForcePlates(loads, _) => loads.plates().warnings.clone(),
             TableSource::Recorded(_) => Vec::new(),
         };
-        Self { kind, columns, rate_hz, samples_per_frame, n_frames, source, block, next, n_read, times, warnings }
+        Self {
+            kind,
+            columns,
+            rate_hz,
+            samples_per_frame,
+            n_frames,
+            source,
+            block,
+            next,
+            n_read,
+            times,
+            warnings,
+        }
     }
 
     /// What the table holds.

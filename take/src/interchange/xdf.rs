@@ -4,11 +4,7 @@
 
 use std::io::{self, Write};
 
-use super::{
-    Result, check_frame_count,
-    sampled_table::SampledTable,
-    text::column_labels,
-};
+use super::{Result, check_frame_count, sampled_table::SampledTable, text::column_labels};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
 /// Chunk tags.

@@ -35,9 +35,14 @@ impl RecordedPlate {
     ) -> Result<Self, String> {
         // A calibration matrix has no place in the setting.
         let kind = PlateType::from_code(code.into()).filter(|kind| *kind != PlateType::Type4);
-        let kind = kind.ok_or_else(|| format!("it is of type {code}, but types 1 to 3 are supported"))?;
+        let kind =
+            kind.ok_or_else(|| format!("it is of type {code}, but types 1 to 3 are supported"))?;
         if channels.len() != kind.n_channels() {
-            return Err(format!("it has {} channels, expected {}", channels.len(), kind.n_channels()));
+            return Err(format!(
+                "it has {} channels, expected {}",
+                channels.len(),
+                kind.n_channels()
+            ));
         }
         let geometry = PlateGeometry::new(corners_mm, origin_mm)?;
         Ok(Self { number: number.into(), kind, group, channels, geometry })
@@ -97,7 +102,9 @@ impl Header {
         for (_, text) in self.settings.iter().filter(|(key, _)| key == FORCE_PLATE) {
             match RecordedPlate::parse(text) {
                 Ok(plate) => plates.push(plate),
-                Err(why) => unusable.push(format!("A force plate of the take cannot be used: {why}.")),
+                Err(why) => {
+                    unusable.push(format!("A force plate of the take cannot be used: {why}."))
+                }
             }
         }
         (plates, unusable)
@@ -109,7 +116,12 @@ mod tests {
     use super::*;
 
     fn plate() -> RecordedPlate {
-        let corners = [[450.0, 300.5, 0.0], [-450.0, 300.5, 0.0], [-450.0, -300.5, 0.0], [450.0, -300.5, 0.0]];
+        let corners = [
+            [450.0, 300.5, 0.0],
+            [-450.0, 300.5, 0.0],
+            [-450.0, -300.5, 0.0],
+            [450.0, -300.5, 0.0],
+        ];
         RecordedPlate::new((2, 2), 3, (6..12).collect(), corners, [0.25, 0.0, -41.5]).unwrap()
     }
 

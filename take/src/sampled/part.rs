@@ -285,6 +285,20 @@ impl GroupSamples {
         kept
     }
 
+    /// Decodes its samples run by run, from the last key block at or before a sample on.
+    pub(crate) fn reader_from(&self, number: u64) -> GroupReader<'_> {
+        let mut reader = self.reader();
+        let runs = reader.runs.as_slice();
+        let behind = runs.partition_point(|(span, _)| span.first <= number);
+        let is_key =
+            |(span, _): &(SampleSpan, Option<(u64, u64)>)| span.content == SampleContent::Key;
+        let key = runs.get(..behind).and_then(|before| before.iter().rposition(is_key));
+        for _ in 0..key.unwrap_or(0) {
+            reader.runs.next();
+        }
+        reader
+    }
+
     /// Decodes its samples run by run.
     pub(crate) fn reader(&self) -> GroupReader<'_> {
         let mut runs = Vec::new();

@@ -14,7 +14,8 @@ use std::{
 use super::{GroupReader, GroupSamples, RowClock, SampleClock, SampleTime};
 use crate::{
     TakeError, TakeMap,
-    interchange::Rotation,
+    foreign::force_plates::ForcePlate,
+    interchange::{Rotation, c3d::factor_of_unit},
     record::{RecordedPlate, SampledChannel},
 };
 
@@ -186,7 +187,8 @@ impl Recording {
     }
 
     fn find_numbers(&self, group: usize, rows: &Range<u64>) -> Result<Vec<Range<u64>>, TakeError> {
-        let (Some(samples), Some(clock)) = (self.shared.groups.get(group), self.clock(group)) else {
+        let (Some(samples), Some(clock)) = (self.shared.groups.get(group), self.clock(group))
+        else {
             return Ok(Vec::new());
         };
         let lost: u64 = samples.lost().iter().fold(0, |sum, lost| sum.saturating_add(lost.n));
@@ -222,25 +224,78 @@ impl Recording {
         let placed = self.numbers(group, &(0..self.shared.n_rows))?;
         let n_placed: u64 = placed.iter().map(|range| range.end - range.start).sum();
         let stored = self.shared.groups.get(group).map(GroupSamples::stored_range);
-        Ok(stored.map_or(0, |stored| stored.end.saturating_sub(stored.start).saturating_sub(n_placed)))
+        Ok(stored
+            .map_or(0, |stored| stored.end.saturating_sub(stored.start).saturating_sub(n_placed)))
     }
 
     /// The samples of a group in those rows, block by block.
     ///
     /// # Errors
     /// Those of [`numbers`](Self::numbers).
-    pub fn samples(&self, group: usize, rows: &Range<u64>) -> Result<RecordedSamples<'_>, TakeError> {
-        let numbers = self.numbers(group, rows)?;
+    pub fn samples(
+        &self,
+        group: usize,
+        rows: &Range<u64>,
+    ) -> Result<RecordedSamples<'_>, TakeError> {
+        Ok(self.samples_of(group, self.numbers(group, rows)?))
+    }
+
+    /// Some of the samples of a group, block by block: `indices` counts those of the whole take that have a time.
+    ///
+    /// # Errors
+    /// Those of [`numbers`](Self::numbers).
+    pub fn samples_at(
+        &self,
+        group: usize,
+        indices: &Range<u64>,
+    ) -> Result<RecordedSamples<'_>, TakeError> {
+        let mut before = 0;
+        let mut wanted = Vec::new();
+        for range in self.numbers(group, &(0..self.shared.n_rows))?.iter() {
+            let n = range.end - range.start;
+            let first = indices.start.saturating_sub(before).min(n);
+            let end = indices.end.saturating_sub(before).min(n);
+            wanted.extend((first < end).then_some(range.start + first..range.start + end));
+            before += n;
+        }
+        Ok(self.samples_of(group, wanted.into()))
+    }
+
+    fn samples_of(&self, group: usize, numbers: Arc<[Range<u64>]>) -> RecordedSamples<'_> {
         let found = self.shared.groups.get(group);
-        Ok(RecordedSamples {
+        let first = numbers.first().map_or(0, |range| range.start);
+        RecordedSamples {
             recording: self,
             clock: self.clock(group),
-            reader: found.map(GroupSamples::reader),
+            reader: found.map(|found| found.reader_from(first)),
             channels: found.map_or(&[][..], |found| &found.group.channels),
             numbers,
             next_range: 0,
             lost: None,
-        })
+        }
+    }
+
+    /// The force plates whose channels a group has, as those of imported files: their channels are those of the group.
+    #[must_use]
+    pub fn force_plates(&self, group: usize) -> Vec<ForcePlate> {
+        let Some(found) = self.shared.groups.get(group) else { return Vec::new() };
+        let plate = |plate: &RecordedPlate| {
+            let units = plate.channels.iter().map(|&channel| {
+                found.group.channels.get(channel).map_or("", |channel| channel.unit.trim())
+            });
+            // Units that are unknown are taken for N, N m and mm.
+            let factor = |(place, unit)| factor_of_unit(plate.kind, place, unit).unwrap_or(1.0);
+            ForcePlate {
+                number: plate.number,
+                kind: plate.kind,
+                geometry: plate.geometry.clone(),
+                channels: plate.channels.clone(),
+                calibration: None,
+                factors: units.enumerate().map(factor).collect(),
+            }
+        };
+        let of_group = self.plates.iter().filter(|plate| plate.group == found.group.number);
+        of_group.map(plate).collect()
     }
 }
 
@@ -337,7 +392,8 @@ impl<'a> RecordedSamples<'a> {
             }
             let Some(reader) = &mut self.reader else { return Ok(false) };
             let last = self.numbers.last().map_or(0, |range| range.end);
-            let Some((span, samples)) = reader.next(&mut &mut **input).map_err(io::Error::other)? else {
+            let Some((span, samples)) = reader.next(&mut &mut **input).map_err(io::Error::other)?
+            else {
                 return Ok(false);
             };
             let Some(samples) = samples else {
@@ -369,7 +425,8 @@ impl<'a> RecordedSamples<'a> {
             for number in wanted.start.max(all.start)..wanted.end.min(all.end) {
                 let at = (number - all.start) as usize;
                 block.numbers.push(number);
-                let value = |channel: usize| samples.and_then(|samples| samples.get(channel * n + at));
+                let value =
+                    |channel: usize| samples.and_then(|samples| samples.get(channel * n + at));
                 let values = (0..self.channels.len()).map(|channel| value(channel).copied());
                 block.stored.extend(values.map(|value| value.unwrap_or(f32::NAN)));
             }

@@ -70,7 +70,8 @@ impl<'a> Resampler<'a> {
     /// # Errors
     /// Those of reading the take.
     pub(crate) fn at(&mut self, position: f64, out: &mut Vec<f32>) -> io::Result<bool> {
-        let after = |window: &VecDeque<(f64, u64)>| window.partition_point(|(at, _)| *at <= position);
+        let after =
+            |window: &VecDeque<(f64, u64)>| window.partition_point(|(at, _)| *at <= position);
         while !self.is_ended && self.window.len() < after(&self.window) + self.half {
             self.advance()?;
         }
@@ -111,7 +112,8 @@ impl<'a> Resampler<'a> {
             let weight = sinc(distance * self.cutoff) * kaiser(distance / reach);
             total += weight;
             let held = tap.clamp(first as i64, last as i64) as usize * self.n_channels;
-            for (sum, value) in sums.iter_mut().zip(self.values.range(held..held + self.n_channels)) {
+            for (sum, value) in sums.iter_mut().zip(self.values.range(held..held + self.n_channels))
+            {
                 *sum += weight * f64::from(*value);
             }
         }

@@ -102,7 +102,8 @@ impl RowClock {
                 let passed_ns = ticks / tick_hz * 1e9 * (1.0 + line.drift_ppb as f64 * 1e-9);
                 (line.host_ns as f64 + passed_ns - piece.arrival_ns as f64).abs()
             };
-            let nearest = map.clock_lines.iter().min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)));
+            let nearest =
+                map.clock_lines.iter().min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)));
             piece.segment = nearest.map(|(segment, _)| *segment);
         }
     }
@@ -125,7 +126,8 @@ impl RowClock {
                 (before, after) = (Some(piece), None);
             }
         }
-        let beyond = |knot: &Knot| knot.row as f64 + time.ticks_since(knot.ticks) * self.rows_per_tick;
+        let beyond =
+            |knot: &Knot| knot.row as f64 + time.ticks_since(knot.ticks) * self.rows_per_tick;
         let from = before.and_then(|piece| piece.knots.last());
         let to = after.and_then(|piece| piece.knots.first());
         match (from, to) {

@@ -2,7 +2,9 @@ mod commands;
 mod frames;
 mod samples;
 
-use mocapd_drivers::device::{DeviceEvent, LinkBudget, Pong, Protocol, SampledGroupInfo};
+use mocapd_drivers::device::{
+    DeviceEvent, ForcePlateInfo, LinkBudget, Pong, Protocol, SampledGroupInfo,
+};
 use mocapd_drivers::link::{FrameForm, HostLink};
 use mocapd_take::motion::is_gap;
 
@@ -15,6 +17,7 @@ const MS: u64 = 1_000_000;
 #[derive(Debug, Clone, PartialEq)]
 enum Event {
     Group(SampledGroupInfo),
+    Plate(ForcePlateInfo),
     Samples(SentSamples),
     Hello(Hello),
     Markers(usize),
@@ -75,6 +78,7 @@ impl Bench {
                     samples: frame.markers.to_vec(),
                 },
                 DeviceEvent::SampledGroup(group) => Event::Group(group.clone()),
+                DeviceEvent::ForcePlate(plate) => Event::Plate(plate.clone()),
                 DeviceEvent::Samples(batch) => Event::Samples(SentSamples {
                     group: batch.group,
                     number: batch.number,

@@ -30,6 +30,7 @@ pub(crate) use analog::{channels as analog_channels, is_unsigned as is_analog_un
 pub(super) use columns::MODEL_OUTPUTS;
 pub(crate) use columns::{ANALOG, value as sample_value};
 pub(super) use events::EVENTS_MAX;
+pub(crate) use force_platform::factor_of_unit;
 pub(crate) use force_platform::plates as force_plates;
 pub(super) use foreign::rotate;
 pub(crate) use foreign::{PARAMETERS, PartSamples, kept_parameters};
@@ -42,7 +43,6 @@ pub(super) use recorded::{RecordedPlan, name_of};
 pub(crate) use sampled_channels::describe as describe_sampled;
 pub(crate) use stride::ANALOG_MAX;
 pub(super) use write::write;
-pub(crate) use force_platform::factor_of_unit;
 
 /// Version of the layouts of the foreign parts (`docs/foreign.md`).
 const VERSION: u8 = 1;

@@ -62,7 +62,11 @@ pub(crate) struct RecordedPlan {
 }
 
 /// The samples of a group in a frame if they fit, or why they do not.
-fn fit(recording: &Recording, index: usize, rate_hz: f64) -> std::result::Result<(usize, Placement), String> {
+fn fit(
+    recording: &Recording,
+    index: usize,
+    rate_hz: f64,
+) -> std::result::Result<(usize, Placement), String> {
     let Some(group) = recording.groups().get(index) else { return Err(String::new()) };
     let multiple = group.group.rate_hz / rate_hz;
     let ratio = multiple.round();
@@ -70,21 +74,29 @@ fn fit(recording: &Recording, index: usize, rate_hz: f64) -> std::result::Result
         return Err(format!("its rate is no whole multiple of the frames' {rate_hz} Hz"));
     }
     let Some(clock) = recording.clock(index) else { return Err(String::new()) };
-    let distance = |number: u64| Some((number as f64, clock.position(number)? * ratio - number as f64));
+    let distance =
+        |number: u64| Some((number as f64, clock.position(number)? * ratio - number as f64));
     let (mut runs, mut farthest) = (Vec::new(), 0.0_f64);
     let same_run = |a: &crate::sampled::SampleAnchor, b: &crate::sampled::SampleAnchor| {
         (a.run_start, a.segment) == (b.run_start, b.segment)
     };
     let mut all = group.anchors().chunk_by(same_run).peekable();
     while let Some(anchors) = all.next() {
-        let end = all.peek().and_then(|next| next.first()).map_or(group.n_samples(), |next| next.run_start);
+        let end = all
+            .peek()
+            .and_then(|next| next.first())
+            .map_or(group.n_samples(), |next| next.run_start);
         let Some(first) = anchors.first() else { continue };
-        let numbers = anchors.iter().map(|anchor| anchor.number).chain([first.run_start, end.max(1) - 1]);
+        let numbers =
+            anchors.iter().map(|anchor| anchor.number).chain([first.run_start, end.max(1) - 1]);
         let at: Vec<(f64, f64)> = numbers.filter_map(distance).collect();
         let Some((mean, slope)) = line(&at) else { continue };
         let drift = slope * end.saturating_sub(first.run_start) as f64;
         if drift.abs() > DRIFT_MAX {
-            return Err(format!("its clock and the frames' drift apart by {:.1} samples", drift.abs()));
+            return Err(format!(
+                "its clock and the frames' drift apart by {:.1} samples",
+                drift.abs()
+            ));
         }
         let shift = mean.round();
         farthest = at.iter().map(|(_, d)| (d - shift).abs()).fold(farthest, f64::max);
@@ -116,8 +128,9 @@ impl RecordedPlan {
     /// What a file of `info` has.
     pub(crate) fn of(info: &MotionInfo) -> Self {
         let Some(recording) = &info.recording else { return Self::default() };
-        let fits: Vec<_> =
-            (0..recording.groups().len()).map(|index| fit(recording, index, info.rate_hz)).collect();
+        let fits: Vec<_> = (0..recording.groups().len())
+            .map(|index| fit(recording, index, info.rate_hz))
+            .collect();
         let ratio = Self::choose_ratio(recording, &fits, info.rate_hz);
         let mut plan = Self { ratio, ..Self::default() };
         let mut n_channels = 0;
@@ -125,7 +138,8 @@ impl RecordedPlan {
             let more = found.group.channels.len();
             let name = name_of(&found.group);
             if (ratio * (n_channels + more)) as u64 > ANALOG_MAX {
-                plan.left_out.push(format!("{name}: a C3D frame holds at most {ANALOG_MAX} analog samples"));
+                plan.left_out
+                    .push(format!("{name}: a C3D frame holds at most {ANALOG_MAX} analog samples"));
                 continue;
             }
             let placement = match fit {
@@ -156,14 +170,17 @@ impl RecordedPlan {
         fits: &[std::result::Result<(usize, Placement), String>],
         rate_hz: f64,
     ) -> usize {
-        let own = |index: usize| fits.get(index).and_then(|fit| fit.as_ref().ok()).map(|(ratio, _)| *ratio);
+        let own = |index: usize| {
+            fits.get(index).and_then(|fit| fit.as_ref().ok()).map(|(ratio, _)| *ratio)
+        };
         let first = (0..fits.len()).find_map(own);
         let all_agree = (0..fits.len()).all(|index| own(index).is_some() && own(index) == first);
         if let (true, Some(ratio)) = (all_agree, first) {
             return ratio;
         }
         if recording.resamples() {
-            let highest = recording.groups().iter().map(|found| found.group.rate_hz).fold(0.0, f64::max);
+            let highest =
+                recording.groups().iter().map(|found| found.group.rate_hz).fold(0.0, f64::max);
             return (highest / rate_hz - WHOLE).ceil().clamp(1.0, ANALOG_MAX as f64) as usize;
         }
         let of_plate = |group: u32| {
@@ -204,7 +221,12 @@ impl RecordedPlan {
 /// Where the samples of a group come from.
 #[derive(Debug)]
 enum GroupSource<'a> {
-    Unchanged { samples: RecordedSamples<'a>, runs: Vec<RunOfSlots>, block: SampleBlock, next: usize },
+    Unchanged {
+        samples: RecordedSamples<'a>,
+        runs: Vec<RunOfSlots>,
+        block: SampleBlock,
+        next: usize,
+    },
     Resampled(Box<Resampler<'a>>),
 }
 
@@ -257,8 +279,13 @@ impl<'a> RecordedAnalog<'a> {
                     GroupSource::Unchanged { samples, runs, block: SampleBlock::default(), next: 0 }
                 }
                 Placement::Resampled => {
-                    let whole = recording.samples(index, &(0..recording.n_rows())).map_err(of_take)?;
-                    GroupSource::Resampled(Box::new(Resampler::new(whole, found.group.rate_hz, to_hz)))
+                    let whole =
+                        recording.samples(index, &(0..recording.n_rows())).map_err(of_take)?;
+                    GroupSource::Resampled(Box::new(Resampler::new(
+                        whole,
+                        found.group.rate_hz,
+                        to_hz,
+                    )))
                 }
             };
             let name = name_of(&found.group);
@@ -307,13 +334,22 @@ impl<'a> RecordedAnalog<'a> {
 
     /// What happened to the samples, one sentence each. Complete after the last frame.
     pub(super) fn remarks(&self) -> Vec<String> {
-        self.remarks.iter().cloned().chain(self.groups.iter().flat_map(GroupWriter::remarks)).collect()
+        self.remarks
+            .iter()
+            .cloned()
+            .chain(self.groups.iter().flat_map(GroupWriter::remarks))
+            .collect()
     }
 
     /// Sets the ANALOG and `FORCE_PLATFORM` groups.
-    pub(super) fn fill_parameters(&self, parameters: &mut Parameters, recording: &Recording) -> Result<()> {
+    pub(super) fn fill_parameters(
+        &self,
+        parameters: &mut Parameters,
+        recording: &Recording,
+    ) -> Result<()> {
         let numbers: Vec<PlateChannel> = self.numbers(recording);
-        let place = |plate_channel: PlateChannel| numbers.iter().position(|found| *found == plate_channel);
+        let place =
+            |plate_channel: PlateChannel| numbers.iter().position(|found| *found == plate_channel);
         let plates: Vec<_> = recording
             .plates()
             .iter()
@@ -340,7 +376,10 @@ impl<'a> RecordedAnalog<'a> {
         }
         for (name, texts) in [("LABELS", &labels), ("UNITS", &units)] {
             parameters.set_texts(ANALOG, name, texts).map_err(|text| {
-                InterchangeError::Unsupported(format!("C3D texts have at most 255 bytes: `{text}` has {}", text.len()))
+                InterchangeError::Unsupported(format!(
+                    "C3D texts have at most 255 bytes: `{text}` has {}",
+                    text.len()
+                ))
             })?;
         }
         parameters.set_float_list(ANALOG, "SCALE", &scales);
@@ -356,7 +395,8 @@ impl<'a> RecordedAnalog<'a> {
     fn numbers(&self, recording: &Recording) -> Vec<PlateChannel> {
         let number = |group: &GroupWriter<'_>| {
             let mut all = recording.groups().iter();
-            all.find(|found| name_of(&found.group) == group.name).map_or(0, |found| found.group.number)
+            all.find(|found| name_of(&found.group) == group.name)
+                .map_or(0, |found| found.group.number)
         };
         let of = |group: &GroupWriter<'_>| {
             let number = number(group);
@@ -370,8 +410,12 @@ impl<'a> RecordedAnalog<'a> {
 fn set_plates(parameters: &mut Parameters, plates: &[(&crate::record::RecordedPlate, Vec<usize>)]) {
     let n = u8::try_from(plates.len()).unwrap_or(u8::MAX);
     let plates = &plates[..usize::from(n)];
-    let floats = |values: Vec<f64>| values.iter().flat_map(|v| (*v as f32).to_le_bytes()).collect::<Vec<u8>>();
-    let words = |values: Vec<usize>| values.iter().flat_map(|v| (*v as u16).to_le_bytes()).collect::<Vec<u8>>();
+    let floats = |values: Vec<f64>| {
+        values.iter().flat_map(|v| (*v as f32).to_le_bytes()).collect::<Vec<u8>>()
+    };
+    let words = |values: Vec<usize>| {
+        values.iter().flat_map(|v| (*v as u16).to_le_bytes()).collect::<Vec<u8>>()
+    };
     let corners = plates.iter().flat_map(|(plate, _)| plate.geometry.corners_mm()).flatten();
     let origins = plates.iter().flat_map(|(plate, _)| plate.geometry.origin_mm());
     let n_channels = plates.iter().map(|(_, channels)| channels.len()).max().unwrap_or(6);
@@ -387,7 +431,13 @@ fn set_plates(parameters: &mut Parameters, plates: &[(&crate::record::RecordedPl
     parameters.set(FORCE_PLATFORM, "ZERO", 2, vec![2], words(vec![0, 0]));
     parameters.set(FORCE_PLATFORM, "CORNERS", 4, vec![3, 4, n], floats(corners.collect()));
     parameters.set(FORCE_PLATFORM, "ORIGIN", 4, vec![3, n], floats(origins.collect()));
-    parameters.set(FORCE_PLATFORM, "CHANNEL", 2, vec![n_channels as u8, n], words(channels.collect()));
+    parameters.set(
+        FORCE_PLATFORM,
+        "CHANNEL",
+        2,
+        vec![n_channels as u8, n],
+        words(channels.collect()),
+    );
 }
 
 impl GroupWriter<'_> {
@@ -412,7 +462,11 @@ impl GroupWriter<'_> {
         // C3D cannot say that a sample is missing: the value is 0.
         values.truncate(before);
         values.extend(self.channels.iter().map(|channel| channel.offset as f32));
-        if self.n_written == 0 { self.n_before += 1 } else { self.n_trailing += 1 }
+        if self.n_written == 0 {
+            self.n_before += 1
+        } else {
+            self.n_trailing += 1
+        }
         Ok(())
     }
 

@@ -80,7 +80,9 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         for (channel, table) in &mut tables {
             let width = table.columns().len().max(1);
             let rows = table.next_frame()?;
-            for (row, time) in rows.into_iter().flat_map(|(rows, times)| rows.chunks_exact(width).zip(times)) {
+            for (row, time) in
+                rows.into_iter().flat_map(|(rows, times)| rows.chunks_exact(width).zip(times))
+            {
                 let time_ns = time_between(time.frames);
                 file.message(*channel, time_ns, &messages::sampled(row, time_ns))?;
             }
