@@ -154,8 +154,9 @@ pub struct ForcePlateInfo {
     /// The corners of its surface in the device's axes, in millimetres: those of the quadrants (+x +y), (-x +y), (-x -y),
     /// (+x -y) of the plate's own axes, in which its channels are.
     pub corners_mm: [[f32; 3]; 4],
-    /// In the plate's own axes, in millimetres: from the origin of the sensors to the centre of the surface; of four
-    /// sensors half their distances along x and y, and the height of their origin above the surface.
+    /// In the plate's own axes, in millimetres: from the origin of the sensors to the centre of the surface, so that z is
+    /// positive in a plate whose z axis points up, and negative in one whose z axis points down; of four sensors half
+    /// their distances along x and y, and the height of their origin above the surface, which is not positive.
     pub origin_mm: [f32; 3],
 }
 

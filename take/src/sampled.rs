@@ -12,8 +12,8 @@ mod tests;
 mod times;
 
 pub(crate) use self::encoder::PartContext;
-pub(crate) use self::part::{GroupReader, RecoveredSamples};
-pub(crate) use self::resample::{FILTER, Resampler};
+pub(crate) use self::part::{GroupReader, RecoveredSamples, SampleRun};
+pub(crate) use self::resample::{FILTER, Resampler, reach};
 pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},

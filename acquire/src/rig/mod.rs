@@ -18,7 +18,7 @@ use mocapd_drivers::{
 };
 use mocapd_take::{
     motion::UpAxis,
-    record::{Channel, Device, Header, RecordedPlate},
+    record::{Channel, Device, Header, StatedPlate},
 };
 pub use reader::{ReadOptions, ReaderOutcome};
 
@@ -182,7 +182,7 @@ impl Rig {
             tick_hz: self.hello.tick_hz,
             low_latency: self.transport.is_low_latency(),
         };
-        let plates = self.plates.iter().filter_map(plate_setting);
+        let plates = self.plates.iter().map(plate_setting);
         Ok(Header {
             up_axis: UpAxis::from_code(self.hello.up_axis),
             device: Some(device),
@@ -387,14 +387,18 @@ fn merge_plate(plates: &mut Vec<ForcePlateInfo>, new: &ForcePlateInfo) {
     }
 }
 
-/// The setting of a take's header that states a force plate; `None` for one whose corners span no surface.
-fn plate_setting(plate: &ForcePlateInfo) -> Option<(String, String)> {
-    let channels = plate.channels.iter().map(|&index| index.into()).collect();
-    let corners_mm = plate.corners_mm.map(|corner| corner.map(f64::from));
-    let names = (plate.number, plate.output.code());
-    let origin_mm = plate.origin_mm.map(f64::from);
-    let plate = RecordedPlate::new(names, plate.group.into(), channels, corners_mm, origin_mm);
-    plate.ok().map(|plate| plate.setting())
+/// The setting of a take's header that states a force plate. One whose corners span no surface is stated, too: readers say
+/// that it cannot be used.
+fn plate_setting(plate: &ForcePlateInfo) -> (String, String) {
+    let stated = StatedPlate {
+        number: plate.number,
+        code: plate.output.code(),
+        group: plate.group.into(),
+        channels: plate.channels.iter().map(|&index| index.into()).collect(),
+        corners_mm: plate.corners_mm.map(|corner| corner.map(f64::from)),
+        origin_mm: plate.origin_mm.map(f64::from),
+    };
+    stated.setting()
 }
 
 /// Merges markers into the table. Repeated commands repeat markers: the last description of an id counts.

@@ -91,7 +91,7 @@ pub(crate) fn all() -> Vec<Example> {
             [-450.0, -300.0, 0.0],
             [450.0, -300.0, 0.0],
         ],
-        origin_mm: [0.0, 0.0, -41.5],
+        origin_mm: [0.0, 0.0, 41.5],
     };
     let batch = SampleBatch {
         group: 2,

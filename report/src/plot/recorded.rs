@@ -72,7 +72,7 @@ pub(super) fn channel_traces(
         if wanted.is_empty() {
             continue;
         }
-        while let Some((rows, times)) = table.next_frame().map_err(TakeError::from)? {
+        while let Some((rows, times)) = table.next_any().map_err(TakeError::from)? {
             for (row, time) in rows.chunks_exact(width.max(1)).zip(times) {
                 for &(at, channel) in &wanted {
                     if let (Some((trace, _)), Some(&value)) = (found.get_mut(at), row.get(channel))
@@ -134,7 +134,7 @@ pub(super) fn for_each_load(
             continue;
         }
         let n_plates = table.plates().len();
-        while let Some((rows, times)) = table.next_frame().map_err(TakeError::from)? {
+        while let Some((rows, times)) = table.next_any().map_err(TakeError::from)? {
             let loads = rows.as_chunks::<3>().0.as_chunks::<4>().0;
             for (row, time) in loads.chunks_exact(n_plates.max(1)).zip(times) {
                 for (place, [force, _, cop, _]) in row.iter().enumerate() {

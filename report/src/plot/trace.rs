@@ -5,6 +5,9 @@ use std::ops::Range;
 /// Points on a curve for a signal of more samples: two for every pixel of the widest panel.
 const STEPS: u64 = 1200;
 
+/// Time between two samples, in periods, from which on the curve has a gap.
+const PERIODS_APART: f64 = 3.0;
+
 /// A signal that is read sample by sample. If it has more than [`STEPS`] samples, the smallest and the largest of each
 /// step are kept, so that no peak is lost.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -40,6 +43,9 @@ impl Trace {
         let at = (time_s, value);
         if self.n_read == 0 {
             self.start_s = time_s;
+        } else if time_s - self.last_s > PERIODS_APART / self.rate_hz {
+            self.end_step();
+            self.is_open = false;
         }
         self.last_s = time_s;
         self.n_read += 1;

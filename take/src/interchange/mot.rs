@@ -7,8 +7,8 @@
 use std::io::Write;
 
 use super::{
-    InterchangeError, Result, check_frame_count, counted, sampled_table::SampledTable, unsupported,
-    write_frames,
+    InterchangeError, Result, c3d, check_frame_count, counted, sampled_table::SampledTable,
+    unsupported, write_frames,
 };
 use crate::{
     TakeError,
@@ -131,7 +131,8 @@ fn write_recorded(
     out.flush()?;
     let of_plates =
         numbers.iter().zip(&counts).flat_map(|(number, counts)| counts.remarks(*number));
-    let mut remarks: Vec<String> = of_plates.collect();
+    let warnings = info.recording.as_ref().map(c3d::warnings_of).unwrap_or_default();
+    let mut remarks: Vec<String> = warnings.into_iter().chain(of_plates).collect();
     remarks.extend((n_left_out > 0).then(|| {
         format!("{} left out, because their times do not ascend.", counted(n_left_out, "row"))
     }));

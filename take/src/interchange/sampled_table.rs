@@ -5,7 +5,7 @@
 use std::io::{self, Write};
 
 use super::{
-    Result,
+    Result, c3d,
     csv::quote,
     recorded_rows::{RecordedRows, as_analog},
     text::{unique_names, without_tabs},
@@ -26,6 +26,9 @@ const QUANTITIES: [(&str, &str); 4] =
 
 /// The name of the column of times.
 pub(super) const TIME_COLUMN: &str = "time_s";
+
+/// Values of a recording that are held at once, at least: a take may have any number of samples before its first frame.
+const VALUES_AT_ONCE: usize = 1 << 14;
 
 /// Bytes of a text table that are written at once.
 const BUFFER_BYTES: usize = 1 << 16;
@@ -187,15 +190,8 @@ impl<'a> SampledTable<'a> {
                 Ok::<_, io::Error>(Self::new(kind, columns, shape, info.n_frames, source))
             };
             let channels: Vec<AnalogChannel> = found.group.channels.iter().map(as_analog).collect();
-            let mut channels =
+            let channels =
                 table(SampledKind::Group(number), analog_columns(&channels), Vec::new())?;
-            let n = recording.n_without_time(index).map_err(io::Error::other)?;
-            channels.warnings.extend((n > 0).then(|| {
-                format!(
-                    "{n} samples of group {number} are left out: the take does not say when they were taken, or has no \
-                     frame around them."
-                )
-            }));
             of_channels.push(channels);
             let plates = recording.force_plates(index);
             if !plates.is_empty() {
@@ -204,7 +200,7 @@ impl<'a> SampledTable<'a> {
             }
         }
         if let Some(first) = of_channels.first_mut() {
-            first.warnings.extend_from_slice(recording.warnings());
+            first.warnings.extend(c3d::warnings_of(recording));
         }
         Ok(of_channels.into_iter().chain(of_plates).collect())
     }
@@ -309,28 +305,32 @@ impl<'a> SampledTable<'a> {
         &self.warnings
     }
 
-    /// The rows of the next frame, one after another, rounded once to f32, and their times. NaN where there is no sample,
-    /// or a plate has no centre of pressure. The rows of a recording before the first frame and after the last one are
-    /// with these. `None` after the last frame.
+    /// The next rows of the frames up to number `frame`, from 0, one after another, rounded once to f32, and their times;
+    /// NaN where there is no sample, or a plate has no centre of pressure. `None` if there are no more of these frames: call
+    /// it again until then. The rows of a recording before the first frame and after the last one are with these.
     ///
     /// # Errors
     /// Those of reading the take, or the scratch file that the samples may be in.
-    pub fn next_frame(&mut self) -> io::Result<Option<(&[f32], &[RowTime])>> {
-        if self.n_read >= self.n_frames {
+    pub fn next_rows(&mut self, frame: u64) -> io::Result<Option<(&[f32], &[RowTime])>> {
+        self.times.clear();
+        if let TableSource::Recorded(rows) = &mut self.source {
+            self.block.clear();
+            let is_last = frame.saturating_add(1) >= self.n_frames;
+            let end = if is_last { f64::INFINITY } else { frame as f64 + 1.0 };
+            while self.block.len() < VALUES_AT_ONCE
+                && let Some(frames) = rows.peek()?.filter(|frames| *frames < end)
+            {
+                let time_s = rows.take(&mut self.block);
+                self.times.push(RowTime { frames, time_s });
+            }
+            let found = Some((&self.block[..], &self.times[..]));
+            return Ok(found.filter(|(_, times)| !times.is_empty()));
+        }
+        if self.n_read > frame || self.n_read >= self.n_frames {
             return Ok(None);
         }
         let frame = self.n_read;
         self.n_read += 1;
-        self.times.clear();
-        if let TableSource::Recorded(rows) = &mut self.source {
-            self.block.clear();
-            let end = if self.n_read == self.n_frames { f64::INFINITY } else { self.n_read as f64 };
-            while let Some(frames) = rows.peek()?.filter(|frames| *frames < end) {
-                let time_s = rows.take(&mut self.block);
-                self.times.push(RowTime { frames, time_s });
-            }
-            return Ok(Some((&self.block, &self.times)));
-        }
         if self.next >= self.block.len() {
             self.read_block()?;
         }
@@ -344,6 +344,14 @@ impl<'a> SampledTable<'a> {
             time_s: (frame * ratio + sample) as f64 / rate_hz,
         }));
         Ok(Some((self.block.get(from..from + n).unwrap_or(&[]), &self.times)))
+    }
+
+    /// The next rows of any frame, as [`next_rows`](Self::next_rows); `None` at the end.
+    ///
+    /// # Errors
+    /// Those of [`next_rows`](Self::next_rows).
+    pub fn next_any(&mut self) -> io::Result<Option<(&[f32], &[RowTime])>> {
+        self.next_rows(self.n_frames.saturating_sub(1))
     }
 
     fn read_block(&mut self) -> io::Result<()> {
@@ -376,9 +384,11 @@ impl<'a> SampledTable<'a> {
         mut put: impl FnMut(RowTime, &[f32]) -> io::Result<()>,
     ) -> io::Result<()> {
         let width = self.columns.len().max(1);
-        while let Some((rows, times)) = self.next_frame()? {
-            for (row, time) in rows.chunks_exact(width).zip(times) {
-                put(*time, row)?;
+        for frame in 0..self.n_frames {
+            while let Some((rows, times)) = self.next_rows(frame)? {
+                for (row, time) in rows.chunks_exact(width).zip(times) {
+                    put(*time, row)?;
+                }
             }
             frames.count_sampled(1);
         }

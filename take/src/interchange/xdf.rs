@@ -48,7 +48,7 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         n_written += 1;
         samples.flush_if_full(out)?;
         for stream in &mut streams {
-            stream.write_frame(out)?;
+            stream.write_frame(n_written - 1, out)?;
             frames.count_sampled(1);
         }
     }
@@ -88,18 +88,20 @@ impl<'a> SampledStream<'a> {
         put_zero_clock_offset(out, id)
     }
 
-    /// Writes the samples of the next frame.
-    fn write_frame(&mut self, out: &mut dyn Write) -> io::Result<()> {
+    /// Writes the samples up to those of a frame.
+    fn write_frame(&mut self, frame: u64, out: &mut dyn Write) -> io::Result<()> {
         let width = self.table.columns().len().max(1);
-        let Some((rows, times)) = self.table.next_frame()? else { return Ok(()) };
-        for (row, time) in rows.chunks_exact(width).zip(times) {
-            let first_s = self.ends_s.map_or(time.time_s, |(first_s, _)| first_s);
-            self.ends_s = Some((first_s, time.time_s));
-            let values = self.samples.push(time.time_s);
-            values.extend(row.iter().flat_map(|value| value.to_le_bytes()));
-            self.n_written += 1;
+        while let Some((rows, times)) = self.table.next_rows(frame)? {
+            for (row, time) in rows.chunks_exact(width).zip(times) {
+                let first_s = self.ends_s.map_or(time.time_s, |(first_s, _)| first_s);
+                self.ends_s = Some((first_s, time.time_s));
+                let values = self.samples.push(time.time_s);
+                values.extend(row.iter().flat_map(|value| value.to_le_bytes()));
+                self.n_written += 1;
+            }
+            self.samples.flush_if_full(out)?;
         }
-        self.samples.flush_if_full(out)
+        Ok(())
     }
 
     fn finish(&mut self, out: &mut dyn Write) -> io::Result<()> {
@@ -259,7 +261,8 @@ fn sampled_header(table: &SampledTable<'_>) -> String {
          <nominal_srate>{}</nominal_srate><channel_format>float32</channel_format><source_id>{name}</source_id>\
          <version>1.1</version><created_at>0</created_at><desc><channels>{channels}</channels></desc></info>",
         table.columns().len(),
-        table.rate_hz()
+        // 0 is irregular: readers take the times as they are, where others draw a line through them.
+        if table.is_recorded() { 0.0 } else { table.rate_hz() }
     )
 }
 

@@ -21,18 +21,50 @@ pub struct RecordedPlate {
     pub geometry: PlateGeometry,
 }
 
+/// What a device states of a force plate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StatedPlate {
+    /// Its number, from 1.
+    pub number: u8,
+    /// The code of its type, 1 to 3.
+    pub code: u8,
+    /// The number of the group that has its channels.
+    pub group: u32,
+    /// The indices of its channels in the group.
+    pub channels: Vec<usize>,
+    /// Its corners.
+    pub corners_mm: [[f64; 3]; 4],
+    /// Its origin.
+    pub origin_mm: [f64; 3],
+}
+
+impl StatedPlate {
+    /// The setting of a header that states it, as key and value.
+    #[must_use]
+    pub fn setting(&self) -> (String, String) {
+        let list =
+            |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+        let channels: Vec<String> = self.channels.iter().map(usize::to_string).collect();
+        let text = format!(
+            "number={} type={} group={} channels={} corners_mm={} origin_mm={}",
+            self.number,
+            self.code,
+            self.group,
+            channels.join(","),
+            list(self.corners_mm.as_flattened()),
+            list(&self.origin_mm),
+        );
+        (FORCE_PLATE.to_owned(), text)
+    }
+}
+
 impl RecordedPlate {
-    /// A plate with these corners and this origin, in millimetres.
+    /// The plate that a device states.
     ///
     /// # Errors
     /// Why it cannot be used.
-    pub fn new(
-        (number, code): (u8, u8),
-        group: u32,
-        channels: Vec<usize>,
-        corners_mm: [[f64; 3]; 4],
-        origin_mm: [f64; 3],
-    ) -> Result<Self, String> {
+    pub fn new(stated: StatedPlate) -> Result<Self, String> {
+        let StatedPlate { number, code, group, channels, corners_mm, origin_mm } = stated;
         // A calibration matrix has no place in the setting.
         let kind = PlateType::from_code(code.into()).filter(|kind| *kind != PlateType::Type4);
         let kind =
@@ -44,26 +76,11 @@ impl RecordedPlate {
                 kind.n_channels()
             ));
         }
+        if kind == PlateType::Type3 && origin_mm[2] > 0.0 {
+            return Err("its sensors are above its surface".to_owned());
+        }
         let geometry = PlateGeometry::new(corners_mm, origin_mm)?;
         Ok(Self { number: number.into(), kind, group, channels, geometry })
-    }
-
-    /// The setting that states it, as key and value.
-    #[must_use]
-    pub fn setting(&self) -> (String, String) {
-        let list = |numbers: &[String]| numbers.join(",");
-        let texts = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>();
-        let channels: Vec<String> = self.channels.iter().map(usize::to_string).collect();
-        let text = format!(
-            "number={} type={} group={} channels={} corners_mm={} origin_mm={}",
-            self.number,
-            self.kind.code(),
-            self.group,
-            list(&channels),
-            list(&texts(self.geometry.corners_mm().as_flattened())),
-            list(&texts(&self.geometry.origin_mm())),
-        );
-        (FORCE_PLATE.to_owned(), text)
     }
 
     fn parse(text: &str) -> Result<Self, String> {
@@ -89,8 +106,14 @@ impl RecordedPlate {
             return Err("it does not state its origin".to_owned());
         };
         let channels = numbers("channels", field("channels")?)?;
-        let names = (one("number")?, one("type")?);
-        Self::new(names, one("group")?.into(), channels, *corners_mm, *origin_mm)
+        Self::new(StatedPlate {
+            number: one("number")?,
+            code: one("type")?,
+            group: one("group")?.into(),
+            channels,
+            corners_mm: *corners_mm,
+            origin_mm: *origin_mm,
+        })
     }
 }
 
@@ -115,26 +138,28 @@ impl Header {
 mod tests {
     use super::*;
 
-    fn plate() -> RecordedPlate {
-        let corners = [
-            [450.0, 300.5, 0.0],
-            [-450.0, 300.5, 0.0],
-            [-450.0, -300.5, 0.0],
-            [450.0, -300.5, 0.0],
-        ];
-        RecordedPlate::new((2, 2), 3, (6..12).collect(), corners, [0.25, 0.0, -41.5]).unwrap()
+    fn plate() -> StatedPlate {
+        let (x, y) = (450.0, 300.5);
+        StatedPlate {
+            number: 2,
+            code: 2,
+            group: 3,
+            channels: (6..12).collect(),
+            corners_mm: [[x, y, 0.0], [-x, y, 0.0], [-x, -y, 0.0], [x, -y, 0.0]],
+            origin_mm: [0.25, 0.0, 41.5],
+        }
     }
 
     #[test]
     fn a_plate_round_trips_and_a_wrong_one_is_listed() {
         let good = plate().setting();
         let mut header = Header { settings: vec![good.clone()], ..Header::default() };
-        assert_eq!(header.force_plates(), (vec![plate()], Vec::new()));
+        assert_eq!(header.force_plates(), (vec![RecordedPlate::new(plate()).unwrap()], Vec::new()));
         for (from, to) in [
             ("channels=6,7,8,9,10,11", "channels=6,7"),
             ("type=2", "type=4"),
             ("type=2", "type=300"),
-            ("origin_mm=0.25,0,-41.5", "origin_mm=0.25,0"),
+            ("origin_mm=0.25,0,41.5", "origin_mm=0.25,0"),
             ("corners_mm=450,", "corners_mm=NaN,"),
             ("group=3", "number=1"),
         ] {

@@ -28,7 +28,7 @@ use crate::{TakeError, chunk::types, stretch::ROWS_PASSED_MAX, varint};
 pub use clock::{
     CLOCK_ENTRIES_MAX, Clock, ClockBound, ClockJitter, ClockLine, ClockPoint, ClockProbe,
 };
-pub use force_plate::RecordedPlate;
+pub use force_plate::{RecordedPlate, StatedPlate};
 pub(crate) use header::MoreChannels;
 pub(crate) use header::long_stretch_rows;
 pub use header::{

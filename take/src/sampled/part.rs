@@ -155,6 +155,23 @@ impl GroupSamples {
         SampleClock::new(&self.anchors, &self.chunks, self.group.rate_hz, tick_hz)
     }
 
+    /// The same times with other anchors, which are some of its own.
+    pub(crate) fn clock_by<'a>(
+        &'a self,
+        anchors: &'a [SampleAnchor],
+        tick_hz: u64,
+    ) -> SampleClock<'a> {
+        SampleClock::new(anchors, &self.chunks, self.group.rate_hz, tick_hz)
+    }
+
+    /// File offsets of the chunks with samples of this range.
+    pub(crate) fn offsets_of(&self, range: std::ops::Range<u64>) -> impl Iterator<Item = u64> {
+        let from = self.chunks.partition_point(|chunk| chunk.span.end() <= range.start);
+        let inside = self.chunks.get(from..).unwrap_or_default().iter();
+        let end = range.end;
+        inside.take_while(move |chunk| chunk.span.first < end).map(|chunk| chunk.offset)
+    }
+
     /// The counts of its chunks whose file offset `counts`: those of a ledger, except duplicates and jumps.
     pub(crate) fn ledger(&self, counts: impl Fn(u64) -> bool) -> GroupLedger {
         let mut ledger = GroupLedger { group: self.group.number, ..GroupLedger::default() };

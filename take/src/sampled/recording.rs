@@ -11,7 +11,9 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use super::{GroupReader, GroupSamples, RowClock, SampleClock, SampleTime};
+use super::{
+    GroupReader, GroupSamples, RowClock, SampleAnchor, SampleClock, SampleRun, SampleTime,
+};
 use crate::{
     TakeError, TakeMap,
     foreign::force_plates::ForcePlate,
@@ -22,17 +24,34 @@ use crate::{
 /// Samples of a block that are decoded at once are those of a block of the take; lost ones come in blocks of this many.
 const LOST_AT_ONCE: u64 = 1 << 16;
 
-/// Most lost samples of a channel between others: half a day at 1000 Hz. A few bytes of a damaged take can claim years.
+/// Most lost samples of a channel, one after another, that outputs have as missing: more than an hour at 1000 Hz. A few
+/// bytes of a take can claim years, and a clock that jumps can make a recorder count as many.
+const LOST_RUN_MAX: u64 = 1 << 22;
+
+/// Most such samples of a channel in all: those of eight hours at 2000 Hz.
 const LOST_MAX: u64 = 1 << 26;
+
+/// Seconds by which the device's clock goes back at least where it began again: batches may be stamped late by less.
+const BACK_S: f64 = 0.1;
 
 /// The file of a take, for readers that share it.
 pub trait ReadSeek: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> ReadSeek for T {}
 
+/// A group, and where its samples are on the time line.
+struct PlacedGroup {
+    samples: GroupSamples,
+    /// The stated times, without those that were stamped so late that the next ones would be before them.
+    anchors: Vec<SampleAnchor>,
+    /// By run of samples, in ascending order of their starts: the rows' epoch that it belongs to.
+    epochs: Vec<(u64, Option<usize>)>,
+}
+
 /// What all copies of a recording share.
 struct Shared {
     groups: Vec<GroupSamples>,
+    placed: Vec<PlacedGroup>,
     clock: RowClock,
     tick_hz: u64,
     rate_hz: f64,
@@ -41,6 +60,67 @@ struct Shared {
     input: Mutex<Box<dyn ReadSeek>>,
     /// For groups and ranges of rows that were asked for before: the numbers of their samples.
     found: Mutex<Vec<((usize, u64, u64), Arc<[Range<u64>]>)>>,
+}
+
+/// The times of a group's anchors that ascend: one that is later than the rate allows before the next one of its run was
+/// stamped late, with a batch that waited.
+fn ascending(samples: &GroupSamples, tick_hz: u64) -> Vec<SampleAnchor> {
+    let nominal = tick_hz as f64 / samples.group.rate_hz;
+    let mut kept: Vec<SampleAnchor> = Vec::with_capacity(samples.anchors().len());
+    for anchor in samples.anchors() {
+        let is_late = |last: &SampleAnchor| {
+            let ticks = anchor.device_ticks.wrapping_sub(last.device_ticks).cast_signed() as f64;
+            last.run_start == anchor.run_start
+                && last.number > last.run_start
+                && ticks < 0.5 * nominal * (anchor.number - last.number) as f64
+        };
+        while kept.pop_if(|last| is_late(last)).is_some() {}
+        kept.push(*anchor);
+    }
+    kept
+}
+
+/// A sentence on the channels of a plate whose units are none of forces, moments or lengths.
+fn unknown_units(plate: &RecordedPlate, groups: &[GroupSamples]) -> Option<String> {
+    let group = groups.iter().find(|group| group.group.number == plate.group)?;
+    let unknown = plate.channels.iter().enumerate().filter_map(|(place, &channel)| {
+        let channel = group.group.channels.get(channel)?;
+        let unit = channel.unit.trim();
+        let factor = factor_of_unit(plate.kind, place, unit);
+        factor.is_none().then(|| format!("{} ('{unit}')", channel.name))
+    });
+    let unknown: Vec<String> = unknown.collect();
+    (!unknown.is_empty()).then(|| {
+        format!(
+            "Channels of force plate {} have other units than forces, moments and lengths, and were read in N, N m and \
+             mm: {}.",
+            plate.number,
+            unknown.join(", ")
+        )
+    })
+}
+
+/// The epochs of a group's runs.
+fn epochs_of(samples: &GroupSamples, clock: &RowClock, tick_hz: u64) -> Vec<(u64, Option<usize>)> {
+    let mut found: Vec<(u64, Option<usize>)> = Vec::new();
+    let mut from = 0;
+    let mut before: Option<u64> = None;
+    let mut runs = samples.anchors().chunk_by(|a, b| a.run_start == b.run_start).peekable();
+    while let Some(run) = runs.next() {
+        let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
+        let end = runs.peek().and_then(|next| next.first()).map_or(u64::MAX, |next| next.run_start);
+        // A run behind which the clock went back has rows of a later epoch.
+        let back_s = |before: u64| {
+            before.wrapping_sub(first.device_ticks).cast_signed() as f64 / tick_hz as f64
+        };
+        from += usize::from(before.is_some_and(|before| back_s(before) > BACK_S));
+        let offsets = samples.offsets_of(first.run_start..end);
+        let epoch = clock.epoch_of((first.device_ticks, last.device_ticks), offsets, from);
+        from = epoch.unwrap_or(from);
+        before = Some(last.device_ticks);
+        found.push((first.run_start, epoch));
+    }
+    found
 }
 
 /// The sampled channels of a recording, and its force plates.
@@ -93,10 +173,18 @@ impl Recording {
         warnings.extend(others.iter().map(|plate| {
             format!("Force plate {} has channels that the take does not have.", plate.number)
         }));
+        warnings.extend(plates.iter().filter_map(|plate| unknown_units(plate, &groups)));
+        let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
+        let place = |samples: &GroupSamples| PlacedGroup {
+            samples: samples.clone(),
+            anchors: ascending(samples, tick_hz),
+            epochs: epochs_of(samples, &clock, tick_hz),
+        };
         let shared = Arc::new(Shared {
+            placed: groups.iter().map(place).collect(),
             groups,
             clock,
-            tick_hz: map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1)),
+            tick_hz,
             rate_hz: map.header.rate_hz,
             n_rows: map.n_rows,
             first_frame: map.header.source.as_ref().map_or(1, |source| source.first_frame),
@@ -159,8 +247,9 @@ impl Recording {
     /// The clock of a group; `None` beyond the last one.
     #[must_use]
     pub fn clock(&self, group: usize) -> Option<RecordingClock<'_>> {
-        let samples = self.shared.groups.get(group)?.clock(self.shared.tick_hz);
-        Some(RecordingClock { samples, rows: &self.shared.clock })
+        let placed = self.shared.placed.get(group)?;
+        let samples = placed.samples.clock_by(&placed.anchors, self.shared.tick_hz);
+        Some(RecordingClock { samples, rows: &self.shared.clock, epochs: &placed.epochs })
     }
 
     /// The time of a place among the rows, in seconds from row `first_row`, to the nanosecond.
@@ -174,7 +263,7 @@ impl Recording {
     /// count, unless none follows or precedes them.
     ///
     /// # Errors
-    /// `InvalidArgument` if more samples are lost than any take has.
+    /// `Io`.
     pub fn numbers(&self, group: usize, rows: &Range<u64>) -> Result<Arc<[Range<u64>]>, TakeError> {
         let key = (group, rows.start, rows.end);
         let lock = || self.shared.found.lock().unwrap_or_else(PoisonError::into_inner);
@@ -191,27 +280,35 @@ impl Recording {
         else {
             return Ok(Vec::new());
         };
-        let lost: u64 = samples.lost().iter().fold(0, |sum, lost| sum.saturating_add(lost.n));
-        let stored = samples.stored_range();
-        if lost > LOST_MAX && lost > stored.end - stored.start.min(stored.end) {
-            return Err(TakeError::InvalidArgument(format!(
-                "group {} has lost {lost} samples of each channel, more than can be exported: recover the take",
-                samples.group.number
-            )));
-        }
         let from = if rows.start == 0 { f64::NEG_INFINITY } else { rows.start as f64 };
         let to = if rows.end >= self.shared.n_rows { f64::INFINITY } else { rows.end as f64 };
+        let stored = samples.stored_range();
         let mut found: Vec<Range<u64>> = Vec::new();
-        for number in stored {
-            let Some(at) = clock.position(number) else { continue };
-            if !(from..to).contains(&at) {
-                continue;
+        let (mut last, mut n_lost) = (f64::NEG_INFINITY, 0);
+        samples.runs(|run| {
+            let numbers = match run {
+                SampleRun::Block(chunk) => chunk.span.first..chunk.span.end(),
+                SampleRun::Lost { first, n, .. } => {
+                    let inside = first.max(stored.start)..first.saturating_add(n).min(stored.end);
+                    let n = inside.end.saturating_sub(inside.start);
+                    n_lost += n;
+                    if n > LOST_RUN_MAX || n_lost > LOST_MAX { 0..0 } else { inside }
+                }
+            };
+            for number in numbers {
+                // Times ascend: one that does not belongs to a clock that went back by less than its rows tell.
+                let Some(at) = clock.position(number).filter(|&at| at > last) else { continue };
+                last = at;
+                if !(from..to).contains(&at) {
+                    continue;
+                }
+                match found.last_mut() {
+                    Some(last) if last.end == number => last.end = number + 1,
+                    _ => found.push(number..number + 1),
+                }
             }
-            match found.last_mut() {
-                Some(last) if last.end == number => last.end = number + 1,
-                _ => found.push(number..number + 1),
-            }
-        }
+            Ok::<_, TakeError>(())
+        })?;
         Ok(found)
     }
 
@@ -304,13 +401,18 @@ impl Recording {
 pub struct RecordingClock<'a> {
     samples: SampleClock<'a>,
     rows: &'a RowClock,
+    epochs: &'a [(u64, Option<usize>)],
 }
 
 impl RecordingClock<'_> {
     /// The place of a sample among the rows.
     #[must_use]
     pub fn position(&self, number: u64) -> Option<f64> {
-        self.rows.position(&self.samples.at(number)?)
+        let time = self.samples.at(number)?;
+        let run =
+            self.epochs.partition_point(|(start, _)| *start <= time.run_start).checked_sub(1)?;
+        let (_, epoch) = self.epochs.get(run)?;
+        self.rows.position((*epoch)?, &time)
     }
 
     /// The time of a sample by the device's clock.
@@ -383,6 +485,13 @@ impl<'a> RecordedSamples<'a> {
         let mut input = recording.shared.input.lock().unwrap_or_else(PoisonError::into_inner);
         loop {
             if let Some(lost) = self.lost.take() {
+                // Most of a long loss has no place.
+                let wanted =
+                    self.numbers.get(self.next_range).map_or(lost.end, |range| range.start);
+                let lost = lost.start.max(wanted).min(lost.end)..lost.end;
+                if lost.is_empty() {
+                    continue;
+                }
                 let end = lost.end.min(lost.start + LOST_AT_ONCE);
                 self.lost = Some(end..lost.end).filter(|rest| !rest.is_empty());
                 if self.fill(block, lost.start..end, None) {

@@ -6,11 +6,17 @@
 use std::io::{Read, Seek};
 
 use super::SampleTime;
-use crate::{TakeError, TakeMap, TakeTraversal, timeline::LossCauses, traversal::Decode};
+use crate::{TakeError, TakeMap, TakeTraversal, traversal::Decode};
 
-/// Distance from the expected time, in seconds, from which on the next row does not continue a line. Frames come late by
-/// milliseconds, and a clock that jumps by less moves samples by less than this.
-const APART_S: f64 = 0.1;
+/// Distance of a row from the line through those before it, in rows, from which on it is a knot of its own: an eighth of a
+/// frame is less than a sample of most groups.
+const OFF_LINE: f64 = 0.125;
+
+/// Most knots, in half a GiB: days of a clock that is even. Of rows beyond them only the first of each stretch is kept.
+const KNOTS_MAX: usize = 1 << 25;
+
+/// Steps from row to row of which the median is the period of a clock.
+const STEPS_MAX: usize = 1 << 12;
 
 /// A recorded row and its time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,23 +25,74 @@ struct Knot {
     ticks: u64,
 }
 
-/// Rows between which the device's clock went on evenly: times between two knots lie on the line through them.
-#[derive(Debug, Clone, PartialEq)]
-struct Piece {
-    /// The segment of the device's clock; `None` where the take does not tell.
-    segment: Option<u32>,
+/// Rows during which the device's clock did not go back.
+#[derive(Debug, Clone, PartialEq, Default)]
+struct Epoch {
     /// In ascending order of rows and ticks; at least one.
     knots: Vec<Knot>,
-    /// Host time of arrival of the first one, in nanoseconds.
-    arrival_ns: u64,
+    /// Ticks from a row to the next one: the median of the first ones.
+    period: f64,
+    /// File offset before its first stretch.
+    offset: u64,
 }
 
 /// The times of a recording's rows by the device's clock.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct RowClock {
-    pieces: Vec<Piece>,
-    /// Rows in a tick, by the rate of the take.
-    rows_per_tick: f64,
+    epochs: Vec<Epoch>,
+}
+
+/// Builds an epoch from its rows.
+struct EpochBuilder {
+    epoch: Epoch,
+    last: Knot,
+    /// Ticks in a row between the last two knots.
+    slope: f64,
+    steps: Vec<f64>,
+    n_before: usize,
+}
+
+impl EpochBuilder {
+    fn new(first: Knot, offset: u64, nominal: f64, n_before: usize) -> Self {
+        let epoch = Epoch { knots: vec![first], period: nominal, offset };
+        Self { epoch, last: first, slope: nominal, steps: Vec::new(), n_before }
+    }
+
+    /// Adds the next row; `is_first`: of a stretch.
+    fn push(&mut self, next: Knot, is_first: bool) {
+        let (rows, ticks) = (next.row - self.last.row, next.ticks.wrapping_sub(self.last.ticks));
+        if self.steps.len() < STEPS_MAX {
+            self.steps.push(ticks as f64 / rows as f64);
+        }
+        let Some(knot) = self.epoch.knots.last().copied() else { return };
+        let due = (next.row - knot.row) as f64 * self.slope;
+        let off = next.ticks.wrapping_sub(knot.ticks) as f64 - due;
+        let is_off =
+            off.abs() > OFF_LINE * self.slope && self.n_before + self.epoch.knots.len() < KNOTS_MAX;
+        if is_off && self.last.row > knot.row {
+            self.keep(self.last);
+        }
+        if is_off || is_first {
+            self.keep(next);
+        }
+        self.last = next;
+    }
+
+    fn keep(&mut self, next: Knot) {
+        if let Some(knot) = self.epoch.knots.last().filter(|knot| knot.row < next.row) {
+            self.slope = next.ticks.wrapping_sub(knot.ticks) as f64 / (next.row - knot.row) as f64;
+            self.epoch.knots.push(next);
+        }
+    }
+
+    fn finish(mut self) -> Epoch {
+        self.keep(self.last);
+        self.steps.sort_by(f64::total_cmp);
+        if let Some(&median) = self.steps.get(self.steps.len() / 2) {
+            self.epoch.period = median;
+        }
+        self.epoch
+    }
 }
 
 impl RowClock {
@@ -45,112 +102,100 @@ impl RowClock {
     /// Those of [`TakeTraversal::next_stretch`].
     pub fn read(input: impl Read + Seek, map: &TakeMap) -> Result<Self, TakeError> {
         let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1)) as f64;
-        let mut clock = Self { pieces: Vec::new(), rows_per_tick: map.header.rate_hz / tick_hz };
+        let nominal = tick_hz / map.header.rate_hz;
+        let (mut epochs, mut open): (Vec<Epoch>, Option<EpochBuilder>) = (Vec::new(), None);
         let mut stretches = TakeTraversal::from_map(input, map, Decode::Groups(Vec::new()))?;
-        let mut last: Option<Knot> = None;
+        let (mut offset, mut n_knots) = (0, 0);
         while stretches.next_stretch()?.is_some() {
-            let Some(timeline) = stretches.timeline() else { continue };
-            let disconnected = |run: &crate::timeline::RowRun| {
-                run.lost.is_some_and(|causes| causes.contains(LossCauses::DISCONNECTED))
-            };
-            if timeline.runs.iter().any(disconnected) {
-                // The device's clock may have begun again.
-                clock.end_piece(last.take());
-            }
             let mut is_first = true;
-            for (row, time) in timeline.recorded() {
-                let knot = Knot { row, ticks: time.device_ticks };
-                let continues = last.is_some_and(|last| clock.continues(last, knot, tick_hz));
-                if !continues {
-                    clock.end_piece(last.take());
-                    let arrival_ns = time.arrival_10us.saturating_mul(10_000);
-                    clock.pieces.push(Piece { segment: None, knots: vec![knot], arrival_ns });
-                } else if is_first && let Some(piece) = clock.pieces.last_mut() {
-                    // One a stretch is enough: the device's clock is even over half a second.
-                    piece.knots.push(knot);
+            for (row, time) in stretches.timeline().iter().flat_map(|timeline| timeline.recorded())
+            {
+                let next = Knot { row, ticks: time.device_ticks };
+                let ascends = |of: &EpochBuilder| {
+                    next.row > of.last.row
+                        && next.ticks.wrapping_sub(of.last.ticks).cast_signed() > 0
+                };
+                match open.as_mut().filter(|of| ascends(of)) {
+                    Some(of) => of.push(next, is_first),
+                    None => {
+                        let ended = open.take().map(EpochBuilder::finish);
+                        n_knots += ended.as_ref().map_or(0, |epoch| epoch.knots.len());
+                        epochs.extend(ended);
+                        open = Some(EpochBuilder::new(next, offset, nominal, n_knots));
+                    }
                 }
-                (last, is_first) = (Some(knot), false);
+                is_first = false;
             }
+            offset = stretches.bytes_read() + crate::chunk::MAGIC.len() as u64;
         }
-        clock.end_piece(last);
-        clock.find_segments(map, tick_hz);
-        Ok(clock)
+        epochs.extend(open.map(EpochBuilder::finish));
+        Ok(Self { epochs })
     }
 
-    /// Whether a row was taken when it was due after the one before.
-    fn continues(&self, last: Knot, next: Knot, tick_hz: f64) -> bool {
-        let due_s = (next.row - last.row) as f64 / self.rows_per_tick / tick_hz;
-        let passed = next.ticks.wrapping_sub(last.ticks).cast_signed();
-        passed > 0 && (passed as f64 / tick_hz - due_s).abs() < APART_S
-    }
-
-    /// Ends the last piece at a row.
-    fn end_piece(&mut self, last: Option<Knot>) {
-        if let (Some(last), Some(piece)) = (last, self.pieces.last_mut())
-            && piece.knots.last() != Some(&last)
-        {
-            piece.knots.push(last);
+    /// The epoch that samples belong to which are taken one after another, from the first to the last of these times, in the
+    /// chunks at `offsets`; not before the epoch `from`.
+    ///
+    /// The clock of samples and rows is the same, and a recorder writes blocks behind the stretches during which their
+    /// samples came, or soon after. So the epoch is the one behind whose stretches most of the blocks lie, and in whose time
+    /// most of the samples.
+    pub(super) fn epoch_of(
+        &self,
+        (first, last): (u64, u64),
+        offsets: impl Iterator<Item = u64>,
+        from: usize,
+    ) -> Option<usize> {
+        let mut n_behind = vec![0_u64; self.epochs.len()];
+        let mut n_all = 0;
+        for offset in offsets {
+            let behind = self.epochs.partition_point(|epoch| epoch.offset < offset).max(1) - 1;
+            if let Some(n) = n_behind.get_mut(behind) {
+                *n += 1;
+            }
+            n_all += 1;
         }
-    }
-
-    /// Finds the segment of each piece: the one by whose line its first row arrived soonest after it was taken.
-    fn find_segments(&mut self, map: &TakeMap, tick_hz: f64) {
-        for piece in &mut self.pieces {
-            let Some(first) = piece.knots.first() else { continue };
-            let distance = |line: &crate::record::ClockLine| {
-                let ticks = first.ticks.wrapping_sub(line.device_ticks).cast_signed() as f64;
-                let passed_ns = ticks / tick_hz * 1e9 * (1.0 + line.drift_ppb as f64 * 1e-9);
-                (line.host_ns as f64 + passed_ns - piece.arrival_ns as f64).abs()
+        let score = |index: usize, epoch: &Epoch| {
+            let (Some(begin), Some(end)) = (epoch.knots.first(), epoch.knots.last()) else {
+                return 0.0;
             };
-            let nearest =
-                map.clock_lines.iter().min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)));
-            piece.segment = nearest.map(|(segment, _)| *segment);
-        }
+            let span = last.wrapping_sub(first).cast_signed().max(1) as f64;
+            let at = |ticks: u64| ticks.wrapping_sub(first).cast_signed() as f64;
+            let both = at(end.ticks).min(span) - at(begin.ticks).max(0.0);
+            let behind = n_behind.get(index).map_or(0.0, |&n| n as f64 / n_all.max(1) as f64);
+            (both / span).clamp(0.0, 1.0) + behind
+        };
+        let scored = self.epochs.iter().enumerate().skip(from);
+        let scored = scored.map(|(index, epoch)| (index, score(index, epoch)));
+        // Of equal ones the first.
+        scored
+            .reduce(|best, other| if other.1 > best.1 { other } else { best })
+            .map(|(index, _)| index)
     }
 
-    /// The place of a time among the rows: row 3 was taken at 3.0. Before the first row and after the last one, time goes
-    /// on at the rate of the take. `None` for a time in a segment of the device's clock that has no row, and between two
-    /// rows that follow each other later than they are due.
+    /// The place of a time among the rows of an epoch: row 3 was taken at 3.0. Before the first row and after the last one,
+    /// time goes on at the epoch's own rate, as far as no other epoch has rows there. `None` beyond that, and where the next
+    /// row came later than it was due: the time line of the frames has no place for the time between.
     #[must_use]
-    pub fn position(&self, time: &SampleTime) -> Option<f64> {
-        let is_of = |piece: &&Piece| piece.segment.is_none_or(|segment| segment == time.segment);
-        let mut before: Option<&Piece> = None;
-        let mut after: Option<&Piece> = None;
-        for piece in self.pieces.iter().filter(is_of) {
-            let (first, last) = (piece.knots.first()?, piece.knots.last()?);
-            if time.ticks_since(first.ticks) < 0.0 {
-                after = after.or(Some(piece));
-            } else if time.ticks_since(last.ticks) <= 0.0 {
-                return Some(self.within(piece, time));
-            } else {
-                (before, after) = (Some(piece), None);
-            }
+    pub(super) fn position(&self, epoch: usize, time: &SampleTime) -> Option<f64> {
+        let of = self.epochs.get(epoch)?;
+        let row_of = |knot: Option<&Knot>| knot.map(|knot| knot.row as f64);
+        let next = of.knots.partition_point(|knot| time.ticks_since(knot.ticks) >= 0.0);
+        let Some(from) = next.checked_sub(1).and_then(|at| of.knots.get(at)) else {
+            let first = of.knots.first()?;
+            let before = epoch.checked_sub(1).and_then(|before| self.epochs.get(before));
+            let last = row_of(before.and_then(|before| before.knots.last()));
+            let at = first.row as f64 + time.ticks_since(first.ticks) / of.period;
+            return Some(at).filter(|&at| last.is_none_or(|last| at > last));
+        };
+        let forwards = from.row as f64 + time.ticks_since(from.ticks) / of.period;
+        let Some(to) = of.knots.get(next) else {
+            let first = row_of(self.epochs.get(epoch + 1).and_then(|after| after.knots.first()));
+            return Some(forwards).filter(|&at| first.is_none_or(|first| at < first));
+        };
+        let (rows, ticks) = ((to.row - from.row) as f64, to.ticks.wrapping_sub(from.ticks) as f64);
+        if ticks > (rows + 1.0) * of.period {
+            return Some(forwards).filter(|&at| at < to.row as f64);
         }
-        let beyond =
-            |knot: &Knot| knot.row as f64 + time.ticks_since(knot.ticks) * self.rows_per_tick;
-        let from = before.and_then(|piece| piece.knots.last());
-        let to = after.and_then(|piece| piece.knots.first());
-        match (from, to) {
-            (Some(from), Some(to)) => {
-                let forwards = Some(beyond(from)).filter(|&at| at < to.row as f64);
-                forwards.or_else(|| Some(beyond(to)).filter(|&at| at > from.row as f64))
-            }
-            (from, to) => from.or(to).map(beyond),
-        }
-    }
-
-    /// The place of a time between the first and the last row of a piece.
-    fn within(&self, piece: &Piece, time: &SampleTime) -> f64 {
-        let at = piece.knots.partition_point(|knot| time.ticks_since(knot.ticks) >= 0.0);
-        let from = at.saturating_sub(1).min(piece.knots.len().saturating_sub(2));
-        match piece.knots.get(from..) {
-            Some([a, b, ..]) => {
-                let ticks = b.ticks.wrapping_sub(a.ticks) as f64;
-                a.row as f64 + time.ticks_since(a.ticks) * ((b.row - a.row) as f64 / ticks)
-            }
-            Some([only]) => only.row as f64 + time.ticks_since(only.ticks) * self.rows_per_tick,
-            _ => f64::NAN,
-        }
+        Some(from.row as f64 + time.ticks_since(from.ticks) * (rows / ticks))
     }
 }
 
@@ -158,32 +203,96 @@ impl RowClock {
 mod tests {
     use super::*;
 
-    fn piece(segment: u32, knots: &[(u64, u64)]) -> Piece {
-        let knots = knots.iter().map(|&(row, ticks)| Knot { row, ticks }).collect();
-        Piece { segment: Some(segment), knots, arrival_ns: 0 }
+    fn epoch(offset: u64, rows: impl IntoIterator<Item = (u64, u64)>) -> Epoch {
+        let mut rows = rows.into_iter().map(|(row, ticks)| Knot { row, ticks });
+        let mut builder = EpochBuilder::new(rows.next().unwrap(), offset, 10.0, 0);
+        for (i, row) in rows.enumerate() {
+            builder.push(row, i % 50 == 49);
+        }
+        builder.finish()
     }
 
-    fn at(clock: &RowClock, segment: u32, device_ticks: u64) -> Option<f64> {
-        clock.position(&SampleTime { device_ticks, fraction: 0.0, segment, run_start: 0 })
+    fn at(clock: &RowClock, epoch: usize, device_ticks: u64) -> Option<f64> {
+        let time = SampleTime { device_ticks, fraction: 0.0, segment: 0, run_start: 0 };
+        clock.position(epoch, &time)
     }
 
-    /// 100 rows a second of a clock with 1000 ticks, which runs 1 % fast from row 100 on, is late by 3 s after row 200, and
-    /// begins again with row 600.
+    /// Places ascend strictly over these ticks, and those without a place are in the range.
+    fn ascends(
+        clock: &RowClock,
+        epoch: usize,
+        ticks: std::ops::Range<u64>,
+        none: std::ops::Range<u64>,
+    ) {
+        let mut last = f64::NEG_INFINITY;
+        for ticks in ticks {
+            match at(clock, epoch, ticks) {
+                Some(at) => {
+                    assert!(at > last, "{ticks}: {at} after {last}");
+                    last = at;
+                }
+                None => assert!(none.contains(&ticks), "{ticks}"),
+            }
+        }
+    }
+
     #[test]
-    fn times_lie_between_the_rows_around_them() {
-        let pieces = vec![
-            piece(0, &[(0, 5000), (100, 6000), (200, 7010)]),
-            piece(0, &[(201, 10_000), (300, 10_990)]),
-            piece(1, &[(600, 70), (601, 80)]),
+    fn a_sample_that_was_taken_with_a_row_has_its_place() {
+        // 1 % slow from row 100 on, and every seventh row is 4 ticks late.
+        let ticks =
+            |row: u64| 5000 + row * 10 + row.saturating_sub(100) / 10 + 4 * u64::from(row % 7 == 3);
+        let clock = RowClock { epochs: vec![epoch(0, (0..400).map(|row| (row, ticks(row))))] };
+        for row in 0..400 {
+            let found = at(&clock, 0, ticks(row)).unwrap();
+            assert!((found - row as f64).abs() < OFF_LINE + 0.01, "{row}: {found}");
+        }
+        ascends(&clock, 0, 4000..10_000, 0..0);
+        assert_eq!(at(&clock, 0, 4990), Some(-1.0));
+    }
+
+    #[test]
+    fn while_no_frames_come_time_stands_still_on_their_time_line() {
+        // Three seconds of a thousand ticks pass between rows 199 and 200, whose numbers follow each other.
+        let ticks = |row: u64| row * 10 + if row < 200 { 0 } else { 3000 };
+        let clock = RowClock { epochs: vec![epoch(0, (0..400).map(|row| (row, ticks(row))))] };
+        ascends(&clock, 0, 0..7000, 2000..5000);
+        assert_eq!([at(&clock, 0, 1995), at(&clock, 0, 3000)], [Some(199.5), None]);
+        assert_eq!([at(&clock, 0, 4995), at(&clock, 0, 5000)], [None, Some(200.0)]);
+    }
+
+    #[test]
+    fn a_camera_that_is_triggered_slower_than_it_says_keeps_its_samples() {
+        // Five rows a second of a thousand ticks, where the take states a hundred.
+        let clock = RowClock { epochs: vec![epoch(0, (0..50).map(|row| (row, row * 200)))] };
+        ascends(&clock, 0, 0..11_000, 0..0);
+        assert_eq!(at(&clock, 0, 300), Some(1.5));
+    }
+
+    #[test]
+    fn a_clock_that_begins_again_has_other_rows() {
+        let epochs = vec![
+            epoch(0, (0..200).map(|row| (row, 100_000 + row * 10))),
+            epoch(5000, (201..400).map(|row| (row, (row - 201) * 10))),
         ];
-        let clock = RowClock { pieces, rows_per_tick: 0.1 };
-        assert_eq!([at(&clock, 0, 5000), at(&clock, 0, 5505)], [Some(0.0), Some(50.5)]);
-        assert_eq!(at(&clock, 0, 6505), Some(150.0));
-        assert_eq!([at(&clock, 0, 4990), at(&clock, 0, 11_000)], [Some(-1.0), Some(301.0)]);
-        // Less than a row after row 200 and before row 201; the time between them has no place.
-        assert_eq!([at(&clock, 0, 7015), at(&clock, 0, 9995)], [Some(200.5), Some(200.5)]);
-        assert_eq!(at(&clock, 0, 8000), None);
-        assert_eq!([at(&clock, 1, 75), at(&clock, 1, 60)], [Some(600.5), Some(599.0)]);
-        assert_eq!(at(&clock, 2, 75), None);
+        let clock = RowClock { epochs };
+        // Frames stop, and samples go on: until the rows of the restarted device.
+        assert_eq!([at(&clock, 0, 102_005), at(&clock, 0, 102_100)], [Some(200.5), None]);
+        assert_eq!(at(&clock, 1, 5), Some(201.5));
+        let runs = [
+            ((99_990, 103_000), [100_u64, 2000, 5100], 0),
+            ((0, 1980), [5100, 6000, 9000], 1),
+            // A short one of the old clock, whose block was written late.
+            ((101_000, 101_500), [5100, 5100, 5100], 0),
+        ];
+        for (ticks, offsets, expected) in runs {
+            let found = clock.epoch_of(ticks, offsets.into_iter(), 0);
+            assert_eq!(found, Some(expected), "{ticks:?}");
+        }
+        // Both count alike: the place in the file decides.
+        let again =
+            RowClock { epochs: vec![epoch(0, [(0, 0), (9, 90)]), epoch(500, [(20, 0), (29, 90)])] };
+        assert_eq!(again.epoch_of((0, 90), [100, 200].into_iter(), 0), Some(0));
+        assert_eq!(again.epoch_of((0, 90), [600, 700].into_iter(), 0), Some(1));
+        assert_eq!(again.epoch_of((0, 90), [100].into_iter(), 1), Some(1));
     }
 }

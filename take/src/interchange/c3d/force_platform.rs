@@ -256,7 +256,7 @@ fn force_n(unit: &str) -> Option<f64> {
 }
 
 /// Newton metres in a unit of moment, such as `Nmm`, `N m`, `N.mm`; `None` for other units.
-pub(super) fn moment_nm(unit: &str) -> Option<f64> {
+fn moment_nm(unit: &str) -> Option<f64> {
     let plain: String =
         unit.chars().filter(|c| !c.is_whitespace() && !"-.*·⋅".contains(*c)).collect();
     let length = plain.strip_prefix(['N', 'n'])?;

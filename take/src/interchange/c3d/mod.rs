@@ -39,7 +39,7 @@ pub(crate) use parameter_values::parameter_values;
 pub use parameter_values::{C3dParameter, C3dValues};
 pub(crate) use parameters::Parameters;
 pub(super) use read::{C3dFrames, open};
-pub(super) use recorded::{RecordedPlan, name_of};
+pub(super) use recorded::{RecordedPlan, name_of, warnings_of};
 pub(crate) use sampled_channels::describe as describe_sampled;
 pub(crate) use stride::ANALOG_MAX;
 pub(super) use write::write;

@@ -8,7 +8,7 @@ use std::io;
 
 use super::{
     analog::ANALOG,
-    force_platform::{FORCE_PLATFORM, moment_nm},
+    force_platform::{FORCE_PLATFORM, factor_of_unit},
     parameters::Parameters,
     stride::ANALOG_MAX,
 };
@@ -17,12 +17,16 @@ use crate::{
     foreign::force_plate::PlateType,
     interchange::{InterchangeError, Result, counted},
     motion::MotionInfo,
-    record::{SampledChannel, SampledGroup},
-    sampled::{FILTER, RecordedSamples, Recording, Resampler, SampleBlock},
+    record::{RecordedPlate, SampledChannel, SampledGroup},
+    sampled::{FILTER, RecordedSamples, Recording, Resampler, SampleBlock, reach},
 };
 
-/// Largest drift against the frames over a run, in samples, at which samples are written unchanged.
-const DRIFT_MAX: f64 = 0.5;
+/// Largest distance between the earliest and the latest place of a run's samples against the frames, in samples, at which
+/// they are written unchanged.
+const APART_MAX: f64 = 1.0;
+
+/// Stated times of which the earliest counts: a device stamps batches late, never early. Those of two seconds.
+const TIMES_TOGETHER: usize = 8;
 
 /// Distance of samples from the instants that C3D gives them, in samples, from which on the user is told.
 const DISTANCE_TOLD: f64 = 0.01;
@@ -74,48 +78,29 @@ fn fit(
         return Err(format!("its rate is no whole multiple of the frames' {rate_hz} Hz"));
     }
     let Some(clock) = recording.clock(index) else { return Err(String::new()) };
-    let distance =
-        |number: u64| Some((number as f64, clock.position(number)? * ratio - number as f64));
+    let distance = |number: u64| Some(clock.position(number)? * ratio - number as f64);
     let (mut runs, mut farthest) = (Vec::new(), 0.0_f64);
-    let same_run = |a: &crate::sampled::SampleAnchor, b: &crate::sampled::SampleAnchor| {
-        (a.run_start, a.segment) == (b.run_start, b.segment)
-    };
-    let mut all = group.anchors().chunk_by(same_run).peekable();
-    while let Some(anchors) = all.next() {
-        let end = all
-            .peek()
-            .and_then(|next| next.first())
-            .map_or(group.n_samples(), |next| next.run_start);
+    for anchors in group.anchors().chunk_by(|a, b| a.run_start == b.run_start) {
         let Some(first) = anchors.first() else { continue };
-        let numbers =
-            anchors.iter().map(|anchor| anchor.number).chain([first.run_start, end.max(1) - 1]);
-        let at: Vec<(f64, f64)> = numbers.filter_map(distance).collect();
-        let Some((mean, slope)) = line(&at) else { continue };
-        let drift = slope * end.saturating_sub(first.run_start) as f64;
-        if drift.abs() > DRIFT_MAX {
-            return Err(format!(
-                "its clock and the frames' drift apart by {:.1} samples",
-                drift.abs()
-            ));
+        let numbers = anchors.iter().map(|anchor| anchor.number);
+        let at: Vec<f64> = numbers.filter_map(distance).collect();
+        let earliest = |some: &[f64]| some.iter().copied().reduce(f64::min);
+        let places: Vec<f64> = at.chunks(TIMES_TOGETHER).filter_map(earliest).collect();
+        let high = places.iter().copied().reduce(f64::max);
+        let (Some(low), Some(high)) = (earliest(&places), high) else { continue };
+        if high - low > APART_MAX {
+            let apart = high - low;
+            return Err(format!("its clock and the frames' drift apart by {apart:.1} samples"));
         }
-        let shift = mean.round();
-        farthest = at.iter().map(|(_, d)| (d - shift).abs()).fold(farthest, f64::max);
+        let shift = (0.5 * (low + high)).round();
+        farthest = farthest.max((high - shift).abs()).max((low - shift).abs());
         runs.push(RunOfSlots { first: first.run_start, shift: shift as i64 });
     }
+
     if runs.is_empty() {
         return Err("the take does not say when its samples were taken".to_owned());
     }
     Ok((ratio as usize, Placement::Unchanged { runs, farthest }))
-}
-
-/// The mean and the slope of the line of least squares; `None` without points.
-fn line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
-    let n = points.len() as f64;
-    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / n;
-    let (x, y) = (mean(|p| p.0), mean(|p| p.1));
-    let along: f64 = points.iter().map(|p| (p.0 - x) * (p.0 - x)).sum();
-    let both: f64 = points.iter().map(|p| (p.0 - x) * (p.1 - y)).sum();
-    (n > 0.0).then_some((y, if along > 0.0 { both / along } else { 0.0 }))
 }
 
 /// `group 1 (16 channels at 2000 Hz)`.
@@ -194,7 +179,7 @@ impl RecordedPlan {
     /// What happened to the samples, one sentence each.
     fn remarks(&self, info: &MotionInfo) -> Vec<String> {
         let Some(recording) = &info.recording else { return Vec::new() };
-        let mut remarks = recording.warnings().to_vec();
+        let mut remarks = warnings_of(recording);
         for (index, placement) in &self.groups {
             let Some(found) = recording.groups().get(*index) else { continue };
             let name = name_of(&found.group);
@@ -218,6 +203,23 @@ impl RecordedPlan {
     }
 }
 
+/// What is wrong with the force plates of a recording, and the times of its samples, one sentence each.
+pub(in crate::interchange) fn warnings_of(recording: &Recording) -> Vec<String> {
+    let mut warnings = recording.warnings().to_vec();
+    for (index, found) in recording.groups().iter().enumerate() {
+        let n = recording.n_without_time(index).unwrap_or_default();
+        warnings.extend((n > 0).then(|| {
+            format!(
+                "{} of group {} left out: the take does not say when they were taken, has no frame around them, or lost too \
+                 many in one place.",
+                counted(n, "sample"),
+                found.group.number
+            )
+        }));
+    }
+    warnings
+}
+
 /// Where the samples of a group come from.
 #[derive(Debug)]
 enum GroupSource<'a> {
@@ -239,6 +241,8 @@ struct GroupWriter<'a> {
     /// Samples of each channel that the take does not have: before its first one in these frames, after others.
     n_before: u64,
     n_written: u64,
+    /// By channel, its samples that are no numbers.
+    not_numbers: Vec<u64>,
     n_missing: u64,
     /// Of these, the last ones.
     n_trailing: u64,
@@ -279,13 +283,12 @@ impl<'a> RecordedAnalog<'a> {
                     GroupSource::Unchanged { samples, runs, block: SampleBlock::default(), next: 0 }
                 }
                 Placement::Resampled => {
-                    let whole =
-                        recording.samples(index, &(0..recording.n_rows())).map_err(of_take)?;
-                    GroupSource::Resampled(Box::new(Resampler::new(
-                        whole,
-                        found.group.rate_hz,
-                        to_hz,
-                    )))
+                    let from_hz = found.group.rate_hz;
+                    let reach_s = (reach(from_hz, to_hz) + 1) as f64 / from_hz;
+                    let rows = (reach_s * info.rate_hz).ceil() as u64 + 1;
+                    let rows = wider.start.saturating_sub(rows)..wider.end.saturating_add(rows);
+                    let samples = recording.samples(index, &rows).map_err(of_take)?;
+                    GroupSource::Resampled(Box::new(Resampler::new(samples, from_hz, to_hz)))
                 }
             };
             let name = name_of(&found.group);
@@ -296,6 +299,7 @@ impl<'a> RecordedAnalog<'a> {
                 source,
                 n_before,
                 n_written,
+                not_numbers: vec![0; channels.len()],
                 n_missing,
                 n_trailing,
                 n_passed,
@@ -303,7 +307,7 @@ impl<'a> RecordedAnalog<'a> {
         }
         let (row, values) = (rows.start, Vec::new());
         let all = Self { ratio: plan.ratio, groups, remarks, row, values };
-        Ok(Some(all).filter(|all| all.n_channels() > 0))
+        Ok(Some(all))
     }
 
     pub(super) fn n_channels(&self) -> usize {
@@ -358,22 +362,26 @@ impl<'a> RecordedAnalog<'a> {
                 Some((plate, channels.collect::<Option<Vec<usize>>>()?))
             })
             .collect();
-        let mut moments = vec![false; numbers.len()];
+        let mut of_plates: Vec<Option<(PlateType, usize, bool)>> = vec![None; numbers.len()];
         for (plate, channels) in &plates {
-            let from = if plate.kind == PlateType::Type1 { 5 } else { 3 };
-            let of_moments = channels.iter().skip(from).filter(|_| plate.kind != PlateType::Type3);
-            of_moments.for_each(|&channel| moments[channel] = true);
+            let is_turned = turned(plate).is_some();
+            for (place, &channel) in channels.iter().enumerate() {
+                if let Some(found) = of_plates.get_mut(channel) {
+                    *found = Some((plate.kind, place, is_turned));
+                }
+            }
         }
         let all = self.groups.iter().flat_map(|group| group.channels);
         let (mut labels, mut units, mut scales, mut offsets) = (vec![], vec![], vec![], vec![]);
-        for (channel, is_moment) in all.zip(moments) {
+        for (channel, of_plate) in all.zip(of_plates) {
             labels.push(channel.name.clone());
-            // Other programs read the moments of a plate in N times POINT:UNITS, whatever the unit says.
-            let to_mm = Some(&channel.unit).filter(|_| is_moment).and_then(|unit| moment_nm(unit));
-            units.push(to_mm.map_or_else(|| channel.unit.clone(), |_| "Nmm".to_owned()));
-            scales.push((channel.scale * to_mm.map_or(1.0, |nm| nm * 1000.0)) as f32);
             offsets.push(channel.offset as f32);
+            let in_file = of_plate.map(|of| in_file_units(of, &channel.unit));
+            let (unit, factor) = in_file.unwrap_or((&channel.unit, 1.0));
+            units.push(unit.to_owned());
+            scales.push((channel.scale * factor) as f32);
         }
+
         for (name, texts) in [("LABELS", &labels), ("UNITS", &units)] {
             parameters.set_texts(ANALOG, name, texts).map_err(|text| {
                 InterchangeError::Unsupported(format!(
@@ -406,8 +414,31 @@ impl<'a> RecordedAnalog<'a> {
     }
 }
 
+/// The unit that a plate's channel has in the file, and the factor of its scale: other programs read forces in N, and moments
+/// in N times POINT:UNITS, whatever the unit says. Turned plates have y and z in the other direction.
+fn in_file_units(
+    (kind, place, is_turned): (PlateType, usize, bool),
+    unit: &str,
+) -> (&'static str, f64) {
+    let known = factor_of_unit(kind, place, unit.trim()).unwrap_or(1.0);
+    let (name, factor) = match (kind, place) {
+        (PlateType::Type3, _) | (_, 0..=2) => ("N", known),
+        (PlateType::Type1, 3 | 4) => ("mm", known),
+        _ => ("Nmm", known * 1000.0),
+    };
+    let is_along_x = matches!(place, 0 | 3);
+    (name, if is_turned && !is_along_x { -factor } else { factor })
+}
+
+/// A plate as C3D has it, if that is not how the take has it: the third number of ORIGIN is not positive there, so readers
+/// reverse one that is. The axes are turned about x by half a turn, so that z points the other way.
+fn turned(plate: &RecordedPlate) -> Option<([[f64; 3]; 4], [f64; 3])> {
+    let ([a, b, c, d], [x, y, z]) = (plate.geometry.corners_mm(), plate.geometry.origin_mm());
+    (plate.kind == PlateType::Type2 && z > 0.0).then_some(([d, c, b, a], [x, -y, -z]))
+}
+
 /// Sets the `FORCE_PLATFORM` group, with the indices of each plate's analog channels.
-fn set_plates(parameters: &mut Parameters, plates: &[(&crate::record::RecordedPlate, Vec<usize>)]) {
+fn set_plates(parameters: &mut Parameters, plates: &[(&RecordedPlate, Vec<usize>)]) {
     let n = u8::try_from(plates.len()).unwrap_or(u8::MAX);
     let plates = &plates[..usize::from(n)];
     let floats = |values: Vec<f64>| {
@@ -416,8 +447,13 @@ fn set_plates(parameters: &mut Parameters, plates: &[(&crate::record::RecordedPl
     let words = |values: Vec<usize>| {
         values.iter().flat_map(|v| (*v as u16).to_le_bytes()).collect::<Vec<u8>>()
     };
-    let corners = plates.iter().flat_map(|(plate, _)| plate.geometry.corners_mm()).flatten();
-    let origins = plates.iter().flat_map(|(plate, _)| plate.geometry.origin_mm());
+    let places = plates.iter().map(|(plate, _)| {
+        turned(plate).unwrap_or((plate.geometry.corners_mm(), plate.geometry.origin_mm()))
+    });
+    let (corners, origins): (Vec<_>, Vec<_>) = places.unzip();
+    let (corners, origins) =
+        (corners.into_iter().flatten().flatten(), origins.into_iter().flatten());
+
     let n_channels = plates.iter().map(|(_, channels)| channels.len()).max().unwrap_or(6);
     let channels = plates.iter().flat_map(|(_, channels)| {
         // Numbers count from 1; 0 is none.
@@ -454,7 +490,13 @@ impl GroupWriter<'_> {
                 self.push_unchanged(slot as i64, values)?
             }
         };
-        if is_there && values.iter().skip(before).all(|value| value.is_finite()) {
+        if is_there {
+            let channels = self.channels.iter().zip(&mut self.not_numbers);
+            let written = values.iter_mut().skip(before).zip(channels);
+            for (value, (channel, n)) in written.filter(|(value, _)| !value.is_finite()) {
+                *value = channel.offset as f32;
+                *n += 1;
+            }
             self.n_written += 1;
             self.n_missing += std::mem::take(&mut self.n_trailing);
             return Ok(());
@@ -486,8 +528,12 @@ impl GroupWriter<'_> {
             }
             let number = block.numbers[*next];
             let run = runs.partition_point(|run| run.first <= number).checked_sub(1);
-            let shift = run.and_then(|run| runs.get(run)).map_or(0, |run| run.shift);
-            let own = number.cast_signed().saturating_add(shift);
+            let Some(run) = run.and_then(|run| runs.get(run)) else {
+                *next += 1;
+                self.n_passed += 1;
+                continue;
+            };
+            let own = number.cast_signed().saturating_add(run.shift);
             if own > slot {
                 return Ok(false);
             }
@@ -519,9 +565,19 @@ impl GroupWriter<'_> {
                 ));
             }
         }
+        let of_channels = self.channels.iter().zip(&self.not_numbers).filter(|(_, n)| **n > 0);
+        let of_channels = of_channels
+            .map(|(channel, n)| format!("{} of {}", counted(*n, "sample"), channel.name));
+        let of_channels: Vec<String> = of_channels.collect();
+        if !of_channels.is_empty() {
+            remarks.push(format!(
+                "{name} has samples that are no numbers, which were written as 0: {}.",
+                of_channels.join(", ")
+            ));
+        }
         if self.n_passed > 0 {
             remarks.push(format!(
-                "{name}: {} left out, because others have their time.",
+                "{name}: {} left out, because others have their time, or their run has none.",
                 counted(self.n_passed, "sample")
             ));
         }

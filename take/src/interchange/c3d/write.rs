@@ -116,7 +116,9 @@ fn fill_parameters(
     fill_subjects(parameters, &info.markers);
     events::fill(parameters, info, whole);
     if let (Some(recorded), Some(recording)) = (&body.recorded, &info.recording) {
-        recorded.fill_parameters(parameters, recording)?;
+        if recorded.n_channels() > 0 {
+            recorded.fill_parameters(parameters, recording)?;
+        }
     }
     let (ratio, n_channels) = body.analog_shape();
     if n_channels == 0 {
@@ -409,7 +411,7 @@ impl<'a> Body<'a> {
     fn analog_shape(&self) -> (usize, usize) {
         let of_recording = self.recorded.as_ref().map(|all| (all.ratio, all.n_channels()));
         let kept = self.analog.as_ref().map(|kept| (kept.header.ratio, kept.header.n_signals));
-        kept.or(of_recording).unwrap_or((0, 0))
+        kept.or(of_recording.filter(|(_, n)| *n > 0)).unwrap_or((0, 0))
     }
 
     /// Appends a frame.

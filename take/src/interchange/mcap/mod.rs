@@ -79,13 +79,13 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         }
         for (channel, table) in &mut tables {
             let width = table.columns().len().max(1);
-            let rows = table.next_frame()?;
-            for (row, time) in
-                rows.into_iter().flat_map(|(rows, times)| rows.chunks_exact(width).zip(times))
-            {
-                let time_ns = time_between(time.frames);
-                file.message(*channel, time_ns, &messages::sampled(row, time_ns))?;
+            while let Some((rows, times)) = table.next_rows(index)? {
+                for (row, time) in rows.chunks_exact(width).zip(times) {
+                    let time_ns = time_between(time.frames);
+                    file.message(*channel, time_ns, &messages::sampled(row, time_ns))?;
+                }
             }
+
             frames.count_sampled(1);
         }
         index += 1;
