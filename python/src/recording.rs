@@ -22,7 +22,14 @@ use crate::{
 /// Finds the sampled channels of a take; `None` if it has none, as an import.
 pub(crate) fn open(source: &Source) -> Result<Option<Recording>> {
     let map = TakeMap::scan(&mut source.reader())?;
-    Ok(Recording::open(&map, source.reader())?)
+    let recording = Recording::open(&map, source.reader())?;
+    for recording in recording.iter() {
+        // Here, where the interpreter is not held: later calls find it.
+        for index in 0..recording.groups().len() {
+            recording.numbers(index, &(0..recording.n_rows()))?;
+        }
+    }
+    Ok(recording)
 }
 
 /// The times of a group's samples, in seconds from the first frame.

@@ -40,6 +40,33 @@ rate = 0.05
 """
 
 
+# The first one is the reference.
+CLOCKS = {
+    "even": "seed = 3",
+    "clock-back": """
+seed = 3
+[[fault]]
+kind = "clock-jump"
+at_s = 2.0
+by_s = -1
+""",
+    "clock-ahead": """
+seed = 3
+[[fault]]
+kind = "clock-jump"
+at_s = 2.0
+by_s = 3
+""",
+    "power-loss": """
+seed = 3
+[[fault]]
+kind = "power-loss"
+at_s = 2.0
+for_s = 0.5
+""",
+}
+
+
 def run(*command):
     """What a program says on stderr."""
     result = subprocess.run([str(word) for word in command], capture_output=True, text=True)
@@ -133,7 +160,7 @@ def check_formats(recorder, take, kinds):
             if not compare.same_bits(np.ascontiguousarray(found.values), np.ascontiguousarray(wanted.values)):
                 wrong.append(f"{table}: other bits")
             # MCAP has whole nanoseconds of a date.
-            if found.times_s.shape != wanted.times_s.shape or np.abs(found.times_s - wanted.times_s).max() > 2e-6:
+            if found.times_s.shape != wanted.times_s.shape or np.abs(found.times_s - wanted.times_s).max() > (2e-6 if kind == "mcap" else 1e-9):
                 wrong.append(f"{table}: other times")
         yield f"{take.stem} {kind}", wrong
     recorder.tables = first
@@ -258,6 +285,34 @@ def check_lost(recorder):
     yield "lost c3d", complaints + check_c3d(read_c3d(path), [table])
 
 
+def check_clock(recorder):
+    """A device whose clock goes back by a second, or that loses its power: samples stay with the frames of their time."""
+    what = ["--generate", "jump", "--rate", "100Hz", "--plates"]
+    reference_s = None
+    for name, script in CLOCKS.items():
+        path = recorder.folder / f"{name}.toml"
+        path.write_text(script, encoding="utf-8")
+        take = recorder.record(name, *what, "--seconds", "7s", "--faults", path)
+        table = sampled.read_csv(recorder.export(take, "csv")[0], "sampled_0")
+        frames = np.genfromtxt(take.with_suffix(".csv"), delimiter=",", names=True)
+        # The pelvis is highest in the flight.
+        total = table.values[:, 2] + table.values[:, 8]
+        top_s = frames["time_s"][np.nanargmax(frames["pelvisz"])]
+        airborne = np.flatnonzero(total == 0)
+        airborne = airborne[np.abs(table.times_s[airborne] - top_s) < 0.4]
+        middle_s = (table.times_s[airborne[0]] + table.times_s[airborne[-1]]) / 2
+        complaints = [] if (np.diff(table.times_s) > 0).all() else ["times do not ascend"]
+        # The body comes down lower than it leaves: the middle of the flight is later than its top, in each take by as much.
+        apart_s = middle_s - top_s
+        reference_s = apart_s if reference_s is None else reference_s
+        if not 0 < apart_s < 0.06 or abs(apart_s - reference_s) > 0.002:
+            complaints.append(f"the flight is {apart_s:.4f} s after the top, {reference_s:.4f} s without a fault")
+        n_placed = int(np.isfinite(table.values[:, 2]).sum())
+        if n_placed < 6000:
+            complaints.append(f"only {n_placed} samples")
+        yield f"{name}: samples and frames", complaints
+
+
 def attempt(check, recorder):
     """The lines of a check."""
     lines = []
@@ -276,8 +331,8 @@ def main():
     arguments = parser.parse_args()
     programs = arguments.mocapd.resolve(), arguments.mocapd_sim.resolve()
     passed = failed = 0
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(3) as pool:
-        checks = [check_jump, check_misfit, check_lost]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(4) as pool:
+        checks = [check_jump, check_misfit, check_lost, check_clock]
         # The simulator plays in real time.
         for lines in pool.map(lambda check: attempt(check, Recorder(*programs, Path(folder))), checks):
             for good, line in lines:

@@ -201,6 +201,8 @@ def read_xdf(path, kind):
     assert stream["time_series"].dtype == np.float32
     names, units = ([channel[field][0] or "" for channel in channels] for field in ("label", "unit"))
     rate_hz = float(stream["info"]["nominal_srate"][0])
+    if rate_hz == 0:  # a recording, whose samples have times of their own
+        return at_times(names, units, stream["time_stamps"], stream["time_series"])
     return Table(names, units, rate_hz, stream["time_stamps"], stream["time_series"])
 
 

@@ -193,7 +193,11 @@ impl RowClock {
         };
         let (rows, ticks) = ((to.row - from.row) as f64, to.ticks.wrapping_sub(from.ticks) as f64);
         if ticks > (rows + 1.0) * of.period {
-            return Some(forwards).filter(|&at| at < to.row as f64);
+            // Half of the rows between follow the earlier one, the others precede the later one.
+            let middle = from.row as f64 + 0.5 * rows;
+            let backwards = to.row as f64 + time.ticks_since(to.ticks) / of.period;
+            let found = if forwards < middle { Some(forwards) } else { Some(backwards) };
+            return found.filter(|&at| at == forwards || at >= middle);
         }
         Some(from.row as f64 + time.ticks_since(from.ticks) * (rows / ticks))
     }
@@ -255,9 +259,9 @@ mod tests {
         // Three seconds of a thousand ticks pass between rows 199 and 200, whose numbers follow each other.
         let ticks = |row: u64| row * 10 + if row < 200 { 0 } else { 3000 };
         let clock = RowClock { epochs: vec![epoch(0, (0..400).map(|row| (row, ticks(row))))] };
-        ascends(&clock, 0, 0..7000, 2000..5000);
-        assert_eq!([at(&clock, 0, 1995), at(&clock, 0, 3000)], [Some(199.5), None]);
-        assert_eq!([at(&clock, 0, 4995), at(&clock, 0, 5000)], [None, Some(200.0)]);
+        ascends(&clock, 0, 0..7000, 1995..4995);
+        assert_eq!([at(&clock, 0, 1994), at(&clock, 0, 3000)], [Some(199.4), None]);
+        assert_eq!([at(&clock, 0, 4995), at(&clock, 0, 5000)], [Some(199.5), Some(200.0)]);
     }
 
     #[test]
