@@ -108,6 +108,62 @@ pub struct SampledGroupInfo {
     pub channels: Vec<SampledChannelInfo>,
 }
 
+/// What the channels of a force plate hold; the code of the C3D format's types.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PlateOutput {
+    /// Six channels: the force, the centre of pressure x and y, the free moment.
+    ForceAndCentre,
+    /// Six channels: the force, and its moment about the origin of the sensors.
+    #[default]
+    ForceAndMoment,
+    /// Eight channels: fx12, fx34, fy14, fy23, fz1 to fz4, forces at four sensors.
+    FourSensors,
+}
+
+impl PlateOutput {
+    /// All kinds of output.
+    pub const ALL: [Self; 3] = [Self::ForceAndCentre, Self::ForceAndMoment, Self::FourSensors];
+
+    /// The type that the C3D format calls it, 1 to 3.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        match self {
+            Self::ForceAndCentre => 1,
+            Self::ForceAndMoment => 2,
+            Self::FourSensors => 3,
+        }
+    }
+
+    /// Number of channels.
+    #[must_use]
+    pub const fn n_channels(self) -> usize {
+        match self {
+            Self::ForceAndCentre | Self::ForceAndMoment => 6,
+            Self::FourSensors => 8,
+        }
+    }
+}
+
+/// A force plate: where it stands, and which sampled channels are its own.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ForcePlateInfo {
+    /// Its number, from 1.
+    pub number: u8,
+    /// What its channels hold.
+    pub output: PlateOutput,
+    /// The number of the group that has its channels.
+    pub group: u8,
+    /// The indices of its channels in the group, in the order of its output.
+    pub channels: Vec<u8>,
+    /// The corners of its surface in the device's axes, in millimetres: those of the quadrants (+x +y), (-x +y), (-x -y),
+    /// (+x -y) of the plate's own axes, in which its channels are.
+    pub corners_mm: [[f32; 3]; 4],
+    /// In the plate's own axes, in millimetres: from the origin of the sensors to the centre of the surface, so that z is
+    /// positive in a plate whose z axis points up, and negative in one whose z axis points down; of four sensors half
+    /// their distances along x and y, and the height of their origin above the surface, which is not positive.
+    pub origin_mm: [f32; 3],
+}
+
 /// Consecutive samples of all channels of a group.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SampleBatch<'a> {
@@ -206,6 +262,8 @@ pub enum DeviceEvent<'a> {
     Frame(Frame<'a>),
     /// A group of sampled channels: all of them after the markers that follow Hello.
     SampledGroup(&'a SampledGroupInfo),
+    /// A force plate: all of them after the groups.
+    ForcePlate(&'a ForcePlateInfo),
     /// Samples of such a group.
     Samples(SampleBatch<'a>),
     /// The rigid bodies: the whole table, after the markers that follow Hello, and again when it changes.

@@ -169,7 +169,7 @@ pub(crate) fn read_loads(
     Ok(())
 }
 
-fn values(load: &PlateLoad) -> [f64; LOAD_VALUES] {
+pub(crate) fn values(load: &PlateLoad) -> [f64; LOAD_VALUES] {
     let mut values = [f64::NAN; LOAD_VALUES];
     let PlateLoad { force_n, moment_nm, cop_mm, free_moment_nm } = load;
     let all = [force_n, moment_nm, cop_mm, free_moment_nm].into_iter().flatten();

@@ -9,6 +9,7 @@ mod errors;
 mod foreign;
 mod import;
 mod read;
+mod recording;
 mod records;
 mod remote;
 mod scan;

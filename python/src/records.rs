@@ -3,7 +3,7 @@
 use mocapd_take::{
     foreign::{
         analog::AnalogSamples,
-        force_plates::{ForcePlates, UnusablePlate},
+        force_plates::{ForcePlate, ForcePlates, UnusablePlate},
         parameters::{C3dParameter, C3dValues},
     },
     record::{ClockLine, Event, Header, Ledger},
@@ -162,6 +162,19 @@ pub(crate) fn analog<'py>(
     Ok(out)
 }
 
+/// A plate that can be used.
+pub(crate) fn force_plate<'py>(py: Python<'py>, plate: &ForcePlate) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(py);
+    dict.set_item("number", plate.number)?;
+    dict.set_item("type", plate.kind.code())?;
+    dict.set_item("corners_mm", matrix(py, &plate.geometry.corners_mm())?)?;
+    dict.set_item("origin_mm", plate.geometry.origin_mm().to_vec().into_pyarray(py))?;
+    dict.set_item("channels", &plate.channels)?;
+    let calibration = plate.calibration.as_ref().map(|rows| matrix(py, rows));
+    dict.set_item("calibration", calibration.transpose()?)?;
+    Ok(dict)
+}
+
 /// The plates, and what was wrong with them and with those that are left out.
 pub(crate) fn force_plates<'py>(
     py: Python<'py>,
@@ -169,15 +182,7 @@ pub(crate) fn force_plates<'py>(
 ) -> PyResult<(Bound<'py, PyList>, Vec<String>)> {
     let out = PyList::empty(py);
     for plate in &found.plates {
-        let dict = PyDict::new(py);
-        dict.set_item("number", plate.number)?;
-        dict.set_item("type", plate.kind.code())?;
-        dict.set_item("corners_mm", matrix(py, &plate.geometry.corners_mm())?)?;
-        dict.set_item("origin_mm", plate.geometry.origin_mm().to_vec().into_pyarray(py))?;
-        dict.set_item("channels", &plate.channels)?;
-        let calibration = plate.calibration.as_ref().map(|rows| matrix(py, rows));
-        dict.set_item("calibration", calibration.transpose()?)?;
-        out.append(dict)?;
+        out.append(force_plate(py, plate)?)?;
     }
     let left_out = |plate: &UnusablePlate| {
         format!("force plate {} is left out: {}", plate.number, plate.reason)

@@ -6,7 +6,7 @@ use std::{
     sync::{Arc, PoisonError, RwLock},
 };
 
-use mocapd_take::{TakeMap, damage::Problem, timeline::LossCauses};
+use mocapd_take::{TakeMap, damage::Problem, sampled::Recording, timeline::LossCauses};
 use numpy::{IntoPyArray, PyArray1, PyReadwriteArray2, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
     prelude::*,
@@ -19,7 +19,7 @@ use crate::{
     decode::DecodeRequest,
     errors::Failure,
     foreign::{self, KeptContent, KeptParts, LOAD_VALUES},
-    records,
+    recording, records,
     scan::scan,
     source::Source,
     times::{Times, lost, times},
@@ -41,6 +41,8 @@ struct OpenTake {
     source: Source,
     /// The parts of an import that were read, and which they are.
     kept: Option<(KeptParts, Arc<KeptContent>)>,
+    /// The sampled channels, once they were found; `None` in it if there are none.
+    recording: Option<Arc<Option<Recording>>>,
 }
 
 /// Device ticks, arrival times in nanoseconds, and whether each row was recorded.
@@ -225,6 +227,64 @@ impl TakeFile {
         records::force_plates(py, &self.run(py, |_| foreign::force_plates(&kept.info))?)
     }
 
+    /// The groups of sampled channels of a recording, each as a dict, and what is wrong with them.
+    fn sampled<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyList>, Vec<String>)> {
+        recording::describe(py, (*self.recording(py)?).as_ref())
+    }
+
+    /// The times of all samples of the group with this index, in seconds from the first frame.
+    fn sampled_times<'py>(
+        &self,
+        py: Python<'py>,
+        group: usize,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let found = self.recording(py)?;
+        let times_s = self.run(py, |_| recording::times(of_recording(&found)?, group))?;
+        Ok(times_s.into_pyarray(py))
+    }
+
+    /// Fills `out`, float32 [samples, channels], with values of a group from its sample `first` on.
+    fn read_sampled(
+        &self,
+        py: Python<'_>,
+        mut out: PyReadwriteArray2<'_, f32>,
+        group: usize,
+        first: u64,
+        channels: Vec<usize>,
+    ) -> PyResult<()> {
+        let samples = first..first.saturating_add(out.shape()[0] as u64);
+        if out.shape()[1] != channels.len() {
+            return Err(Failure::Value("the array must be [samples, channels]".into()).into());
+        }
+        let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
+        let found = self.recording(py)?;
+        self.run(py, |source| {
+            recording::read(of_recording(&found)?, source, (group, &samples), &channels, out)
+        })
+    }
+
+    /// Fills `out`, float64 [samples, 12 for each plate], with loads of the plates of a group from its sample `first` on.
+    fn read_sampled_loads(
+        &self,
+        py: Python<'_>,
+        mut out: PyReadwriteArray2<'_, f64>,
+        group: usize,
+        first: u64,
+        plates: Vec<usize>,
+    ) -> PyResult<()> {
+        let samples = first..first.saturating_add(out.shape()[0] as u64);
+        if out.shape()[1] != plates.len() * LOAD_VALUES {
+            return Err(
+                Failure::Value("the array must be [samples, 12 for each plate]".into()).into()
+            );
+        }
+        let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
+        let found = self.recording(py)?;
+        self.run(py, |source| {
+            recording::read_loads(of_recording(&found)?, source, (group, &samples), &plates, out)
+        })
+    }
+
     /// Fills `out`, float64 [samples, channels], with physical values from sample `first` on.
     fn read_analog(
         &self,
@@ -262,6 +322,11 @@ impl TakeFile {
     }
 }
 
+/// The sampled channels of a recording that has some.
+fn of_recording(found: &Option<Recording>) -> Result<&Recording, Failure> {
+    found.as_ref().ok_or_else(|| Failure::Value("the take has no sampled channels".into()))
+}
+
 fn not_contiguous() -> Failure {
     Failure::Value("the array must be contiguous, in C order".into())
 }
@@ -271,7 +336,7 @@ impl TakeFile {
         let map = run_detached(py, path.as_deref(), |cancel| {
             Ok(TakeMap::open(&mut source.with_cancel(cancel).reader())?)
         })?;
-        let open = RwLock::new(Some(OpenTake { source, kept: None }));
+        let open = RwLock::new(Some(OpenTake { source, kept: None, recording: None }));
         Ok(Self { open, path, map, cache: DecodeCache::default() })
     }
 
@@ -297,6 +362,21 @@ impl TakeFile {
             open.kept = Some((parts, Arc::clone(&kept)));
         }
         Ok(kept)
+    }
+
+    /// The sampled channels of a recording, found at the first request.
+    fn recording(&self, py: Python<'_>) -> PyResult<Arc<Option<Recording>>> {
+        let open = self.state();
+        let open = open.map_err(|closed| closed.into_py_err(py, self.path.as_deref()))?;
+        if let Some(found) = open.recording {
+            return Ok(found);
+        }
+        // It stays open for later calls, so it is not read through the source of this one, which may be cancelled.
+        let found = Arc::new(self.run(py, |_| recording::open(&open.source))?);
+        if let Some(open) = &mut *self.open.write().unwrap_or_else(PoisonError::into_inner) {
+            open.recording = Some(Arc::clone(&found));
+        }
+        Ok(found)
     }
 
     fn run<T: Send>(

@@ -7,11 +7,13 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use mocapd_drivers::device::{SampleForm, SampledChannelInfo, SampledGroupInfo};
+use mocapd_drivers::device::{
+    ForcePlateInfo, PlateOutput, SampleForm, SampledChannelInfo, SampledGroupInfo,
+};
 use mocapd_drivers::link::{SAMPLE_VALUES_MAX, SAMPLED_CHANNELS_MAX};
 use mocapd_take::quantity::rate_hz;
 
-use crate::generator::{ForcePlates, PLATE_COMPONENTS, Rng};
+use crate::generator::{ForcePlates, PLATE_COMPONENTS, Rng, plate_corners_mm};
 
 /// Newtons, and newton metres, of a count. An unloaded plate has exactly 0.
 const NEWTONS_PER_COUNT: f64 = 0.25;
@@ -64,6 +66,8 @@ enum Signal {
 #[derive(Debug, Clone)]
 pub struct SampledSource {
     info: SampledGroupInfo,
+    /// Those whose channels it has.
+    plates: Vec<ForcePlateInfo>,
     signal: Signal,
 }
 
@@ -100,7 +104,18 @@ impl SampledSource {
         };
         let of_plate = |plate: usize| PLATE_COMPONENTS.map(|name| channel(plate, name));
         let channels = [1, 2].into_iter().flat_map(of_plate).collect();
-        Self::new(id, channels, rate_hz, Signal::Plates(plates))
+        let source = Self::new(id, channels, rate_hz, Signal::Plates(plates))?;
+        let plate = |(first, corners_mm)| ForcePlateInfo {
+            number: first / 6 + 1,
+            output: PlateOutput::ForceAndMoment,
+            group: id,
+            channels: (first..first + 6).collect(),
+            corners_mm,
+            // The moments are those about the centre of the surface.
+            origin_mm: [0.0; 3],
+        };
+        let plates = [0, 6].into_iter().zip(plate_corners_mm()).map(plate).collect();
+        Ok(Self { plates, ..source })
     }
 
     /// Electrodes, as counts of 16 bits.
@@ -137,7 +152,7 @@ impl SampledSource {
         }
         let rate_millihertz = (rate_hz * 1000.0).round() as u32;
         let info = SampledGroupInfo { id, form: SampleForm::Int16, rate_millihertz, channels };
-        Ok(Self { info, signal })
+        Ok(Self { info, plates: Vec::new(), signal })
     }
 
     /// The description that the device announces.
@@ -146,13 +161,10 @@ impl SampledSource {
         &self.info
     }
 
-    /// Number of force plates; 0 for electrodes.
+    /// The force plates whose channels the group has.
     #[must_use]
-    pub fn n_plates(&self) -> usize {
-        match self.signal {
-            Signal::Plates(_) => self.info.channels.len() / PLATE_COMPONENTS.len(),
-            Signal::Electrodes { .. } => 0,
-        }
+    pub fn force_plates(&self) -> &[ForcePlateInfo] {
+        &self.plates
     }
 
     /// Samples of a batch.

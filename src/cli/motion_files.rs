@@ -138,8 +138,11 @@ pub(super) fn measure_analog(
 /// If it cannot be read.
 pub(super) fn read_analog_info(take: &Path) -> anyhow::Result<MotionInfo> {
     let file = BufReader::new(remote::open(take)?);
-    let frames = TakeFrames::open_with(file, is_needed, files::scratch)
-        .with_context(|| format!("cannot read {}", take.display()))?;
+    let reading = || format!("cannot read {}", take.display());
+    let mut frames =
+        TakeFrames::open_with(file, is_needed, files::scratch).with_context(reading)?;
+    let again = BufReader::new(remote::open(take)?);
+    frames.open_recording(again, false).with_context(reading)?;
     Ok(frames.info().clone())
 }
 

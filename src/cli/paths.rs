@@ -147,7 +147,7 @@ pub(super) fn sampled_path(output: &Path, kind: SampledKind) -> PathBuf {
 /// Whether a path is one of [`sampled_path`].
 pub(super) fn is_sampled(path: &Path) -> bool {
     let kind = path.file_stem().and_then(|stem| Path::new(stem).extension());
-    kind.is_some_and(|found| SampledKind::ALL.iter().any(|kind| found == kind.name()))
+    kind.and_then(|kind| SampledKind::from_name(kind.to_str()?)).is_some()
 }
 
 /// Whether two files are on the same file system.

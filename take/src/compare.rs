@@ -10,7 +10,7 @@ use std::{fmt, io};
 pub use self::{
     analog::{AnalogDifference, ChannelDifference, compare_analog},
     content::{ContentDifference, EventDifference, FieldDifference},
-    recorded::compare_recorded,
+    recorded::{SampledDifference, compare_recorded, compare_samples},
     times::{TimesDifference, compare_times},
 };
 use crate::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};

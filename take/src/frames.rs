@@ -14,7 +14,7 @@ use crate::{
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source},
     record::{Event, Header},
-    sampled::{SampledPart, is_recorded},
+    sampled::{Recording, SampledPart, is_recorded},
     stretch::Span,
     traversal::{Decode, TakeTraversal},
 };
@@ -111,6 +111,21 @@ impl<R: Read + Seek> TakeFrames<R> {
             next_row: 0,
             ended: false,
         })
+    }
+
+    /// Adds the sampled channels of a recording, which `input` reads from the same file, to the description of the take.
+    /// `resamples`: an export may resample channels where its format needs that.
+    ///
+    /// # Errors
+    /// Those of [`Recording::open`].
+    pub fn open_recording(
+        &mut self,
+        input: impl Read + Seek + Send + 'static,
+        resamples: bool,
+    ) -> Result<(), TakeError> {
+        let recording = Recording::open(&self.map, input)?;
+        self.info.recording = recording.map(|recording| recording.resampling(resamples));
+        Ok(())
     }
 
     /// Everything in the take but its samples.

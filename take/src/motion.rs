@@ -5,6 +5,7 @@ use std::time::Duration;
 use crate::{
     map::TakeMap,
     record::{Channel, EventKind, Subject},
+    sampled::Recording,
 };
 
 pub use crate::{
@@ -101,6 +102,8 @@ pub struct MotionInfo {
     pub foreign: Vec<Foreign>,
     /// The events, in order of frames.
     pub events: Vec<MotionEvent>,
+    /// The sampled channels of a recording, if they were [opened](Recording::open).
+    pub recording: Option<Recording>,
 }
 
 impl MotionInfo {
@@ -108,6 +111,14 @@ impl MotionInfo {
     #[must_use]
     pub fn labels(&self) -> Vec<String> {
         self.markers.iter().map(|marker| marker.label.clone()).collect()
+    }
+
+    /// The rows of the recording that the frames are.
+    #[must_use]
+    pub fn rows(&self) -> std::ops::Range<u64> {
+        let first_of_take = self.recording.as_ref().map_or(1, Recording::first_frame);
+        let first = self.source.first_frame.saturating_sub(first_of_take);
+        first..first.saturating_add(self.n_frames)
     }
 
     /// Restricts the description to frames `first..end`: their number, the number of the first, and their events.

@@ -4,15 +4,21 @@
 
 mod encoder;
 mod part;
+mod recording;
+mod resample;
+mod row_clock;
 #[cfg(test)]
 mod tests;
 mod times;
 
 pub(crate) use self::encoder::PartContext;
-pub(crate) use self::part::{GroupReader, RecoveredSamples};
+pub(crate) use self::part::{GroupReader, RecoveredSamples, SampleRun};
+pub(crate) use self::resample::{FILTER, Resampler, reach};
 pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},
+    recording::{ReadSeek, RecordedSamples, Recording, RecordingClock, SampleBlock},
+    row_clock::RowClock,
     times::{SampleAnchor, SampleClock, SampleTime, SampleTimes},
 };
 

@@ -174,10 +174,13 @@ def read_npz(path, kind):
     with np.load(path, allow_pickle=False) as found:
         if kind not in found:
             return None
-        values, times_s, rate_hz = found[kind], found["analog_time_s"], float(found["analog_rate_hz"])
+        # The loads of an imported file are at the times of its analog samples.
+        own = kind if f"{kind}_time_s" in found else "analog"
+        values, times_s, rate_hz = found[kind], found[f"{own}_time_s"], float(found[f"{own}_rate_hz"])
         assert values.dtype == np.float32
-        names, units = found["analog_labels"].tolist(), found["analog_units"].tolist()
-        if kind == "force_plates":
+        if kind != "force_plates":
+            names, units = found[f"{kind}_labels"].tolist(), found[f"{kind}_units"].tolist()
+        else:
             numbers = found["force_plate_numbers"]
             assert values.shape[1:] == (len(numbers), 4, 3)
             names, units = columns_of_plates(numbers)
@@ -188,22 +191,25 @@ def read_npz(path, kind):
 def read_xdf(path, kind):
     import pyxdf
 
-    stream_type = {"analog": "Analog", "force_plates": "Force"}[kind]
-    streams = [stream for stream in pyxdf.load_xdf(str(path))[0] if stream["info"]["type"] == [stream_type]]
+    name = f"mocapd {kind.replace('_', ' ')}"
+    streams = [stream for stream in pyxdf.load_xdf(str(path))[0] if stream["info"]["name"] == [name]]
     if not streams:
         return None
     (stream,) = streams
+    assert stream["info"]["type"] == ["Force" if kind == "force_plates" else "Analog"]
     channels = stream["info"]["desc"][0]["channels"][0]["channel"]
     assert stream["time_series"].dtype == np.float32
     names, units = ([channel[field][0] or "" for channel in channels] for field in ("label", "unit"))
     rate_hz = float(stream["info"]["nominal_srate"][0])
+    if rate_hz == 0:  # a recording, whose samples have times of their own
+        return at_times(names, units, stream["time_stamps"], stream["time_series"])
     return Table(names, units, rate_hz, stream["time_stamps"], stream["time_series"])
 
 
 def read_bids(folder, kind):
     import pandas
 
-    name = {"analog": "analog", "force_plates": "forceplates"}[kind]
+    name = kind.replace("_", "")
     files = list(folder.glob(f"sub-*/motion/*_recording-{name}_physio.tsv.gz"))
     if not files:
         return None
@@ -212,9 +218,13 @@ def read_bids(folder, kind):
     with gzip.open(path) as file:
         values = pandas.read_csv(file, sep="\t", header=None, na_values=["n/a"], float_precision="round_trip").to_numpy()
     names, rate_hz = about["Columns"], about["SamplingFrequency"]
-    assert about["StartTime"] == 0 and values.shape[1] == len(names)
+    assert values.shape[1] == len(names)
+    times_s = about["StartTime"] + np.arange(len(values)) / rate_hz
+    if names[0] == "time_s":  # a recording states the time of each sample
+        assert values[0, 0] == about["StartTime"]
+        names, times_s, values = names[1:], values[:, 0], values[:, 1:]
     units = [about[name].get("Units", "") for name in names]
-    return Table(names, units, rate_hz, np.arange(len(values)) / rate_hz, values.astype(np.float32))
+    return Table(names, units, rate_hz, times_s, values.astype(np.float32))
 
 
 def read_parquet(path, kind):

@@ -9,7 +9,8 @@ use anyhow::{Context, anyhow, bail, ensure};
 use mocapd_codec::{Settings, poses::PoseBounds};
 use mocapd_drivers::{
     device::{
-        BodyInfo, Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol, SampledGroupInfo,
+        BodyInfo, Command, DeviceEvent, ForcePlateInfo, Hello, LinkBudget, MarkerInfo, Protocol,
+        SampledGroupInfo,
     },
     registry::{self, Candidate, OpenedDevice},
     transport::{Transport, TransportError},
@@ -17,7 +18,7 @@ use mocapd_drivers::{
 };
 use mocapd_take::{
     motion::UpAxis,
-    record::{Channel, Device, Header},
+    record::{Channel, Device, Header, StatedPlate},
 };
 pub use reader::{ReadOptions, ReaderOutcome};
 
@@ -43,6 +44,7 @@ const ATTEMPTS_MAX: usize = 5;
 struct DeviceChannels {
     markers: Vec<MarkerInfo>,
     sampled: Vec<SampledGroupInfo>,
+    plates: Vec<ForcePlateInfo>,
     bodies: Vec<BodyInfo>,
 }
 
@@ -206,12 +208,13 @@ impl Rig {
             tick_hz: self.hello.tick_hz,
             low_latency: self.transport.is_low_latency(),
         };
+        let plates = self.channels.plates.iter().map(plate_setting);
         Ok(Header {
             up_axis: UpAxis::from_code(self.hello.up_axis),
             device: Some(device),
             channels: config.channels.clone(),
             stretch_rows: config.stretch_rows(),
-            settings: config.custom_times(),
+            settings: [config.custom_times(), plates.collect()].concat(),
             ..header::new(&config.codec, config.rate_hz)?
         })
     }
@@ -360,6 +363,7 @@ impl Rig {
                     }
                     DeviceEvent::Markers(more) => merge_markers(&mut channels.markers, more),
                     DeviceEvent::SampledGroup(group) => merge_group(&mut channels.sampled, group),
+                    DeviceEvent::ForcePlate(plate) => merge_plate(&mut channels.plates, plate),
                     DeviceEvent::Bodies(bodies) => channels.bodies = bodies.to_vec(),
                     // The device answers in order: the pong comes after the answers to earlier commands.
                     DeviceEvent::Pong(pong) if pong.host_ns == host_ns => return Some(()),
@@ -373,6 +377,7 @@ impl Rig {
                 self.hello = hello;
                 // Takes and their ledgers have the groups in order of numbers, whatever the order of the answers.
                 channels.sampled.sort_by_key(|group| group.id);
+                channels.plates.sort_by_key(|plate| plate.number);
                 self.channels = channels;
                 return Ok(());
             }
@@ -395,6 +400,29 @@ fn merge_group(groups: &mut Vec<SampledGroupInfo>, new: &SampledGroupInfo) {
         Some(known) => known.clone_from(new),
         None => groups.push(new.clone()),
     }
+}
+
+/// Adds a force plate; of two with the same number the last description counts. There are as many numbers as plates that
+/// the link allows.
+fn merge_plate(plates: &mut Vec<ForcePlateInfo>, new: &ForcePlateInfo) {
+    match plates.iter_mut().find(|known| known.number == new.number) {
+        Some(known) => known.clone_from(new),
+        None => plates.push(new.clone()),
+    }
+}
+
+/// The setting of a take's header that states a force plate. One whose corners span no surface is stated, too: readers say
+/// that it cannot be used.
+fn plate_setting(plate: &ForcePlateInfo) -> (String, String) {
+    let stated = StatedPlate {
+        number: plate.number,
+        code: plate.output.code(),
+        group: plate.group.into(),
+        channels: plate.channels.iter().map(|&index| index.into()).collect(),
+        corners_mm: plate.corners_mm.map(|corner| corner.map(f64::from)),
+        origin_mm: plate.origin_mm.map(f64::from),
+    };
+    stated.setting()
 }
 
 /// Merges markers into the table. Repeated commands repeat markers: the last description of an id counts.

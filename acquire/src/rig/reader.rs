@@ -460,6 +460,8 @@ impl Reader<'_> {
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
             DeviceEvent::SampledGroup(group) => self.intake.announce_group(group),
             DeviceEvent::Bodies(bodies) => self.intake.announce_bodies(bodies),
+            // A take has those that were announced before it.
+            DeviceEvent::ForcePlate(_) => {}
             DeviceEvent::Status(status) => {
                 self.last_status = Some(status);
                 self.intake.status(status, false);

@@ -6,14 +6,14 @@ use super::{
     envelope::{DecodeOutcome, Deframer, Framer},
     frame::{get_frame, put_frame},
     messages::{self, get_hello, get_markers, kind},
-    poses, samples,
+    plates, poses, samples,
 };
 use crate::{
     bytes::WireValue,
     device::{
-        BODIES_MAX, BodyInfo, Command, DeviceEvent, EndOfPoses, Frame, Hello, LinkBudget,
-        LinkCounters, MarkerInfo, MarkerSample, Pong, Pose, PoseFrame, Protocol, SampleBatch,
-        SampledGroupInfo, Status, Trigger,
+        BODIES_MAX, BodyInfo, Command, DeviceEvent, EndOfPoses, ForcePlateInfo, Frame, Hello,
+        LinkBudget, LinkCounters, MarkerInfo, MarkerSample, Pong, Pose, PoseFrame, Protocol,
+        SampleBatch, SampledGroupInfo, Status, Trigger,
     },
 };
 
@@ -124,6 +124,20 @@ impl DeviceLink {
         Ok(())
     }
 
+    /// Encodes the description of a force plate.
+    ///
+    /// # Errors
+    /// `ForcePlate` for one that the message cannot hold; nothing is appended then.
+    pub fn force_plate(
+        &mut self,
+        plate: &ForcePlateInfo,
+        out: &mut Vec<u8>,
+    ) -> Result<(), EncodeError> {
+        plates::put_plate(plate, self.framer.open(kind::FORCE_PLATE))?;
+        self.framer.close(out);
+        Ok(())
+    }
+
     /// Encodes a batch of samples.
     ///
     /// # Errors
@@ -223,6 +237,7 @@ struct Scratch {
     markers: Vec<MarkerInfo>,
     hello: Hello,
     group: SampledGroupInfo,
+    plate: ForcePlateInfo,
     samples: Vec<f32>,
     bodies: Vec<BodyInfo>,
     poses: Vec<Pose>,
@@ -286,8 +301,17 @@ impl Scratch {
         payload: &[u8],
         on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) -> DecodeOutcome {
-        let Self { positions, markers, hello, group, samples, bodies, poses, samples_not_finite } =
-            self;
+        let Self {
+            positions,
+            markers,
+            hello,
+            group,
+            plate,
+            samples,
+            bodies,
+            poses,
+            samples_not_finite,
+        } = self;
         let event = match kind {
             kind::FRAME_FLOAT | kind::FRAME_MICROMETRES | kind::FRAME_COMPACT => {
                 get_frame(kind, payload, positions, samples_not_finite).map(DeviceEvent::Frame)
@@ -296,6 +320,9 @@ impl Scratch {
             kind::MARKERS => get_markers(payload, markers).map(DeviceEvent::Markers),
             kind::SAMPLED_GROUP => {
                 samples::get_group(payload, group).map(|()| DeviceEvent::SampledGroup(group))
+            }
+            kind::FORCE_PLATE => {
+                plates::get_plate(payload, plate).map(|()| DeviceEvent::ForcePlate(plate))
             }
             kind::SAMPLES => samples::get_batch(payload, samples).map(DeviceEvent::Samples),
             kind::BODIES => {

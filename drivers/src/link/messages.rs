@@ -12,6 +12,7 @@ pub(super) mod kind {
     pub(in crate::link) const MARKERS: u8 = 0x02;
     pub(in crate::link) const SAMPLED_GROUP: u8 = 0x03;
     pub(in crate::link) const BODIES: u8 = 0x04;
+    pub(in crate::link) const FORCE_PLATE: u8 = 0x05;
     pub(in crate::link) const FRAME_FLOAT: u8 = 0x10;
     pub(in crate::link) const FRAME_MICROMETRES: u8 = 0x11;
     pub(in crate::link) const FRAME_COMPACT: u8 = 0x12;

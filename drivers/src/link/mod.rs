@@ -7,6 +7,7 @@ mod endpoints;
 mod envelope;
 mod frame;
 mod messages;
+mod plates;
 mod poses;
 mod samples;
 
@@ -87,6 +88,9 @@ pub const SAMPLE_VALUES_MAX: usize = 1 << 14;
 /// Maximum number of bytes of a channel's unit (UTF-8).
 pub const UNIT_BYTES_MAX: usize = 32;
 
+/// Maximum number of force plates of a device: a walkway of a laboratory has at most twelve.
+pub const PLATES_MAX: usize = 32;
+
 /// What precedes the samples of a batch: group, form, channels, samples, number, first sample, ticks.
 pub const SAMPLES_HEADER_BYTES: usize = 1 + 1 + 1 + 2 + 4 + 8 + 8;
 
@@ -153,6 +157,9 @@ pub enum EncodeError {
     /// The group cannot be announced.
     #[error("invalid group of sampled channels: {0}")]
     SampledGroup(&'static str),
+    /// The force plate cannot be announced.
+    #[error("invalid force plate: {0}")]
+    ForcePlate(&'static str),
     /// The batch cannot be sent.
     #[error("invalid batch of samples: {0}")]
     Samples(&'static str),

@@ -2,9 +2,9 @@
 
 use mocapd_drivers::{
     device::{
-        BodyInfo, Command, DeviceEvent, EndOfPoses, Frame, Hello, MarkerInfo, MarkerSample, Pong,
-        Pose, PoseFrame, PoseStatus, Protocol, SampleBatch, SampleForm, SampledChannelInfo,
-        SampledGroupInfo, Status, Trigger,
+        BodyInfo, Command, DeviceEvent, EndOfPoses, ForcePlateInfo, Frame, Hello, MarkerInfo,
+        MarkerSample, PlateOutput, Pong, Pose, PoseFrame, PoseStatus, Protocol, SampleBatch,
+        SampleForm, SampledChannelInfo, SampledGroupInfo, Status, Trigger,
     },
     link::{DeviceLink, FrameForm, HostLink, frame_bytes_in_volume, link_budget},
 };
@@ -80,6 +80,19 @@ pub(crate) fn all() -> Vec<Example> {
         rate_millihertz: 2_000_000,
         channels: vec![channel("Fz1", "N", 0.25, -8.0), channel("EMG", "", 1.0, 0.0)],
     };
+    let plate = ForcePlateInfo {
+        number: 1,
+        output: PlateOutput::ForceAndMoment,
+        group: 0,
+        channels: (0..6).collect(),
+        corners_mm: [
+            [450.0, 300.0, 0.0],
+            [-450.0, 300.0, 0.0],
+            [-450.0, -300.0, 0.0],
+            [450.0, -300.0, 0.0],
+        ],
+        origin_mm: [0.0, 0.0, 41.5],
+    };
     let batch = SampleBatch {
         group: 2,
         number: 7,
@@ -136,6 +149,9 @@ pub(crate) fn all() -> Vec<Example> {
         from_device("markers", DeviceEvent::Markers(&table), |l, o| l.markers(&table, o).unwrap()),
         from_device("sampled-group", DeviceEvent::SampledGroup(&group), |l, o| {
             l.sampled_group(&group, o).unwrap();
+        }),
+        from_device("force-plate", DeviceEvent::ForcePlate(&plate), |l, o| {
+            l.force_plate(&plate, o).unwrap();
         }),
         from_device("samples", DeviceEvent::Samples(batch), |l, o| l.samples(&batch, o).unwrap()),
         from_device("samples-float", DeviceEvent::Samples(of_floats), |l, o| {

@@ -1,8 +1,9 @@
-//! Groups of sampled channels and batches of their samples.
+//! Groups of sampled channels, force plates, and batches of samples.
 
 use mocapd_drivers::{
     device::{
-        DeviceEvent, Protocol, SampleBatch, SampleForm, SampledChannelInfo, SampledGroupInfo,
+        DeviceEvent, ForcePlateInfo, PlateOutput, Protocol, SampleBatch, SampleForm,
+        SampledChannelInfo, SampledGroupInfo,
     },
     link::{
         DeviceLink, EncodeError, GROUPS_MAX, HostLink, SAMPLE_VALUES_MAX, WIRE_BYTES_MAX,
@@ -77,7 +78,7 @@ proptest! {
     /// Any payload of the two types is decoded or damage, and what is decoded is within the limits.
     #[test]
     fn hostile_payloads_stay_within_the_limits(
-        kind in prop_oneof![Just(0x03u8), Just(0x13u8)],
+        kind in prop_oneof![Just(0x03u8), Just(0x05u8), Just(0x13u8)],
         mut payload in vec(any::<u8>(), 0..300),
         (form, n_channels, n) in (0u8..4, 0u8..70, 0u8..8),
     ) {
@@ -96,6 +97,7 @@ proptest! {
                 assert_eq!(batch.n_samples() * usize::from(batch.n_channels), batch.samples.len());
             }
             DeviceEvent::SampledGroup(group) => assert!((1..=64).contains(&group.channels.len())),
+            DeviceEvent::ForcePlate(plate) => assert!((6..=8).contains(&plate.channels.len())),
             _ => panic!("{event:?}"),
         });
         let counters = host.counters();
@@ -182,4 +184,61 @@ fn groups_beyond_the_limits_are_refused_by_both_ends() {
         assert!(matches!(device.sampled_group(&group, &mut wire), Err(EncodeError::Text { .. })));
     }
     assert!(wire.is_empty());
+}
+
+fn plate(output: PlateOutput) -> ForcePlateInfo {
+    ForcePlateInfo {
+        number: 32,
+        output,
+        group: 15,
+        channels: (56..64).take(output.n_channels()).collect(),
+        corners_mm: [[600.0, 0.0, 1.5], [0.0, 0.0, 1.5], [0.0, -400.0, 1.5], [600.0, -400.0, 1.5]],
+        origin_mm: [-0.5, 1e-3, -50.0],
+    }
+}
+
+#[test]
+fn every_kind_of_force_plate_round_trips() {
+    for output in PlateOutput::ALL {
+        let (plate, mut wire) = (plate(output), Vec::new());
+        DeviceLink::new().force_plate(&plate, &mut wire).unwrap();
+        let expected = format!("{:?}", DeviceEvent::ForcePlate(&plate));
+        assert_eq!(host_events(&mut HostLink::new(), &wire), [expected]);
+    }
+}
+
+#[test]
+fn force_plates_beyond_the_limits_are_refused_by_both_ends() {
+    let good = plate(PlateOutput::ForceAndMoment);
+    let mut bad = vec![good.clone(); 6];
+    bad[0].number = 0;
+    bad[1].number = 33;
+    bad[2].group = 16;
+    bad[3].channels.push(1);
+    bad[4].channels[0] = 64;
+    bad[5].corners_mm[3][2] = f32::NAN;
+    let (mut device, mut wire) = (DeviceLink::new(), Vec::new());
+    for plate in &bad {
+        let refused = device.force_plate(plate, &mut wire);
+        assert!(matches!(refused, Err(EncodeError::ForcePlate(_))), "{plate:?}");
+    }
+    assert!(wire.is_empty());
+    device.force_plate(&good, &mut wire).unwrap();
+    let mut message = vec![0; wire.len()];
+    let n = cobs::decode(&wire[..wire.len() - 1], &mut message).unwrap().frame_size();
+    let payload = &message[2..n - 4];
+    // Number, type and group; the index of a channel; a corner that is not finite.
+    for (at, byte) in [(0, 0), (0, 33), (1, 0), (1, 4), (2, 16), (3, 64), (12, 0x7f)] {
+        let mut payload = payload.to_vec();
+        payload[at] = byte;
+        if at == 12 {
+            payload[11] = 0x80;
+        }
+        let mut host = HostLink::new();
+        assert!(
+            host_events(&mut host, &with_envelope(1, 0x05, &payload)).is_empty(),
+            "{at}: {byte}"
+        );
+        assert_eq!(host.counters().messages_damaged, 1);
+    }
 }

@@ -13,6 +13,11 @@ Positions are float32 millimetres, right-handed, in the axes of the device or th
 ...     emg = take.analog["EMG1"].values            # in its unit, at its own rate
 ...     plate = take.force_plates[0]
 ...     plate.force_n, plate.cop_mm                 # in the laboratory's axes
+
+>>> with mocapd.open("jump.take") as take:          # recorded from a device with force plates
+...     for group in take.sampled:                  # of an import, its analog channels
+...         group.time_s, group.values              # seconds from the first frame, each channel in its unit
+...     take.force_plates[0].force_n                # as of an import
 """
 
 from importlib.metadata import version
@@ -23,6 +28,7 @@ from ._force_plates import ForcePlate, PlateLoads
 from ._marker import Marker, MarkerSummary
 from ._native import TakeError
 from ._records import ClockLine, Device, Ending, Event, Header, Ledger, LostFrames, Source, Times
+from ._sampled import SampledGroup
 from ._subject import Subject
 from ._take import Take, TakeWarning, open
 
@@ -42,6 +48,7 @@ __all__ = [
     "Marker",
     "MarkerSummary",
     "PlateLoads",
+    "SampledGroup",
     "Source",
     "Subject",
     "Take",

@@ -120,6 +120,9 @@ class Analog:
         self._file.read_analog(out, first, indices)
         return out
 
+    def _read_loads(self, out: Values, first: int, plates: list[int]) -> None:
+        self._file.read_loads(out, first, plates)
+
     def _indices(self, channels: Channels) -> list[int]:
         if channels is None:
             return list(range(len(self)))

@@ -1,4 +1,4 @@
-"""Force plates of an imported C3D file."""
+"""Force plates of an imported C3D file, or of a recording."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _LOAD_VALUES = 12
 
 @dataclass(frozen=True)
 class PlateLoads:
-    """The loads of a force plate, in the laboratory's axes: arrays with a row for each analog sample, NaN where the file
-    has no sample.
+    """The loads of a force plate, in the laboratory's axes: arrays with a row for each sample of its channels, NaN where
+    the file has none, or the recording lost some.
 
     They are the reactions of the plate on the subject: standing on a plate gives a force that points up.
     """
@@ -120,7 +120,7 @@ class ForcePlate:
 
 
 def read_loads(plates: Sequence[ForcePlate], start_s: float | None, stop_s: float | None) -> list[PlateLoads]:
-    """The loads of several plates of one take, whose samples are decoded once."""
+    """The loads of several plates whose channels are sampled together, which are decoded once."""
     if not plates:
         return []
     analog = plates[0]._analog
@@ -128,6 +128,6 @@ def read_loads(plates: Sequence[ForcePlate], start_s: float | None, stop_s: floa
     width = _LOAD_VALUES * len(plates)
     check_size(stop - first, width, f"samples of {len(plates)} force plates")
     out = np.empty((stop - first, width))
-    analog._file.read_loads(out, first, [plate._index for plate in plates])
+    analog._read_loads(out, first, [plate._index for plate in plates])
     time_s = analog._times(first, stop)
     return [PlateLoads(time_s, *np.split(loads, 4, axis=1)) for loads in np.split(out, len(plates), axis=1)]

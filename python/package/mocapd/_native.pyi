@@ -45,6 +45,15 @@ class AnalogFields(TypedDict):
     warnings: list[str]
 
 @type_check_only
+class SampledFields(TypedDict):
+    rate_hz: float
+    samples_per_frame: int
+    n_samples: int
+    channels: list[AnalogChannelFields]
+    number: int
+    plates: list[ForcePlateFields]
+
+@type_check_only
 class ForcePlateFields(TypedDict):
     number: int
     type: int
@@ -94,6 +103,10 @@ class TakeFile:
     def read_analog(self, out: npt.NDArray[np.float64], first: int, channels: list[int]) -> None: ...
     def force_plates(self) -> tuple[list[ForcePlateFields], list[str]]: ...
     def read_loads(self, out: npt.NDArray[np.float64], first: int, plates: list[int]) -> None: ...
+    def sampled(self) -> tuple[list[SampledFields], list[str]]: ...
+    def sampled_times(self, group: int) -> npt.NDArray[np.float64]: ...
+    def read_sampled(self, out: npt.NDArray[np.float32], group: int, first: int, channels: list[int]) -> None: ...
+    def read_sampled_loads(self, out: npt.NDArray[np.float64], group: int, first: int, plates: list[int]) -> None: ...
 
 @type_check_only
 class EncodeOptions(TypedDict):

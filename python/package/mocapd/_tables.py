@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ._force_plates import read_loads
+from ._force_plates import ForcePlate, read_loads
 from ._native import TakeError
 from ._ranges import unique_names
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-    from ._analog import Channels
+    from ._analog import Analog, Channels
     from ._marker import Markers
     from ._take import Take
 
@@ -104,7 +104,28 @@ def _analog(
     stop_s: float | None = None,
     channels: Channels = None,
 ) -> pandas.DataFrame:
-    analog = take.analog
+    return _channels(pandas, take.analog, start_s, stop_s, channels)
+
+
+def _sampled(
+    pandas: ModuleType,
+    take: Take,
+    group: int | None = None,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+    channels: Channels = None,
+) -> pandas.DataFrame:
+    groups = take.sampled
+    if group is None and len(groups) > 1:
+        raise ValueError(f"the take has {len(groups)} groups of sampled channels: give the index of one, 0 to {len(groups) - 1}")
+    if group is not None and not 0 <= group < len(groups):
+        raise ValueError(f"no group {group}: the take has {len(groups)} groups of sampled channels, counted from 0")
+    return _channels(pandas, groups[group or 0] if groups else take.analog, start_s, stop_s, channels)
+
+
+def _channels(
+    pandas: ModuleType, analog: Analog, start_s: float | None, stop_s: float | None, channels: Channels
+) -> pandas.DataFrame:
     indices = analog._indices(channels)
     names = unique_names([analog.channels[index].name for index in indices])
     frame = pandas.DataFrame(
@@ -120,7 +141,21 @@ def _analog(
 def _force_plates(
     pandas: ModuleType, take: Take, start_s: float | None = None, stop_s: float | None = None
 ) -> pandas.DataFrame:
-    plates = take.force_plates
+    by_group: dict[int, list[ForcePlate]] = {}
+    for plate in take.force_plates:
+        by_group.setdefault(id(plate._analog), []).append(plate)
+    # Plates that are sampled at times of their own have rows of their own.
+    frames = [_loads(pandas, plates, start_s, stop_s) for plates in by_group.values() or [[]]]
+    frame: pandas.DataFrame = frames[0] if len(frames) == 1 else pandas.concat(frames, axis=1).sort_index()
+    units = {"force_n": "N", "moment_nm": "N m", "cop_mm": "mm", "free_moment_nm": "N m"}
+    rate_hz = take.force_plates[0]._analog.rate_hz if take.force_plates else take.analog.rate_hz
+    frame.attrs = {"units": units, **_axes(take), "rate_hz": rate_hz}
+    return frame
+
+
+def _loads(
+    pandas: ModuleType, plates: list[ForcePlate], start_s: float | None, stop_s: float | None
+) -> pandas.DataFrame:
     quantities = ("force_n", "moment_nm", "cop_mm", "free_moment_nm")
     columns = pandas.MultiIndex.from_product(
         [[plate.number for plate in plates], quantities, list("xyz")], names=["plate", "quantity", "axis"]
@@ -133,8 +168,6 @@ def _force_plates(
         index=pandas.Index(time_s, name="time_s"),
         columns=columns,
     )
-    units = {"force_n": "N", "moment_nm": "N m", "cop_mm": "mm", "free_moment_nm": "N m"}
-    frame.attrs = {"units": units, **_axes(take), "rate_hz": take.analog.rate_hz}
     return frame
 
 
@@ -166,6 +199,7 @@ def _subject(pandas: ModuleType, take: Take) -> pandas.DataFrame:
 _TABLES = {
     "positions": _positions,
     "analog": _analog,
+    "sampled": _sampled,
     "force_plates": _force_plates,
     "events": _events,
     "subject": _subject,

@@ -21,6 +21,7 @@ from ._native import TakeFile
 from ._parameters import Metadata, metadata
 from ._ranges import check_order, check_size, index_at, unique_names
 from ._records import ClockLine, Ending, Event, Header, Ledger, LostFrames, Times
+from ._sampled import SampledGroup
 from ._subject import Subject
 
 if TYPE_CHECKING:
@@ -211,8 +212,34 @@ class Take:
         return Analog(self._file, fields)
 
     @cached_property
+    def _groups(self) -> tuple[tuple[SampledGroup, ...], tuple[ForcePlate, ...]]:
+        """The groups of a recording, and its force plates."""
+        found, problems = self._file.sampled()
+        self._warn(problems)
+        groups, plates = [], []
+        for index, fields in enumerate(found):
+            own = fields.pop("plates")  # type: ignore[misc]
+            group = SampledGroup(self._file, index, fields)
+            groups.append(group)
+            plates += [ForcePlate(group, place, self.path, **plate) for place, plate in enumerate(own)]
+        return tuple(groups), tuple(sorted(plates, key=lambda plate: plate.number))
+
+    @cached_property
+    def sampled(self) -> tuple[Analog, ...]:
+        """The channels with rates of their own, in groups that are sampled together: of a recording those of its device
+        (:class:`SampledGroup`), of an imported C3D file its analog channels, which are one group. Empty if there are none.
+
+        Raises
+        ------
+        TakeError
+            If this part of the take is damaged.
+        """
+        groups = self._groups[0]
+        return groups or ((self.analog,) if len(self.analog) else ())
+
+    @cached_property
     def force_plates(self) -> tuple[ForcePlate, ...]:
-        """The force plates of an imported C3D file, in their order in the file. Empty if there are none.
+        """The force plates of an imported C3D file, or of a recording, in order. Empty if there are none.
 
         A plate that cannot be used, for example one of an unknown type, is left out with a :class:`TakeWarning`.
 
@@ -221,6 +248,8 @@ class Take:
         TakeError
             If this part of the take is damaged.
         """
+        if self._groups[1]:
+            return self._groups[1]
         plates, problems = self._file.force_plates()
         self._warn(problems)
         return tuple(ForcePlate(self.analog, index, self.path, **plate) for index, plate in enumerate(plates))
@@ -396,6 +425,17 @@ class Take:
 
     @overload
     def to_pandas(
+        self,
+        content: Literal["sampled"],
+        /,
+        group: int | None = None,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+        channels: Sequence[str | int] | str | int | None = None,
+    ) -> pandas.DataFrame: ...
+
+    @overload
+    def to_pandas(
         self, content: Literal["force_plates"], /, start_s: float | None = None, stop_s: float | None = None
     ) -> pandas.DataFrame: ...
 
@@ -411,8 +451,10 @@ class Take:
             columns ``frame``, ``marker``, ``x``, ``y``, ``z``.
         ``to_pandas("analog", start_s, stop_s, channels)``
             One row per analog sample, indexed by ``time_s``; a column for each channel, in its unit.
+        ``to_pandas("sampled", group, start_s, stop_s, channels)``
+            The same for a group of ``take.sampled``, by its index; it can be omitted if there is only one.
         ``to_pandas("force_plates", start_s, stop_s)``
-            One row per analog sample, indexed by ``time_s``; columns (plate, quantity, axis), where quantity is
+            One row per sample of the plates, indexed by ``time_s``; columns (plate, quantity, axis), where quantity is
             ``force_n``, ``moment_nm``, ``cop_mm`` or ``free_moment_nm`` as in :class:`PlateLoads`.
         ``to_pandas("events")``
             One row per event: ``time_s``, ``frame``, ``kind``, ``text``, ``input``, ``device_ticks``, ``host_ns``.

@@ -5,6 +5,7 @@
 
 mod pose;
 mod quality;
+mod recorded;
 mod sampled;
 mod sizes;
 mod study;
@@ -29,6 +30,7 @@ use crate::ReportError;
 pub use self::{
     pose::{MOMENTS_MAX, PosePlot, pose},
     quality::{MarkerQuality, QualityPlot, quality},
+    recorded::{PlotChannel, plot_channels},
     sampled::{AnalogPlot, CHANNELS_MAX, ForcesPlot, PLATES_MAX, analog, forces},
     sizes::{SizeLine, SizePanel, sizes},
     study::by_phase,

@@ -1,20 +1,20 @@
-//! The sampled channels of an imported C3D file against time: analog channels, and the loads of force plates with the
-//! trajectory of a marker.
+//! The sampled channels of an imported C3D file or of a recording against time: analog channels, and the loads of force
+//! plates with the trajectory of a marker.
 
 use std::ops::Range;
 
 use mocapd_take::{
-    foreign::{
-        analog::AnalogSamples,
-        force_plates::{Baseline, ForcePlate, PlateLoads},
-    },
+    foreign::force_plates::{Baseline, ForcePlate, PlateLoads},
     motion::{Motion, MotionInfo},
 };
 use plotters::prelude::*;
 
 use super::{
     Area, Axes, BLUE, BODY, DIM, DrawResult, GREEN, INK, ORANGE, PURPLE, SMALL, TITLE, VERMILION,
-    centred, left_aligned, panel, range, sheet, shortened, text, trace::Trace,
+    centred, left_aligned, panel, range,
+    recorded::{self, PlotChannel, channel_traces, plot_channels},
+    sheet, shortened, text,
+    trace::Trace,
 };
 use crate::{
     ReportError,
@@ -64,6 +64,8 @@ pub struct ForcesPlot<'a> {
     pub plates: &'a [usize],
     /// The column of the marker whose trajectory is drawn, too.
     pub marker: usize,
+    /// Indices of channels that are drawn below, at most [`CHANNELS_MAX`].
+    pub channels: &'a [usize],
     /// The first frame and one past the last, from 0.
     pub rows: (u64, u64),
     /// The up direction.
@@ -75,46 +77,59 @@ pub struct ForcesPlot<'a> {
 /// # Errors
 /// `Nothing` for a take without analog channels, `InvalidArgument` for too many of them.
 pub fn analog(plot: &AnalogPlot<'_>) -> Result<String, ReportError> {
-    if plot.channels.len() > CHANNELS_MAX {
-        return Err(ReportError::InvalidArgument(format!(
-            "{} channels are too many to plot: give up to {CHANNELS_MAX} with --channels",
-            plot.channels.len()
-        )));
-    }
+    check_channels(plot.channels)?;
     let part = part(plot.info, plot.rows);
-    let Some(mut samples) = AnalogSamples::open(&part)? else {
-        return Err(no_samples("analog channels"));
-    };
-    let n_channels = samples.channels().len();
-    let mut traces: Vec<Trace> =
-        plot.channels.iter().map(|_| new_trace(&part, plot.rows, &samples)).collect();
-    let mut block = Vec::new();
-    while samples.next_block(&mut block).map_err(mocapd_take::TakeError::from)? > 0 {
-        for row in block.chunks_exact(n_channels.max(1)) {
-            for (trace, &channel) in traces.iter_mut().zip(plot.channels) {
-                trace.push(row.get(channel).copied().unwrap_or(f64::NAN));
-            }
-        }
+    let all = plot_channels(&part)?;
+    if all.is_empty() {
+        return Err(no_samples("sampled channels"));
     }
-    traces.iter_mut().for_each(Trace::end);
+    let traces = channel_traces(&part, start_s(&part, plot.rows), plot.channels)?;
     let height = HEAD as u32 + PANEL * traces.len() as u32 + TIME_AXIS;
     sheet((WIDTH, height), |area| {
         let title = format!("Analog channels of {}", shortened(plot.name, 70));
         text(area, &title, (24, 26), left_aligned(TITLE, INK))?;
-        let caption =
-            format!("{} of {n_channels} channels, {} Hz", traces.len(), rounded(samples.rate_hz()));
+        let caption = format!("{} of {} channels, {}", traces.len(), all.len(), rates(&traces));
         text(area, &caption, (24, 52), left_aligned(BODY, DIM))?;
         let (_, body) = area.split_vertically(HEAD);
-        let panels = Panels::new(&body, traces.len(), span_s(&traces));
-        for (i, (trace, &channel)) in traces.iter().zip(plot.channels).enumerate() {
-            let channel = &samples.channels()[channel];
-            let unit = Some(channel.unit.trim()).filter(|unit| !unit.is_empty());
-            let unit = unit.map_or_else(String::new, |unit| format!(" ({})", shortened(unit, 20)));
-            let title = format!("{}{unit}", shortened(&channel.name, 60));
-            panels.draw(i, &title, &[(trace, BLUE, Dash::Solid)])?;
+        let curves: Vec<Trace> = traces.iter().map(|(trace, _)| trace.clone()).collect();
+        let panels = Panels::new(&body, traces.len(), span_s(&curves));
+        for (i, (trace, &channel)) in curves.iter().zip(plot.channels).enumerate() {
+            panels.draw(i, &channel_title(all.get(channel)), &[(trace, BLUE, Dash::Solid)])?;
         }
         Ok(())
     })
+}
+
+/// `EMG1 (V)`.
+fn channel_title(channel: Option<&PlotChannel>) -> String {
+    let Some(PlotChannel { name, unit }) = channel else { return String::new() };
+    let unit = Some(unit.trim()).filter(|unit| !unit.is_empty());
+    let unit = unit.map_or_else(String::new, |unit| format!(" ({})", shortened(unit, 20)));
+    format!("{}{unit}", shortened(name, 60))
+}
+
+/// `1000 Hz`, or `500 and 1000 Hz`.
+fn rates(traces: &[(Trace, f64)]) -> String {
+    let mut all: Vec<f64> = traces.iter().map(|(_, rate_hz)| rounded(*rate_hz)).collect();
+    all.sort_by(f64::total_cmp);
+    all.dedup();
+    let all: Vec<String> = all.iter().map(f64::to_string).collect();
+    format!("{} Hz", all.join(" and "))
+}
+
+fn check_channels(channels: &[usize]) -> Result<(), ReportError> {
+    if channels.len() <= CHANNELS_MAX {
+        return Ok(());
+    }
+    Err(ReportError::InvalidArgument(format!(
+        "{} channels are too many to plot: give up to {CHANNELS_MAX} with --channels",
+        channels.len()
+    )))
+}
+
+/// The time of the first frame of a part of a take.
+fn start_s(part: &MotionInfo, rows: (u64, u64)) -> f64 {
+    rows.0 as f64 / part.rate_hz
 }
 
 /// The loads of a plate against time, and its centre of pressure from above.
@@ -123,6 +138,13 @@ struct PlateTraces {
     force_n: [Trace; 3],
     cop_mm: [Trace; 3],
     path: Vec<[f64; 3]>,
+}
+
+impl PlateTraces {
+    fn new(plate: &ForcePlate, trace: impl Fn() -> Trace) -> Self {
+        let [force_n, cop_mm] = [(); 2].map(|()| [(); 3].map(|()| trace()));
+        Self { plate: plate.clone(), force_n, cop_mm, path: Vec::new() }
+    }
 }
 
 /// Maximum number of points of a centre of pressure in the view from above.
@@ -134,19 +156,25 @@ const PATH_POINTS: u64 = 4000;
 /// # Errors
 /// `Nothing` for a take without force plates, `InvalidArgument` for unknown ones or too many.
 pub fn forces(plot: &ForcesPlot<'_>) -> Result<String, ReportError> {
+    check_channels(plot.channels)?;
     let part = part(plot.info, plot.rows);
-    let Some(loads) = PlateLoads::open(&part, Baseline::AsStored)? else {
-        return Err(no_samples("force plates"));
+    let (traces, n_plates, rate_hz) = match PlateLoads::open(&part, Baseline::AsStored)? {
+        Some(loads) => {
+            let (n_plates, rate_hz) = (loads.plates().plates.len(), loads.rate_hz());
+            (plate_traces(plot, &part, loads)?, n_plates, rate_hz)
+        }
+        None => recorded_plate_traces(plot, &part)?,
     };
-    let n_plates = loads.plates().plates.len();
     let caption = format!(
         "reactions on the subject, {} Hz; centre of pressure from {} N on",
-        rounded(loads.rate_hz()),
+        rounded(rate_hz),
         mocapd_take::foreign::force_plates::LOADED_N
     );
-    let traces = plate_traces(plot, &part, loads)?;
     let marker = marker_traces(plot);
-    let n_panels = 2 * traces.len() + 1;
+    let channels = channel_traces(&part, start_s(&part, plot.rows), plot.channels)?;
+    let all_channels = plot_channels(&part)?;
+    let n_of_loads = 2 * traces.len() + 1;
+    let n_panels = n_of_loads + channels.len();
     let height = (HEAD as u32 + PANEL * n_panels as u32 + TIME_AXIS).max(640);
     sheet((WIDTH, height), |area| {
         let title = format!("Force plates of {}", shortened(plot.name, 60));
@@ -181,7 +209,12 @@ pub fn forces(plot: &ForcesPlot<'_>) -> Result<String, ReportError> {
         let up = ["x", "y", "z"][plot.up.axis];
         let title = format!("{} {up} (mm)", shortened(label, 40));
         let (colour, dash) = STYLES[plot.up.axis];
-        panels.draw(n_panels - 1, &title, &[(&marker, colour, dash)])
+        panels.draw(n_of_loads - 1, &title, &[(&marker, colour, dash)])?;
+        for (i, ((trace, _), &channel)) in channels.iter().zip(plot.channels).enumerate() {
+            let title = channel_title(all_channels.get(channel));
+            panels.draw(n_of_loads + i, &title, &[(trace, BLUE, Dash::Solid)])?;
+        }
+        Ok(())
     })
 }
 
@@ -216,13 +249,9 @@ fn part(info: &MotionInfo, rows: (u64, u64)) -> MotionInfo {
 
 fn no_samples(what: &str) -> ReportError {
     ReportError::Nothing(format!(
-        "the take has no {what}: only takes imported from C3D files without --drop-foreign have them"
+        "the take has no {what}: only takes imported from C3D files without --drop-foreign have them, and recordings of \
+         devices that send them"
     ))
-}
-
-fn new_trace(part: &MotionInfo, rows: (u64, u64), samples: &AnalogSamples<'_>) -> Trace {
-    let n = part.n_frames.saturating_mul(samples.samples_per_frame() as u64);
-    Trace::new(rows.0 as f64 / part.rate_hz, samples.rate_hz(), n)
 }
 
 fn plate_traces(
@@ -231,11 +260,7 @@ fn plate_traces(
     mut loads: PlateLoads<'_>,
 ) -> Result<Vec<PlateTraces>, ReportError> {
     let all = loads.plates().plates.clone();
-    let numbers: Vec<usize> = match plot.plates {
-        [] => all.iter().map(|plate| plate.number).take(PLATES_MAX).collect(),
-        some => some.to_vec(),
-    };
-    if numbers.is_empty() {
+    if all.is_empty() {
         let unusable = loads.plates().unusable.iter();
         let reasons: Vec<String> =
             unusable.map(|p| format!("{}: {}", p.number, p.reason)).collect();
@@ -244,29 +269,12 @@ fn plate_traces(
             reasons.join("; ")
         )));
     }
-    if numbers.len() > PLATES_MAX {
-        return Err(ReportError::InvalidArgument(format!(
-            "{} force plates are too many to plot: give up to {PLATES_MAX} with --plates",
-            numbers.len()
-        )));
-    }
+    let chosen = chosen(plot.plates, &all)?;
     let (ratio, rate_hz) = (loads.samples_per_frame(), loads.rate_hz());
     let n = part.n_frames.saturating_mul(ratio as u64);
     let trace = || Trace::new(plot.rows.0 as f64 / part.rate_hz, rate_hz, n);
-    let mut found: Vec<(usize, PlateTraces)> = Vec::new();
-    for number in numbers {
-        let index = all.iter().position(|plate| plate.number == number);
-        let Some((index, plate)) = index.and_then(|index| Some((index, all.get(index)?))) else {
-            let known: Vec<String> = all.iter().map(|plate| plate.number.to_string()).collect();
-            return Err(ReportError::InvalidArgument(format!(
-                "the take has no usable force plate {number}: it has {}",
-                known.join(", ")
-            )));
-        };
-        let [force_n, cop_mm] = [(); 2].map(|()| [(); 3].map(|()| trace()));
-        let path = Vec::new();
-        found.push((index, PlateTraces { plate: plate.clone(), force_n, cop_mm, path }));
-    }
+    let of_plate = |index: usize| Some((index, PlateTraces::new(all.get(index)?, trace)));
+    let mut found: Vec<(usize, PlateTraces)> = chosen.into_iter().filter_map(of_plate).collect();
     let step = n.div_ceil(PATH_POINTS).max(1);
     let mut block = Vec::new();
     let mut row = 0_u64;
@@ -287,6 +295,67 @@ fn plate_traces(
         of.force_n.iter_mut().chain(&mut of.cop_mm).for_each(Trace::end);
     }
     Ok(found.into_iter().map(|(_, of)| of).collect())
+}
+
+/// The indices of the plates with these numbers; of the first ones if none is given.
+fn chosen(numbers: &[usize], all: &[ForcePlate]) -> Result<Vec<usize>, ReportError> {
+    if numbers.is_empty() {
+        return Ok((0..all.len().min(PLATES_MAX)).collect());
+    }
+    if numbers.len() > PLATES_MAX {
+        return Err(ReportError::InvalidArgument(format!(
+            "{} force plates are too many to plot: give up to {PLATES_MAX} with --plates",
+            numbers.len()
+        )));
+    }
+    let index = |&number: &usize| {
+        all.iter().position(|plate| plate.number == number).ok_or_else(|| {
+            let known: Vec<String> = all.iter().map(|plate| plate.number.to_string()).collect();
+            ReportError::InvalidArgument(format!(
+                "the take has no usable force plate {number}: it has {}",
+                known.join(", ")
+            ))
+        })
+    };
+    numbers.iter().map(index).collect()
+}
+
+/// The loads of a recording's plates, how many it has, and the rate of the first one.
+fn recorded_plate_traces(
+    plot: &ForcesPlot<'_>,
+    part: &MotionInfo,
+) -> Result<(Vec<PlateTraces>, usize, f64), ReportError> {
+    let found = recorded::plates(part)?;
+    let all: Vec<ForcePlate> = found.iter().map(|(plate, ..)| plate.clone()).collect();
+    let Some(&(_, rate_hz, _)) = found.first() else { return Err(no_samples("force plates")) };
+    let first_s = start_s(part, plot.rows);
+    let mut traces: Vec<Option<PlateTraces>> = all.iter().map(|_| None).collect();
+    let chosen = chosen(plot.plates, &all)?;
+    for &index in &chosen {
+        if let (Some(place), Some((plate, rate_hz, n))) = (traces.get_mut(index), found.get(index))
+        {
+            *place = Some(PlateTraces::new(plate, || Trace::new(first_s, *rate_hz, *n)));
+        }
+    }
+    let longest = found.iter().map(|(_, _, n)| *n).max().unwrap_or(0);
+    let step = longest.div_ceil(PATH_POINTS).max(1);
+    let mut row = vec![0_u64; all.len()];
+    recorded::for_each_load(part, |plate, (time_s, force_n, cop_mm)| {
+        let (Some(Some(of)), Some(row)) = (traces.get_mut(plate), row.get_mut(plate)) else {
+            return;
+        };
+        let at_s = first_s + time_s;
+        of.force_n.iter_mut().zip(force_n).for_each(|(trace, v)| trace.push_at(at_s, v));
+        of.cop_mm.iter_mut().zip(cop_mm).for_each(|(trace, v)| trace.push_at(at_s, v));
+        let is_drawn = row.is_multiple_of(step) && cop_mm.iter().all(|v| v.is_finite());
+        of.path.extend(is_drawn.then_some(cop_mm));
+        *row += 1;
+    })?;
+    for of in traces.iter_mut().flatten() {
+        of.force_n.iter_mut().chain(&mut of.cop_mm).for_each(Trace::end);
+    }
+    let in_order = chosen.iter().filter_map(|&index| traces.get_mut(index)?.take());
+    Ok((in_order.collect(), all.len(), rate_hz))
 }
 
 /// The height of the marker.

@@ -5,6 +5,9 @@ use std::ops::Range;
 /// Points on a curve for a signal of more samples: two for every pixel of the widest panel.
 const STEPS: u64 = 1200;
 
+/// Time between two samples, in periods, from which on the curve has a gap.
+const PERIODS_APART: f64 = 3.0;
+
 /// A signal that is read sample by sample. If it has more than [`STEPS`] samples, the smallest and the largest of each
 /// step are kept, so that no peak is lost.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -13,6 +16,8 @@ pub(super) struct Trace {
     rate_hz: f64,
     samples_per_step: u64,
     n_read: u64,
+    /// Time of the last sample.
+    last_s: f64,
     /// The smallest and the largest sample of the current step.
     extremes: Option<[(f64, f64); 2]>,
     /// The curve between missing samples: times in seconds and values.
@@ -28,9 +33,21 @@ impl Trace {
         Self { start_s, rate_hz, samples_per_step, ..Self::default() }
     }
 
-    /// Adds the next sample; one that is not finite is missing.
+    /// Adds the next sample, a period after the one before; one that is not finite is missing.
     pub(super) fn push(&mut self, value: f64) {
-        let at = (self.start_s + self.n_read as f64 / self.rate_hz, value);
+        self.push_at(self.start_s + self.n_read as f64 / self.rate_hz, value);
+    }
+
+    /// Adds the next sample at its own time.
+    pub(super) fn push_at(&mut self, time_s: f64, value: f64) {
+        let at = (time_s, value);
+        if self.n_read == 0 {
+            self.start_s = time_s;
+        } else if time_s - self.last_s > PERIODS_APART / self.rate_hz {
+            self.end_step();
+            self.is_open = false;
+        }
+        self.last_s = time_s;
         self.n_read += 1;
         if value.is_finite() {
             let [low, high] = self.extremes.get_or_insert([at; 2]);
@@ -78,8 +95,8 @@ impl Trace {
 
     /// From the first sample to the last, in seconds.
     pub(super) fn span_s(&self) -> Range<f64> {
-        let n = self.n_read.max(2) - 1;
-        self.start_s..self.start_s + n as f64 / self.rate_hz
+        let is_span = self.n_read > 1 && self.last_s > self.start_s;
+        self.start_s..if is_span { self.last_s } else { self.start_s + 1.0 / self.rate_hz }
     }
 }
 

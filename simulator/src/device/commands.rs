@@ -67,8 +67,10 @@ impl Device {
         self.answer(|link, out| {
             // All were encoded once when the device was made.
             let outcome = link.hello(&hello, out).and_then(|()| link.markers(&table, out));
-            let mut groups = groups.iter().map(|source| link.sampled_group(source.info(), out));
-            let outcome = outcome.and(groups.try_for_each(|announced| announced));
+            let mut groups_of = groups.iter().map(|source| link.sampled_group(source.info(), out));
+            let outcome = outcome.and(groups_of.try_for_each(|announced| announced));
+            let mut plates = groups.iter().flat_map(|source| source.force_plates());
+            let outcome = outcome.and(plates.try_for_each(|plate| link.force_plate(plate, out)));
             let outcome = match bodies.is_empty() {
                 true => outcome,
                 false => outcome.and_then(|()| link.bodies(&bodies, out)),

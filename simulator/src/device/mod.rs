@@ -154,6 +154,10 @@ impl Device {
         device.link.markers(&device.table, &mut trial)?;
         for source in &device.settings.sampled {
             device.link.sampled_group(source.info(), &mut trial)?;
+            source
+                .force_plates()
+                .iter()
+                .try_for_each(|plate| device.link.force_plate(plate, &mut trial))?;
         }
         device.link.bodies(&device.body_infos(), &mut trial)?;
         Ok(device)

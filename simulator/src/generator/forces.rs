@@ -88,6 +88,17 @@ impl ForcePlates {
     }
 }
 
+/// The corners of the plates in the capture volume, in millimetres: those of the quadrants (+x +y), (-x +y), (-x -y),
+/// (+x -y).
+#[must_use]
+pub fn plate_corners_mm() -> [[[f32; 3]; 4]; 2] {
+    let [x, y] = HALF_M;
+    let quadrants = [[x, y], [-x, y], [-x, -y], [x, -y]];
+    CENTRES_M.map(|centre| {
+        quadrants.map(|[along, across]| [centre + along, across, 0.0].map(|m| (m * 1000.0) as f32))
+    })
+}
+
 /// The parts of the force that the feet bear.
 fn shares(support: &Support) -> [f64; 2] {
     let [left, right] = support.feet;

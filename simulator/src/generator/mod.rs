@@ -26,7 +26,7 @@ pub use mocapd_take::phase::Phase;
 
 pub use bodies::RigidBodies;
 pub use body::{BONES, SITES};
-pub use forces::{ForcePlates, PLATE_COMPONENTS};
+pub use forces::{ForcePlates, PLATE_COMPONENTS, plate_corners_mm};
 pub use rng::Rng;
 pub use spec::{
     GenerateError, JumpSet, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, SUBJECTS_MAX,

@@ -135,7 +135,7 @@ impl Content {
                 });
             }
             self.samples_per_frame.push((info.rate_millihertz / rate_millihertz).into());
-            let is_plate = sampled.n_plates() > 0;
+            let is_plate = !sampled.force_plates().is_empty();
             let version = settings.bitstream;
             if !is_plate && !version.has_devices() {
                 return Err(NatNetError::NoDevices { version });

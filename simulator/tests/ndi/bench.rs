@@ -173,6 +173,7 @@ impl Bench {
             }
             // An NDI system has no sampled channels, and does not say how many poses there were.
             DeviceEvent::SampledGroup(_)
+            | DeviceEvent::ForcePlate(_)
             | DeviceEvent::Samples(_)
             | DeviceEvent::EndOfPoses(_)
             | DeviceEvent::Trigger(_)

@@ -38,6 +38,10 @@ pub(super) struct FormatArgs {
     /// (`FORCE_PLATFORM:ZERO`)
     #[arg(long)]
     subtract_baseline: bool,
+    /// For c3d: resample the sampled channels of a recording that do not have a whole number of samples in each frame, or
+    /// another one than others, with a low-pass (docs/formats.md); without it they are left out
+    #[arg(long)]
+    pub(super) resample: bool,
     /// For html: largest distance of a position from the original, that of the take included: 1mm, 500um [default: twice the
     /// tolerance of the take, at least 0.1mm]
     #[arg(long, value_name = "LENGTH", value_parser = tolerance, allow_hyphen_values = true)]
@@ -141,6 +145,11 @@ impl FormatArgs {
         }
         if self.subtract_baseline && format != Format::Mot {
             return usage("--subtract-baseline is for .mot: omit it");
+        }
+        if self.resample && format != Format::C3d {
+            return usage(
+                "--resample is for .c3d: omit it, other formats have the samples and their times",
+            );
         }
         if self.tolerance.is_some() && format != Format::Html {
             return usage(

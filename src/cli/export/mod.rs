@@ -22,7 +22,7 @@ use mocapd_service::units;
 use mocapd_store::is_url;
 use mocapd_take::{
     TakeFrames, TakeMap,
-    interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz},
+    interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz, write_c3d},
     motion::{FrameSource, MotionInfo, UpAxis},
     record::Ledger,
 };
@@ -222,6 +222,8 @@ impl ExportPlan<'_> {
         let is_restored = |kind: &str| format.restores(kind);
         let mut frames = TakeFrames::open_with(BufReader::new(file), is_restored, files::scratch)
             .with_context(reading)?;
+        let again = BufReader::new(remote::open(&job.input.path)?);
+        frames.open_recording(again, args.format.resample).with_context(reading)?;
         let n_sampled_rows = frames.map().n_sampled_rows.unwrap_or_default();
         let range = crop::range(frames.info(), n_sampled_rows, args.from, self.end)
             .with_context(|| name.to_string())?;
@@ -347,6 +349,8 @@ impl ExportPlan<'_> {
                 } else if self.format == Format::Html {
                     page = Some(self.write_page(frames, job, &mut buffered).with_context(writing)?);
                     Vec::new()
+                } else if self.format == Format::C3d {
+                    write_c3d(frames, &mut buffered).with_context(writing)?
                 } else {
                     write_frames(frames, self.format, &mut buffered).with_context(writing)?;
                     Vec::new()

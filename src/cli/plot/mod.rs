@@ -40,9 +40,9 @@ pub(crate) enum Plot {
     Pose(pose::Args),
     /// Plot the size of the take against the tolerance, by resampler, one panel per take or file
     Sizes(sizes::Args),
-    /// Plot analog channels of an imported C3D file against time
+    /// Plot the sampled channels of an imported C3D file or of a recording against time
     Analog(sampled::AnalogArgs),
-    /// Plot force plates of an imported C3D file: forces and centres of pressure, beside the trajectory of a marker
+    /// Plot the force plates of an imported C3D file or of a recording: forces and centres of pressure, beside the trajectory of a marker
     Forces(sampled::ForcesArgs),
     /// Plot each marker's gaps, noise and, with --against, error
     Quality(PictureArgs),

@@ -1,15 +1,12 @@
-//! `plot analog` and `plot forces`: the sampled channels of an imported C3D file.
+//! `plot analog` and `plot forces`: the sampled channels of an imported C3D file or of a recording.
 
 use std::time::Duration;
 
 use anyhow::bail;
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_report::plot::{AnalogPlot, CHANNELS_MAX, ForcesPlot, analog, forces};
+use mocapd_report::plot::{AnalogPlot, CHANNELS_MAX, ForcesPlot, analog, forces, plot_channels};
 use mocapd_service::units;
-use mocapd_take::{
-    foreign::analog::AnalogSamples,
-    motion::{MotionInfo, frame_at},
-};
+use mocapd_take::motion::{MotionInfo, frame_at};
 
 use super::{Picture, PictureArgs, TimeSpan, marker, pose::up};
 use crate::cli::{motion_files::read_analog_info, paths::InputFormat, values::count};
@@ -30,12 +27,15 @@ pub(crate) struct AnalogArgs {
 pub(crate) struct ForcesArgs {
     #[command(flatten)]
     picture: PictureArgs,
-    /// Numbers of the force plates in the file, from 1, up to 4 [default: the first four]
+    /// Numbers of the force plates in the file or of the device, from 1, up to 4 [default: the first four]
     #[arg(long, value_name = "NUMBER,...", value_delimiter = ',')]
     plates: Vec<usize>,
     /// Label of the marker whose trajectory is drawn, too [default: the marker with the longest path]
     #[arg(long, value_name = "LABEL")]
     marker: Option<String>,
+    /// Labels of channels to plot below, or their numbers from 1, up to 12
+    #[arg(long, value_name = "LABEL,...", value_delimiter = ',')]
+    channels: Vec<String>,
     /// Plot frames from this time on: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
@@ -56,12 +56,17 @@ pub(super) fn run_forces(args: &ForcesArgs) -> anyhow::Result<Outcome> {
     args.picture.run(TimeSpan::Range, |picture| {
         let info = kept_info(picture)?;
         let motion = &picture.take.motion;
+        let channels = match args.channels.as_slice() {
+            [] => Vec::new(),
+            given => channels(&info, given)?,
+        };
         Ok(forces(&ForcesPlot {
             name: &picture.name,
             info: &info,
             motion,
             plates: &args.plates,
             marker: marker(&picture.take, args.marker.as_deref())?,
+            channels: &channels,
             rows: rows(picture, args.from)?,
             up: up(motion),
         })?)
@@ -101,8 +106,7 @@ fn rows(picture: &Picture<'_>, from: Option<Duration>) -> anyhow::Result<(u64, u
 
 /// The indices of the channels with these labels or numbers; the first ones if none is given.
 fn channels(info: &MotionInfo, given: &[String]) -> anyhow::Result<Vec<usize>> {
-    let samples = AnalogSamples::open(info)?;
-    let all = samples.as_ref().map_or(&[][..], AnalogSamples::channels);
+    let all = plot_channels(info)?;
     if given.is_empty() || all.is_empty() {
         return Ok((0..all.len().min(CHANNELS_MAX)).collect());
     }

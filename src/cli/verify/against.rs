@@ -5,14 +5,17 @@ use std::{io::BufReader, path::Path, sync::Arc};
 
 use anyhow::Context;
 use mocapd::outcome::UsageError;
-use mocapd_acquire::files;
+use mocapd_acquire::files::{self, SparseFile};
 use mocapd_report::{
     ReportError,
     derivative::{DerivativeError, by_marker},
 };
 use mocapd_take::{
     TakeFrames,
-    compare::{AnalogDifference, ChannelDifference, Difference, compare, compare_analog},
+    compare::{
+        AnalogDifference, ChannelDifference, Difference, SampledDifference, compare,
+        compare_analog, compare_samples,
+    },
     foreign::analog::is_needed,
     interchange::ReadOptions,
     motion::{Ambiguity, FrameSource, MotionInfo},
@@ -37,6 +40,8 @@ pub(crate) struct AgainstReport {
     ambiguities: Vec<AmbiguityReport>,
     /// The analog samples; `None` unless both have some.
     analog: Option<AnalogDifference>,
+    /// The sampled channels of recordings; `None` unless both have some.
+    sampled: Option<SampledDifference>,
     #[serde(flatten)]
     difference: Difference,
 }
@@ -76,10 +81,15 @@ pub(crate) fn against(
     };
     let cut_off = !take_frames.map().finished;
     let (mut ambiguities, mut notes) = (Vec::new(), Vec::new());
+    let mut sampled = None;
     let (difference, exact, analog) = if paths::is_take(original) {
-        let original = open(original)?;
+        let (original_path, original) = (original, open(original)?);
         let exact = original.map().header.tolerance_mm == 0.0;
         let analog = analog_of(original.info())?;
+        let mut files = [open_file(take)?, open_file(original_path)?];
+        let [ours, theirs] = &mut files;
+        sampled = compare_samples((take_frames.map(), ours), (original.map(), theirs))
+            .with_context(comparing)?;
         (compare(take_frames, original), exact, analog)
     } else {
         let options = read_options(&take_frames);
@@ -103,9 +113,15 @@ pub(crate) fn against(
     notes.append(&mut difference.notes);
     difference.notes = notes;
     let report = AgainstReport::new(difference, tolerance_mm);
-    let is_analog_within = analog.as_ref().is_none_or(AnalogDifference::is_within);
+    let is_analog_within = analog.as_ref().is_none_or(AnalogDifference::is_within)
+        && sampled.as_ref().is_none_or(SampledDifference::is_within);
     let within_tolerance = report.within_tolerance && is_analog_within;
-    Ok(AgainstReport { within_tolerance, ambiguities, analog, ..report })
+    Ok(AgainstReport { within_tolerance, ambiguities, analog, sampled, ..report })
+}
+
+/// The file of a take.
+fn open_file(path: &Path) -> anyhow::Result<BufReader<SparseFile>> {
+    Ok(BufReader::new(remote::open(path)?))
 }
 
 /// The note that the original was read with the options of the import, if there were any.
@@ -119,7 +135,7 @@ fn note_of(options: &ReadOptions) -> Option<String> {
 impl AgainstReport {
     pub(crate) fn new(difference: Difference, tolerance_mm: f64) -> Self {
         let within_tolerance = difference.is_within(tolerance_mm);
-        Self { within_tolerance, ambiguities: Vec::new(), analog: None, difference }
+        Self { within_tolerance, ambiguities: Vec::new(), analog: None, sampled: None, difference }
     }
 
     /// Whether the take agrees with the original within the tolerance.
@@ -154,6 +170,7 @@ impl AgainstReport {
             out += &format!("  the original is ambiguous; it was read as in the import: {text}\n");
         }
         out += &self.analog.as_ref().map(analog_text).unwrap_or_default();
+        out += &self.sampled.as_ref().map(sampled_text).unwrap_or_default();
         if found.frames_lost > 0 {
             let frames = count(found.frames_lost, "frame");
             out += &format!("  not compared, lost in the take: {frames}\n");
@@ -180,6 +197,38 @@ impl AgainstReport {
         }
         out
     }
+}
+
+/// A line about the samples of recordings, and one for each kind of difference.
+fn sampled_text(found: &SampledDifference) -> String {
+    let SampledDifference {
+        samples,
+        samples_differing,
+        samples_lost,
+        samples_missing,
+        groups_missing,
+    } = *found;
+    let mut out = match samples_differing {
+        0 => format!("  {} of sampled channels, all exact\n", count(samples, "sample")),
+        n => format!(
+            "  {} of sampled channels, {} DIFFERENT\n",
+            count(samples, "sample"),
+            thousands(n)
+        ),
+    };
+    if samples_lost > 0 {
+        let samples = count(samples_lost, "sample");
+        out += &format!("  not compared, lost in the take: {samples} of sampled channels\n");
+    }
+    if samples_missing > 0 {
+        let samples = count(samples_missing, "sample");
+        out += &format!("  in only one of the two: {samples} of sampled channels\n");
+    }
+    if groups_missing > 0 {
+        let groups = count(groups_missing as u64, "group");
+        out += &format!("  in only one of the two: {groups} of sampled channels\n");
+    }
+    out
 }
 
 /// A line about the analog samples, and one for each channel with an error.

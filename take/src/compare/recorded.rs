@@ -1,6 +1,8 @@
-//! Compares the sampled channels of two recordings.
+//! Compares the sampled channels of two recordings: for `diff` everything, for `verify` the samples.
 
 use std::io::{Read, Seek};
+
+use serde::Serialize;
 
 use super::content::FieldDifference;
 use crate::{
@@ -43,6 +45,93 @@ pub fn compare_recorded(
         differences.push(FieldDifference { field, a: ledger(one), b: ledger(other) });
     }
     Ok(differences)
+}
+
+/// How the samples of a recording differ from those of its original.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct SampledDifference {
+    /// Samples of all channels that both have.
+    pub samples: u64,
+    /// Those of them that are not bit-identical.
+    pub samples_differing: u64,
+    /// Samples that the original has and the take states as lost, or has lost to damage.
+    pub samples_lost: u64,
+    /// Samples that only one of the two has, beyond the end of the other.
+    pub samples_missing: u64,
+    /// Groups that only one of the two has, or that have other channels.
+    pub groups_missing: usize,
+}
+
+impl SampledDifference {
+    /// Whether every sample that was not lost is there, bit by bit.
+    #[must_use]
+    pub fn is_within(&self) -> bool {
+        self.samples_differing == 0 && self.samples_missing == 0 && self.groups_missing == 0
+    }
+}
+
+/// Compares every sample of a recording with its original, group by group: samples with equal numbers. `None` unless both
+/// have sampled channels.
+///
+/// # Errors
+/// `Io`.
+pub fn compare_samples(
+    (take, a): (&TakeMap, &mut (impl Read + Seek)),
+    (original, b): (&TakeMap, &mut (impl Read + Seek)),
+) -> Result<Option<SampledDifference>, TakeError> {
+    if take.recorded_groups().next().is_none() || original.recorded_groups().next().is_none() {
+        return Ok(None);
+    }
+    let mut found = SampledDifference::default();
+    let mut n_matched = 0;
+    for ours in take.recorded_groups() {
+        let is_like = |other: &&GroupSamples| {
+            let (ours, other) = (&ours.group, &other.group);
+            (ours.number, &ours.channels) == (other.number, &other.channels)
+        };
+        let Some(theirs) = original.recorded_groups().find(is_like) else {
+            found.groups_missing += 1;
+            continue;
+        };
+        n_matched += 1;
+        let n_channels = ours.group.channels.len();
+        let (mut left, mut right) = (Side::new(ours.reader()), Side::new(theirs.reader()));
+        // The samples of a part have numbers of their own.
+        let (skipped, ahead) = (offset(ours, theirs), offset(theirs, ours));
+        found.samples_missing += right.skip(b, skipped)?.saturating_mul(n_channels as u64);
+        found.samples_missing += left.skip(a, ahead)?.saturating_mul(n_channels as u64);
+        let mut end = 0;
+        while left.advance(a)? && right.advance(b)? {
+            let n = left.left().min(right.left());
+            let in_all = n.saturating_mul(n_channels as u64);
+            match (&left.samples, &right.samples) {
+                (Some(_), Some(_)) => {
+                    found.samples += in_all;
+                    found.samples_differing += left.differing(&right, n_channels, n);
+                }
+                (None, Some(_)) => found.samples_lost += in_all,
+                // The original does not say what they were.
+                (_, None) => {}
+            }
+            (left.at, right.at, end) = (left.at + n, right.at + n, end + n);
+        }
+        let left_over =
+            [ours.n_samples().saturating_sub(ahead), theirs.n_samples().saturating_sub(skipped)];
+        let longer = left_over[0].max(left_over[1]);
+        found.samples_missing += longer.saturating_sub(end).saturating_mul(n_channels as u64);
+    }
+    found.groups_missing += original.recorded_groups().count().saturating_sub(n_matched);
+    Ok(Some(found))
+}
+
+/// By how much the samples of a group have higher numbers in `other`, by a time that both state; 0 if there is none.
+fn offset(group: &GroupSamples, other: &GroupSamples) -> u64 {
+    let shared = group.anchors().iter().find_map(|anchor| {
+        let same =
+            other.anchors().iter().find(|found| found.device_ticks == anchor.device_ticks)?;
+        Some(same.number.saturating_sub(anchor.number))
+    });
+    shared.unwrap_or(0)
 }
 
 /// A group in a few words, which are equal for equal descriptions.
@@ -112,6 +201,17 @@ impl<'a> Side<'a> {
 
     fn left(&self) -> u64 {
         self.n - self.at
+    }
+
+    /// Passes the next `n` samples of each channel. Returns how many there were.
+    fn skip(&mut self, input: &mut (impl Read + Seek), n: u64) -> Result<u64, TakeError> {
+        let mut skipped = 0;
+        while skipped < n && self.advance(input)? {
+            let step = self.left().min(n - skipped);
+            self.at += step;
+            skipped += step;
+        }
+        Ok(skipped)
     }
 
     /// Reads the next run if all of this one was compared. Returns `false` at the end.

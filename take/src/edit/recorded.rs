@@ -83,7 +83,8 @@ fn copy_group<W: Write>(
 fn are_alike(one: &TakeMap, other: &TakeMap) -> bool {
     let of =
         |map: &TakeMap| map.sample_groups().map(|g| g.group.clone()).collect::<Vec<SampledGroup>>();
-    of(one) == of(other)
+    // The header of the first take states the plates of all.
+    of(one) == of(other) && one.header.force_plates() == other.header.force_plates()
 }
 
 /// The sampled channels of joined takes.

@@ -44,6 +44,8 @@ impl PlateType {
     }
 }
 
+use crate::interchange::Rotation;
+
 type Vector = [f64; 3];
 
 /// Where a plate is.
@@ -97,6 +99,13 @@ impl PlateGeometry {
     #[must_use]
     pub fn axes(&self) -> [Vector; 3] {
         self.axes
+    }
+
+    /// The same plate in laboratory axes after a rotation.
+    pub(crate) fn rotated(&self, rotation: Rotation) -> Self {
+        let turned = |vector: Vector| rotation.apply_f64(vector);
+        let (corners_mm, axes) = (self.corners_mm.map(turned), self.axes.map(turned));
+        Self { corners_mm, axes, ..self.clone() }
     }
 
     /// The centre of the surface in laboratory axes, mm.

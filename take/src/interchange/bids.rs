@@ -12,6 +12,7 @@
 //!                                                 _recording-analog_physio.json
 //!                                                 _recording-forceplates_physio.tsv.gz  loads of force plates
 //!                                                 _recording-forceplates_physio.json
+//!                                                 _recording-sampled0_physio...         groups of a recording
 //! sub-01/ses-2/motion/sub-01_ses-2_task-walk_tracksys-optical_run-1_motion.tsv  with a session and a run
 //! ```
 
@@ -23,7 +24,7 @@ use serde_json::{Value, json};
 
 use super::{
     InterchangeError, Result, check_frame_count, put_position,
-    sampled_table::{SampledKind, SampledTable},
+    sampled_table::{SampledTable, TIME_COLUMN},
     text::{column_labels, without_tabs},
     unsupported, write_frames,
 };
@@ -35,18 +36,18 @@ const BIDS_VERSION: &str = "1.10.0";
 const MISSING: &str = "n/a";
 
 /// The parts of the names of a recording's files.
-const SUFFIXES: [&str; 10] = [
-    "motion.tsv",
-    "motion.json",
-    "channels.tsv",
-    "channels.json",
-    "events.tsv",
-    "events.json",
-    "recording-analog_physio.tsv.gz",
-    "recording-analog_physio.json",
-    "recording-forceplates_physio.tsv.gz",
-    "recording-forceplates_physio.json",
-];
+const SUFFIXES: [&str; 6] =
+    ["motion.tsv", "motion.json", "channels.tsv", "channels.json", "events.tsv", "events.json"];
+
+/// Most groups of sampled channels of a recording: the link protocol numbers them from 0 to 15.
+const GROUPS_MAX: u32 = 16;
+
+/// The labels of continuous recordings: those of an imported file, and those of the groups of a recording.
+fn recordings() -> impl Iterator<Item = String> {
+    let of_group = |number| [format!("sampled{number}"), format!("forceplates{number}")];
+    let of_file = ["analog", "forceplates"].map(str::to_owned);
+    of_file.into_iter().chain((0..GROUPS_MAX).flat_map(of_group))
+}
 
 /// Members of the document of a continuous recording that are not columns.
 const RECORDING_MEMBERS: [&str; 5] =
@@ -118,7 +119,10 @@ impl BidsLabels {
 
     /// The paths that the files of a recording with these labels have in a dataset.
     pub fn paths(&self) -> impl Iterator<Item = String> {
-        SUFFIXES.into_iter().map(|suffix| self.path(suffix))
+        let sampled = recordings().flat_map(|recording| {
+            ["tsv.gz", "json"].map(|ending| format!("recording-{recording}_physio.{ending}"))
+        });
+        SUFFIXES.into_iter().map(str::to_owned).chain(sampled).map(|suffix| self.path(&suffix))
     }
 
     /// The path of a file of the recording.
@@ -253,11 +257,15 @@ fn write_sampled(
                 name.push_str(" channel");
             }
         });
-        let recording = match table.kind() {
-            SampledKind::Analog => "analog",
-            // Labels are letters and digits.
-            SampledKind::ForcePlates => "forceplates",
-        };
+        // Labels are letters and digits.
+        let recording = table.kind().name().replace('_', "");
+        if !recordings().any(|known| known == recording) {
+            return unsupported(&format!(
+                "BIDS: a recording has groups 0 to {}, but the take has {}",
+                GROUPS_MAX - 1,
+                table.kind().description()
+            ));
+        }
         let path = |ending: &str| names.path(&format!("recording-{recording}_physio.{ending}"));
         let mut file = folder.file(&path("json"))?;
         file.write_all(&sampled_json(names, &table)?)?;
@@ -265,7 +273,10 @@ fn write_sampled(
         drop(file);
         // Without a date, so that the bytes are always the same.
         let mut out = GzEncoder::new(folder.file(&path("tsv.gz"))?, Compression::default());
-        table.write_text(frames, &mut out, (MISSING, b'\t'), |_, _| Ok(()))?;
+        let is_recorded = table.is_recorded();
+        table.write_text(frames, &mut out, (MISSING, b'\t'), |line, time_s| {
+            if is_recorded { write!(line, "{time_s}\t") } else { Ok(()) }
+        })?;
         out.finish()?.flush()?;
     }
     Ok(())
@@ -274,15 +285,21 @@ fn write_sampled(
 /// The document of a continuous recording.
 fn sampled_json(labels: &BidsLabels, table: &SampledTable<'_>) -> io::Result<Vec<u8>> {
     let names: Vec<&str> = table.columns().iter().map(|column| column.name.as_str()).collect();
+    let time = TIME_COLUMN;
+    let own_time = table.is_recorded().then_some(time);
+    let names: Vec<&str> = own_time.into_iter().chain(names).collect();
     let values = [
         labels.task().into(),
         "generic".into(),
-        number(table.rate_hz()),
-        // The motion starts at the same time.
-        0.into(),
+        number(table.measured_rate_hz()),
+        // From the start of the motion.
+        number(table.times_s().next().unwrap_or(0.0)),
         json!(names),
     ];
-    let common = RECORDING_MEMBERS.into_iter().zip(values);
+    let about_time =
+        json!({ "Description": "Time from the first frame of the motion", "Units": "s" });
+    let own_time = own_time.map(|name| (name, about_time));
+    let common = RECORDING_MEMBERS.into_iter().zip(values).chain(own_time);
     let columns = table.columns().iter().map(|column| {
         let about = [("Description", &column.description), ("Units", &column.unit)];
         let about = about.into_iter().filter(|(_, text)| !text.is_empty());
@@ -331,7 +348,7 @@ fn json(members: impl IntoIterator<Item = (impl serde::Serialize, Value)>) -> io
 
 /// A number as JSON, without decimals if it is whole: 100, not 100.0.
 fn number(value: f64) -> Value {
-    if value.fract() == 0.0 { json!(value as u64) } else { json!(value) }
+    if value.fract() == 0.0 { json!(value as i64) } else { json!(value) }
 }
 
 fn dataset_json() -> io::Result<Vec<u8>> {

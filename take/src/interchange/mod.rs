@@ -36,6 +36,7 @@ mod origin_gaps;
 pub mod page_motion;
 #[cfg(feature = "full")]
 mod parquet;
+mod recorded_rows;
 mod rotated;
 mod rotation;
 mod row_timing;
@@ -55,11 +56,11 @@ pub use csv::quote as csv_cell;
 pub use motion_reader::{MotionReader, ReaderSettings};
 pub use rotated::RotatedFrames;
 pub use rotation::Direction;
-pub use sampled_table::{SampledColumn, SampledKind, SampledTable};
+pub use sampled_table::{RowTime, SampledColumn, SampledKind, SampledTable};
 pub use text::column_labels;
 pub use units::LengthUnit;
 
-use rotation::Rotation;
+pub(crate) use rotation::Rotation;
 
 /// A file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -297,6 +298,7 @@ impl Format {
                 .collect(),
             _ => others.map(|part| part.kind.clone()).collect(),
         };
+        left_out.extend(self.recorded_left_out(info));
         let documents = info.subject.iter().flat_map(|subject| &subject.documents);
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));
         if let (false, Some(axis)) = (self.capabilities().up_axis || up_is_chosen, info.up.name()) {
@@ -310,6 +312,21 @@ impl Format {
         let events = info.events.len().saturating_sub(self.capabilities().events_max);
         left_out.extend((events > 0).then(|| counted(events as u64, "event")));
         left_out
+    }
+
+    /// The groups of a recording that an export leaves out.
+    fn recorded_left_out(self, info: &MotionInfo) -> Vec<String> {
+        let Some(recording) = &info.recording else { return Vec::new() };
+        match self.capabilities().sampled {
+            SampledPlace::Inside | SampledPlace::SeparateFiles => Vec::new(),
+            SampledPlace::Restored if self == Self::C3d => c3d::RecordedPlan::of(info).left_out,
+            // It counts the channels of its own.
+            SampledPlace::Restored if self == Self::Mot => Vec::new(),
+            SampledPlace::Restored => {
+                let groups = recording.groups().iter();
+                groups.map(|found| c3d::name_of(&found.group)).collect()
+            }
+        }
     }
 
     /// Writes a table of analog channels or force plates as a file of its own, beside an export of `frames`.
@@ -342,7 +359,7 @@ impl Format {
     /// `NumPy` archives, which need to seek ([`npz::write`]); `Io` if reading or writing fails.
     pub fn write(self, frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
         match self {
-            Self::C3d => c3d::write(frames, out),
+            Self::C3d => write_c3d(frames, out).map(drop),
             Self::Trc => trc::write(frames, out),
             Self::Tsv => tsv::write(frames, out),
             Self::Csv => csv::wide::write(frames, out),
@@ -362,6 +379,14 @@ impl Format {
             Self::Bids => unsupported("bids is a folder, not a file: use bids::write"),
         }
     }
+}
+
+/// Writes a whole C3D file. Returns remarks on the sampled channels of a recording, one sentence each.
+///
+/// # Errors
+/// Those of [`Format::write`].
+pub fn write_c3d(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<Vec<String>> {
+    c3d::write(frames, out)
 }
 
 /// Names of the read options among the settings in a take's header.

@@ -6,7 +6,10 @@
 
 use std::io::Write;
 
-use super::{InterchangeError, Result, check_frame_count, counted, write_frames};
+use super::{
+    InterchangeError, Result, c3d, check_frame_count, counted, sampled_table::SampledTable,
+    unsupported, write_frames,
+};
 use crate::{
     TakeError,
     foreign::{
@@ -34,6 +37,26 @@ pub fn write(
     baseline: Baseline,
 ) -> Result<Vec<String>> {
     let info = frames.info().clone();
+    let tables = SampledTable::all(&info)?.into_iter();
+    let mut recorded: Vec<_> =
+        tables.filter(|t| t.is_recorded() && t.kind().is_of_plates()).collect();
+    match (recorded.pop(), recorded.is_empty(), baseline) {
+        (None, ..) => {}
+        (Some(table), true, Baseline::AsStored) => {
+            return write_recorded(table, frames, &info, out);
+        }
+        (Some(_), false, _) => {
+            return unsupported(
+                "the channels of the force plates are in several groups, which have times of their own, but .mot has one \
+                 column of times: export to csv, which writes a file for each group",
+            );
+        }
+        (Some(_), true, Baseline::Subtracted) => {
+            return unsupported(
+                "a recording states no frames without load: export without --subtract-baseline",
+            );
+        }
+    }
     let opened = PlateLoads::open(&info, baseline).map_err(of_take)?;
     let usable = opened.filter(|loads| !loads.plates().plates.is_empty());
     let Some(mut loads) = usable else { return Err(no_plates(&info)) };
@@ -66,6 +89,53 @@ pub fn write(
     check_frame_count(info.n_frames, n_written)?;
     remarks
         .extend(numbers.iter().zip(&counts).flat_map(|(number, counts)| counts.remarks(*number)));
+    Ok(remarks)
+}
+
+/// Writes the loads of the plates of a recording, at the times of their samples.
+fn write_recorded(
+    mut table: SampledTable<'_>,
+    frames: &dyn FrameSource,
+    info: &MotionInfo,
+    out: &mut dyn Write,
+) -> Result<Vec<String>> {
+    let numbers: Vec<usize> = table.plates().iter().map(|plate| plate.number).collect();
+    let mut counts = vec![LoadCounts::default(); numbers.len()];
+    // OpenSim needs ascending times, which a device does not have whose clock begins again.
+    let mut n_rows = 0;
+    let mut last_s = f64::NEG_INFINITY;
+    for time_s in table.times_s() {
+        n_rows += u64::from(time_s > last_s);
+        last_s = last_s.max(time_s);
+    }
+    let n_left_out = table.n_rows() - n_rows;
+    out.write_all(&header(n_rows, &numbers))?;
+    let (mut line, mut last_s) = (Vec::new(), f64::NEG_INFINITY);
+    table.for_each_row(frames, |time, row| {
+        if time.time_s <= last_s {
+            return Ok(());
+        }
+        last_s = time.time_s;
+        line.clear();
+        write!(line, "{last_s}")?;
+        for (load, counts) in row.as_chunks::<3>().0.as_chunks::<4>().0.iter().zip(&mut counts) {
+            let [force_n, moment_nm, cop_mm, free_moment_nm] =
+                load.map(|vector| vector.map(f64::from));
+            let load = PlateLoad { force_n, moment_nm, cop_mm, free_moment_nm };
+            counts.add(&load, info);
+            put_load(&mut line, &load)?;
+        }
+        line.push(b'\n');
+        out.write_all(&line)
+    })?;
+    out.flush()?;
+    let of_plates =
+        numbers.iter().zip(&counts).flat_map(|(number, counts)| counts.remarks(*number));
+    let warnings = info.recording.as_ref().map(c3d::warnings_of).unwrap_or_default();
+    let mut remarks: Vec<String> = warnings.into_iter().chain(of_plates).collect();
+    remarks.extend((n_left_out > 0).then(|| {
+        format!("{} left out, because their times do not ascend.", counted(n_left_out, "row"))
+    }));
     Ok(remarks)
 }
 
@@ -143,6 +213,14 @@ impl LoadCounts {
 /// used.
 pub(super) fn left_out(info: &MotionInfo) -> Vec<String> {
     let mut left_out = vec![counted(info.markers.len() as u64, "marker")];
+    if let Some(recording) = &info.recording {
+        let channels =
+            recording.groups().iter().map(|found| found.group.channels.len()).sum::<usize>();
+        let n_used: usize = recording.plates().iter().map(|plate| plate.channels.len()).sum();
+        let others = channels.saturating_sub(n_used) as u64;
+        left_out.extend((others > 0).then(|| counted(others, "other sampled channel")));
+        return left_out;
+    }
     let Ok(Some(plates)) = ForcePlates::of(info) else { return left_out };
     let n_channels = AnalogSamples::open(info).ok().flatten().map_or(0, |s| s.channels().len());
     let n_used: usize = plates.plates.iter().map(|plate| plate.channels.len()).sum();
@@ -169,7 +247,8 @@ fn no_plates(info: &MotionInfo) -> InterchangeError {
         .map(|plate| format!("force plate {}: {}", plate.number, plate.reason))
         .collect();
     InterchangeError::Unsupported(if reasons.is_empty() {
-        "the take has no force plates, which .mot needs: import a C3D file with force plates, without --drop-foreign"
+        "the take has no force plates, which .mot needs: import a C3D file with force plates, without --drop-foreign, or \
+         record a device that describes its own"
             .to_owned()
     } else {
         format!("no force plate can be used: {}", reasons.join("; "))

@@ -16,6 +16,8 @@
 //! | `analog` | samples, channels | f32 | the values; NaN where a sample is missing |
 //! | `force_plate_numbers` | plates | i64 | the numbers of the force plates that can be used |
 //! | `force_plate_corners_mm` | plates, 4, 3 | f64 | their corners |
+//! | `sampled_0`, with `_rate_hz`, `_time_s`, `_labels`, `_units` | as those of `analog` | | of a recording, by the number of the group: the same |
+//! | `force_plates_rate_hz`, `force_plates_time_s` | none; samples | f64 | of a recording: the times of the loads |
 //! | `force_plates` | samples, plates, 4, 3 | f32 | force (N), moment about the centre of the surface (N m), centre of pressure (mm; NaN without load) and free moment (N m) |
 
 use std::io::{BufWriter, Seek, Write};
@@ -58,7 +60,8 @@ fn write_to(frames: &mut dyn FrameSource, out: &mut &mut dyn WriteSeek) -> Resul
     for mut table in SampledTable::all(&info)? {
         write_table(&mut table, frames, &mut archive)?;
     }
-    write_times("time_s.npy", info.n_frames, info.rate_hz, &mut archive)?;
+    let times_s = (0..info.n_frames).map(|index| index as f64 / info.rate_hz);
+    write_times("time_s.npy", info.n_frames, times_s, &mut archive)?;
     let shape = [info.n_frames, info.markers.len() as u64, 3];
     let header = npy_header(F32, &shape);
     let n_bytes = array_bytes(&header, &[&shape[..], &[4]].concat());
@@ -75,11 +78,11 @@ fn write_to(frames: &mut dyn FrameSource, out: &mut &mut dyn WriteSeek) -> Resul
     Ok(archive.finish()?)
 }
 
-/// Writes the times of `n` samples from the first on, in seconds.
+/// Writes the times of `n` samples, in seconds.
 fn write_times(
     name: &str,
     n: u64,
-    rate_hz: f64,
+    times_s: impl Iterator<Item = f64>,
     archive: &mut Archive<'_, impl Write + Seek>,
 ) -> Result<()> {
     let header = npy_header(F64, &[n]);
@@ -87,8 +90,8 @@ fn write_times(
     Ok(archive.stream(name, n_bytes, |out| {
         let mut out = BufWriter::new(out);
         out.write_all(&header)?;
-        let times_s = (0..n).map(|index| index as f64 / rate_hz);
-        times_s.map(f64::to_le_bytes).try_for_each(|time| out.write_all(&time))?;
+        let mut times_s = times_s.map(f64::to_le_bytes);
+        times_s.try_for_each(|time| out.write_all(&time))?;
         out.flush()
     })?)
 }
@@ -100,35 +103,41 @@ fn write_table(
     archive: &mut Archive<'_, impl Write + Seek>,
 ) -> Result<()> {
     let (n_rows, n_columns) = (table.n_rows(), table.columns().len() as u64);
+    let name = table.kind().name();
+    // Those of an imported file are at the times of its analog samples.
+    if table.is_recorded() || !table.kind().is_of_plates() {
+        let rate = [npy_header(F64, &[]), table.rate_hz().to_le_bytes().to_vec()].concat();
+        archive.put(&format!("{name}_rate_hz.npy"), &rate)?;
+        write_times(&format!("{name}_time_s.npy"), n_rows, table.times_s(), archive)?;
+    }
     let shape = match table.kind() {
-        SampledKind::Analog => {
-            let rate = [npy_header(F64, &[]), table.rate_hz().to_le_bytes().to_vec()].concat();
-            archive.put("analog_rate_hz.npy", &rate)?;
+        SampledKind::Analog | SampledKind::Group(_) => {
             let texts = |of: fn(&SampledColumn) -> &str| {
                 text_array(&table.columns().iter().map(of).collect::<Vec<_>>())
             };
-            archive.put("analog_labels.npy", &texts(|column| &column.name)?)?;
-            archive.put("analog_units.npy", &texts(|column| &column.unit)?)?;
-            write_times("analog_time_s.npy", n_rows, table.rate_hz(), archive)?;
+            archive.put(&format!("{name}_labels.npy"), &texts(|column| &column.name)?)?;
+            archive.put(&format!("{name}_units.npy"), &texts(|column| &column.unit)?)?;
             vec![n_rows, n_columns]
         }
-        SampledKind::ForcePlates => {
+        SampledKind::ForcePlates(group) => {
+            let plate =
+                group.map_or("force_plate".to_owned(), |group| format!("force_plate_{group}"));
             let n_plates = table.plates().len() as u64;
             let mut numbers = npy_header(I64, &[n_plates]);
             let number = |plate: &ForcePlate| (plate.number as u64).to_le_bytes();
             numbers.extend(table.plates().iter().flat_map(number));
-            archive.put("force_plate_numbers.npy", &numbers)?;
+            archive.put(&format!("{plate}_numbers.npy"), &numbers)?;
             let mut corners = npy_header(F64, &[n_plates, 4, 3]);
             let plates = table.plates().iter();
             let values = plates.flat_map(|plate| plate.geometry.corners_mm()).flatten();
             corners.extend(values.flat_map(f64::to_le_bytes));
-            archive.put("force_plate_corners_mm.npy", &corners)?;
+            archive.put(&format!("{plate}_corners_mm.npy"), &corners)?;
             vec![n_rows, n_plates, 4, 3]
         }
     };
     let header = npy_header(F32, &shape);
     let n_bytes = array_bytes(&header, &[n_rows, n_columns, 4]);
-    Ok(archive.stream(&format!("{}.npy", table.kind().name()), n_bytes, |out| {
+    Ok(archive.stream(&format!("{name}.npy"), n_bytes, |out| {
         let mut out = BufWriter::new(out);
         out.write_all(&header)?;
         table.for_each_row(frames, |_, row| {

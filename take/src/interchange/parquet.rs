@@ -170,14 +170,13 @@ pub(super) fn write_sampled(
     let names: Vec<String> = table.columns().iter().map(|column| column.name.clone()).collect();
     let mut columns = vec![(TIME_COLUMN, ColumnType::Double)];
     columns.extend(names.iter().map(|name| (name.as_str(), ColumnType::Float { nullable: true })));
-    let mut file = ParquetFile::with_metadata(frames, table.kind().name(), &own, &columns, out)?;
-    let group_rows = (WIDE_GROUP_VALUES / n_columns.max(1)).clamp(1, WIDE_GROUP_ROWS_MAX) as u64;
+    let mut file = ParquetFile::with_metadata(frames, &table.kind().name(), &own, &columns, out)?;
+    let group_rows = (WIDE_GROUP_VALUES / n_columns.max(1)).clamp(1, WIDE_GROUP_ROWS_MAX);
     let mut values: Vec<f32> = Vec::new();
-    let mut first = 0;
-    let mut flush = |values: &mut Vec<f32>, end: u64| -> std::io::Result<()> {
-        let times_s: Vec<f64> = (first..end).map(|index| index as f64 / rate_hz).collect();
+    let mut times_s: Vec<f64> = Vec::new();
+    let mut flush = |values: &mut Vec<f32>, times_s: &mut Vec<f64>| -> std::io::Result<()> {
         file.group(|group| {
-            group.column::<DoubleType>(&times_s, None)?;
+            group.column::<DoubleType>(times_s, None)?;
             for column in 0..n_columns {
                 let of_column = || values.iter().skip(column).step_by(n_columns).copied();
                 let present: Vec<i16> = of_column().map(|v| i16::from(!v.is_nan())).collect();
@@ -187,18 +186,17 @@ pub(super) fn write_sampled(
             Ok(())
         })
         .map_err(std::io::Error::other)?;
-        first = end;
+        times_s.clear();
         values.clear();
         Ok(())
     };
-    let mut n_rows = 0;
-    table.for_each_row(frames, |index, row| {
+    table.for_each_row(frames, |time, row| {
         values.extend_from_slice(row);
-        n_rows = index + 1;
-        if n_rows.is_multiple_of(group_rows) { flush(&mut values, n_rows) } else { Ok(()) }
+        times_s.push(time.time_s);
+        if times_s.len() == group_rows { flush(&mut values, &mut times_s) } else { Ok(()) }
     })?;
-    if !values.is_empty() {
-        flush(&mut values, n_rows)?;
+    if !times_s.is_empty() {
+        flush(&mut values, &mut times_s)?;
     }
     file.finish()
 }

@@ -31,6 +31,7 @@ impl<'a> RotatedFrames<'a> {
         info.up = up;
         if !rotation.is_identity() {
             c3d::rotate(&mut info.foreign, info.markers.len(), rotation)?;
+            info.recording = info.recording.map(|recording| recording.rotated(rotation));
         }
         Ok(Some(Self { frames, info, rotation }))
     }

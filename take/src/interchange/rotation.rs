@@ -88,6 +88,14 @@ impl Rotation {
         *self == Self::IDENTITY
     }
 
+    /// Rotates a vector of f64.
+    pub(crate) fn apply_f64(&self, at: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|axis| {
+            let value = at[self.from[axis]];
+            if self.negative[axis] { -value } else { value }
+        })
+    }
+
     /// Rotates a position or another vector.
     pub(crate) fn apply(&self, at: Position) -> Position {
         if self.is_identity() {

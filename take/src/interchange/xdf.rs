@@ -4,11 +4,7 @@
 
 use std::io::{self, Write};
 
-use super::{
-    Result, check_frame_count,
-    sampled_table::{SampledKind, SampledTable},
-    text::column_labels,
-};
+use super::{Result, check_frame_count, sampled_table::SampledTable, text::column_labels};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
 /// Chunk tags.
@@ -18,11 +14,10 @@ const SAMPLES: u16 = 3;
 const CLOCK_OFFSET: u16 = 4;
 const STREAM_FOOTER: u16 = 6;
 
-/// Stream ids.
+/// Stream ids. Those of sampled channels follow.
 const MOTION: u32 = 1;
 const EVENTS: u32 = 2;
-const ANALOG: u32 = 3;
-const FORCE_PLATES: u32 = 4;
+const SAMPLED: u32 = 3;
 
 /// A chunk of samples is written once it has this many bytes.
 const CHUNK_BYTES: usize = 1 << 16;
@@ -53,7 +48,7 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         n_written += 1;
         samples.flush_if_full(out)?;
         for stream in &mut streams {
-            stream.write_frame(out)?;
+            stream.write_frame(n_written - 1, out)?;
             frames.count_sampled(1);
         }
     }
@@ -73,18 +68,17 @@ struct SampledStream<'a> {
     table: SampledTable<'a>,
     samples: SampleChunk,
     n_written: u64,
+    /// The times of the first and the last sample.
+    ends_s: Option<(f64, f64)>,
 }
 
 impl<'a> SampledStream<'a> {
     fn all(info: &'a MotionInfo) -> io::Result<Vec<Self>> {
-        let stream = |table: SampledTable<'a>| {
-            let id = match table.kind() {
-                SampledKind::Analog => ANALOG,
-                SampledKind::ForcePlates => FORCE_PLATES,
-            };
-            Self { table, samples: SampleChunk::new(id), n_written: 0 }
+        let stream = |(table, id): (SampledTable<'a>, u32)| {
+            let samples = SampleChunk::new(id);
+            Self { table, samples, n_written: 0, ends_s: None }
         };
-        Ok(SampledTable::all(info)?.into_iter().map(stream).collect())
+        Ok(SampledTable::all(info)?.into_iter().zip(SAMPLED..).map(stream).collect())
     }
 
     fn write_header(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -94,22 +88,30 @@ impl<'a> SampledStream<'a> {
         put_zero_clock_offset(out, id)
     }
 
-    /// Writes the samples of the next frame.
-    fn write_frame(&mut self, out: &mut dyn Write) -> io::Result<()> {
-        let (width, rate_hz) = (self.table.columns().len().max(1), self.table.rate_hz());
-        for row in self.table.next_frame()?.chunks_exact(width) {
-            let values = self.samples.push(self.n_written as f64 / rate_hz);
-            values.extend(row.iter().flat_map(|value| value.to_le_bytes()));
-            self.n_written += 1;
+    /// Writes the samples up to those of a frame.
+    fn write_frame(&mut self, frame: u64, out: &mut dyn Write) -> io::Result<()> {
+        let width = self.table.columns().len().max(1);
+        while let Some((rows, times)) = self.table.next_rows(frame)? {
+            for (row, time) in rows.chunks_exact(width).zip(times) {
+                let first_s = self.ends_s.map_or(time.time_s, |(first_s, _)| first_s);
+                self.ends_s = Some((first_s, time.time_s));
+                let values = self.samples.push(time.time_s);
+                values.extend(row.iter().flat_map(|value| value.to_le_bytes()));
+                self.n_written += 1;
+            }
+            self.samples.flush_if_full(out)?;
         }
-        self.samples.flush_if_full(out)
+        Ok(())
     }
 
     fn finish(&mut self, out: &mut dyn Write) -> io::Result<()> {
         self.samples.flush(out)?;
-        let rate_hz = self.table.rate_hz();
-        let last = self.n_written.saturating_sub(1) as f64 / rate_hz;
-        let footer = footer(0.0, last, self.n_written, Some(rate_hz));
+        let (first_s, last_s) = self.ends_s.unwrap_or_default();
+        let rate_hz = match self.table.is_recorded() && last_s > first_s {
+            true => (self.n_written - 1) as f64 / (last_s - first_s),
+            false => self.table.rate_hz(),
+        };
+        let footer = footer(first_s, last_s, self.n_written, Some(rate_hz));
         put_chunk(out, STREAM_FOOTER, &[&self.samples.stream.to_le_bytes(), footer.as_bytes()])
     }
 }
@@ -242,10 +244,8 @@ fn motion_header(info: &MotionInfo) -> String {
 
 /// The header of a stream of sampled channels.
 fn sampled_header(table: &SampledTable<'_>) -> String {
-    let (name, kind) = match table.kind() {
-        SampledKind::Analog => ("mocapd analog", "Analog"),
-        SampledKind::ForcePlates => ("mocapd force plates", "Force"),
-    };
+    let kind = if table.kind().is_of_plates() { "Force" } else { "Analog" };
+    let name = format!("mocapd {}", table.kind().name().replace('_', " "));
     let channels: String = table
         .columns()
         .iter()
@@ -261,7 +261,8 @@ fn sampled_header(table: &SampledTable<'_>) -> String {
          <nominal_srate>{}</nominal_srate><channel_format>float32</channel_format><source_id>{name}</source_id>\
          <version>1.1</version><created_at>0</created_at><desc><channels>{channels}</channels></desc></info>",
         table.columns().len(),
-        table.rate_hz()
+        // 0 is irregular: readers take the times as they are, where others draw a line through them.
+        if table.is_recorded() { 0.0 } else { table.rate_hz() }
     )
 }
 

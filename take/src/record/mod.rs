@@ -3,6 +3,7 @@
 //! The structure of each version is frozen; docs/take-format.md gives its bytes.
 
 mod clock;
+mod force_plate;
 mod header;
 mod sample_ledger;
 mod sampled_group;
@@ -27,6 +28,7 @@ use crate::{TakeError, chunk::types, stretch::ROWS_PASSED_MAX, varint};
 pub use clock::{
     CLOCK_ENTRIES_MAX, Clock, ClockBound, ClockJitter, ClockLine, ClockPoint, ClockProbe,
 };
+pub use force_plate::{RecordedPlate, StatedPlate};
 pub(crate) use header::MoreChannels;
 pub(crate) use header::long_stretch_rows;
 pub use header::{

@@ -100,6 +100,15 @@ impl GroupSamples {
         self.chunks.len()
     }
 
+    /// From its first sample in the file to after its last one.
+    pub(crate) fn stored_range(&self) -> Range<u64> {
+        let mut stored = self.chunks.iter().map(|chunk| chunk.span);
+        let is_block = |span: &SampleSpan| !matches!(span.content, SampleContent::Lost(_));
+        let first = stored.clone().find(is_block);
+        let last = stored.rfind(is_block);
+        first.zip(last).map_or(0..0, |(first, last)| first.first..last.end())
+    }
+
     /// A ledger states that the take had this many samples by then.
     fn state(&mut self, ledger: &GroupLedger) {
         if is_recorded(&self.group.kind) && ledger.taken <= SAMPLES_MAX {
@@ -152,6 +161,23 @@ impl GroupSamples {
     #[must_use]
     pub fn clock(&self, tick_hz: u64) -> SampleClock<'_> {
         SampleClock::new(&self.anchors, &self.chunks, self.group.rate_hz, tick_hz)
+    }
+
+    /// The same times with other anchors, which are some of its own.
+    pub(crate) fn clock_by<'a>(
+        &'a self,
+        anchors: &'a [SampleAnchor],
+        tick_hz: u64,
+    ) -> SampleClock<'a> {
+        SampleClock::new(anchors, &self.chunks, self.group.rate_hz, tick_hz)
+    }
+
+    /// File offsets of the chunks with samples of this range.
+    pub(crate) fn offsets_of(&self, range: Range<u64>) -> impl Iterator<Item = u64> {
+        let from = self.chunks.partition_point(|chunk| chunk.span.end() <= range.start);
+        let inside = self.chunks.get(from..).unwrap_or_default().iter();
+        let end = range.end;
+        inside.take_while(move |chunk| chunk.span.first < end).map(|chunk| chunk.offset)
     }
 
     /// The counts of its chunks whose file offset `counts`: those of a ledger, except duplicates and jumps.
@@ -324,6 +350,20 @@ impl GroupSamples {
         }
         lose(&mut kept, next, self.n_samples());
         kept
+    }
+
+    /// Decodes its samples run by run, from the last key block at or before a sample on.
+    pub(crate) fn reader_from(&self, number: u64) -> GroupReader<'_> {
+        let mut reader = self.reader();
+        let runs = reader.runs.as_slice();
+        let behind = runs.partition_point(|(span, _)| span.first <= number);
+        let is_key =
+            |(span, _): &(SampleSpan, Option<(u64, u64)>)| span.content == SampleContent::Key;
+        let key = runs.get(..behind).and_then(|before| before.iter().rposition(is_key));
+        for _ in 0..key.unwrap_or(0) {
+            reader.runs.next();
+        }
+        reader
     }
 
     /// Decodes its samples run by run.

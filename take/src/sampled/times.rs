@@ -139,6 +139,14 @@ pub struct SampleTime {
     pub run_start: u64,
 }
 
+impl SampleTime {
+    /// Ticks since another time of the same segment.
+    #[must_use]
+    pub fn ticks_since(&self, device_ticks: u64) -> f64 {
+        self.device_ticks.wrapping_sub(device_ticks).cast_signed() as f64 + self.fraction
+    }
+}
+
 /// The times of all samples of a group: those of a run lie on the lines between its anchors. Before the first and behind
 /// the last anchor of a run the line through these two goes on if they are far enough apart for it; else samples come at
 /// the group's rate. A block whose anchors are lost has times only where other anchors show its run.

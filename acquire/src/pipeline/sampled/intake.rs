@@ -217,7 +217,7 @@ impl SampledIntake {
     }
 
     fn put_poses(&mut self, (number, device_ticks): (u32, u64), stretch: u64, segment: u32) {
-        let Self { groups, by_id, wakes, poses } = self;
+        let Self { groups, by_id, wakes, poses, .. } = self;
         let index_of = |batch: &SampleBatch<'_>| by_id[usize::from(batch.group)].map(usize::from);
         let batches = poses
             .batches(number, device_ticks)

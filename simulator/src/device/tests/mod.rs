@@ -3,7 +3,9 @@ mod frames;
 mod poses;
 mod samples;
 
-use mocapd_drivers::device::{BodyInfo, DeviceEvent, LinkBudget, Pong, Protocol, SampledGroupInfo};
+use mocapd_drivers::device::{
+    BodyInfo, DeviceEvent, ForcePlateInfo, LinkBudget, Pong, Protocol, SampledGroupInfo,
+};
 use mocapd_drivers::link::{FrameForm, HostLink};
 use mocapd_take::motion::is_gap;
 
@@ -16,6 +18,7 @@ const MS: u64 = 1_000_000;
 #[derive(Debug, Clone, PartialEq)]
 enum Event {
     Group(SampledGroupInfo),
+    Plate(ForcePlateInfo),
     Samples(SentSamples),
     Bodies(Vec<BodyInfo>),
     Poses(SentPoses),
@@ -88,6 +91,7 @@ impl Bench {
                     samples: frame.markers.to_vec(),
                 },
                 DeviceEvent::SampledGroup(group) => Event::Group(group.clone()),
+                DeviceEvent::ForcePlate(plate) => Event::Plate(plate.clone()),
                 DeviceEvent::Samples(batch) => Event::Samples(SentSamples {
                     group: batch.group,
                     number: batch.number,

@@ -37,6 +37,12 @@ fn every_sample_of_a_run_is_sent_once_in_order_and_counted_at_the_end() {
     bench.pass(2 * SECOND_NS, true);
     let groups = bench.events.iter().filter(|event| matches!(event, Event::Group(_)));
     assert_eq!(groups.count(), 2);
+    let plates = bench.events.iter().filter_map(|event| match event {
+        Event::Plate(plate) => Some((plate.number, plate.group, plate.channels.clone())),
+        _ => None,
+    });
+    let expected = [(1, 0, (0..6).collect::<Vec<u8>>()), (2, 0, (6..12).collect())];
+    assert_eq!(plates.collect::<Vec<_>>(), expected);
     for (group, source) in (0..).zip(sources()) {
         let (batches, n_channels) = (batches(&bench, group), source.info().channels.len());
         let mut received = Vec::new();

@@ -10,7 +10,7 @@ use crate::{
 };
 
 /// Name of the group.
-const FORCE_PLATFORM: &str = "FORCE_PLATFORM";
+pub(super) const FORCE_PLATFORM: &str = "FORCE_PLATFORM";
 /// Maximum number of plates of a file: the largest dimension of a parameter.
 const PLATES_MAX: usize = super::parameters::DIMENSION_MAX;
 
@@ -213,12 +213,11 @@ impl PlateLists<'_> {
         let mut unknown: Vec<&str> = Vec::new();
         let mut factor = |(place, channel): (usize, &usize)| {
             let unit = analog.get(*channel).map_or("", |channel| channel.unit.trim());
-            let (known, default) = match (kind, place) {
-                (PlateType::Type3, _) | (_, 0..=2) => (force_n(unit), 1.0),
-                (PlateType::Type1, 3 | 4) => {
-                    (LengthUnit::from_file(unit).map(LengthUnit::mm), self.unit_mm)
-                }
-                _ => (moment_nm(unit), self.unit_mm / 1000.0),
+            let known = factor_of_unit(kind, place, unit);
+            let default = match (kind, place) {
+                (PlateType::Type3, _) | (_, 0..=2) => 1.0,
+                (PlateType::Type1, 3 | 4) => self.unit_mm,
+                _ => self.unit_mm / 1000.0,
             };
             if known.is_none() && !unit.is_empty() && !unknown.contains(&unit) {
                 unknown.push(unit);
@@ -233,6 +232,16 @@ impl PlateLists<'_> {
             ));
         }
         factors
+    }
+}
+
+/// The factor from the unit of a plate's channel, at this place among its channels, to N, mm or N m; `None` for other
+/// units.
+pub(crate) fn factor_of_unit(kind: PlateType, place: usize, unit: &str) -> Option<f64> {
+    match (kind, place) {
+        (PlateType::Type3, _) | (_, 0..=2) => force_n(unit),
+        (PlateType::Type1, 3 | 4) => LengthUnit::from_file(unit).map(LengthUnit::mm),
+        _ => moment_nm(unit),
     }
 }
 

@@ -68,6 +68,7 @@ pub(crate) fn open(
         subject: None,
         foreign,
         events: events::read(&parameters, rate_hz, first_frame, n_frames as u64),
+        recording: None,
     };
     Ok((info, samples))
 }

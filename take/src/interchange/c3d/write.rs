@@ -10,6 +10,7 @@ use super::{
     gap_coordinates::PartCoordinates,
     header::{BLOCK, C3dHeader},
     parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records},
+    recorded::RecordedAnalog,
 };
 use crate::{
     interchange::{InterchangeError, Result, check_frame_count, write_frames},
@@ -19,8 +20,8 @@ use crate::{
 /// The parameter section's processor code for Intel.
 const INTEL: u8 = 84;
 
-/// Writes a whole file.
-pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
+/// Writes a whole file. Returns remarks on the sampled channels of a recording, one sentence each.
+pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<Vec<String>> {
     let info = frames.info().clone();
     let (mut header, mut parameters) = kept_parameters(&info.foreign)?.unwrap_or_default();
     let mut body = Body::new(&info, &parameters)?;
@@ -41,7 +42,7 @@ pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         out.write_all(&[0; BLOCK][..padding as usize])?;
         out.flush()?;
     }
-    Ok(())
+    Ok(body.recorded.map(|all| all.remarks()).unwrap_or_default())
 }
 
 /// Whether a reader counts the frames by the length of the file and so would read padding as frames. ezc3d does if
@@ -114,6 +115,11 @@ fn fill_parameters(
     set_manufacturer(parameters);
     fill_subjects(parameters, &info.markers);
     events::fill(parameters, info, whole);
+    if let (Some(recorded), Some(recording)) = (&body.recorded, &info.recording) {
+        if recorded.n_channels() > 0 {
+            recorded.fill_parameters(parameters, recording)?;
+        }
+    }
     let (ratio, n_channels) = body.analog_shape();
     if n_channels == 0 {
         set_no_analog(parameters);
@@ -368,6 +374,8 @@ enum Point {
 struct Body<'a> {
     points: Vec<Point>,
     analog: Option<PartSamples<'a>>,
+    /// The sampled channels of a recording, which has no kept analog samples.
+    recorded: Option<RecordedAnalog<'a>>,
     residuals: Option<PartSamples<'a>>,
     outputs: Option<PartSamples<'a>>,
     gap_coordinates: Option<PartCoordinates<'a>>,
@@ -381,7 +389,7 @@ struct Body<'a> {
 impl<'a> Body<'a> {
     /// # Errors
     /// Those of reading the foreign parts.
-    fn new(info: &'a MotionInfo, parameters: &Parameters) -> io::Result<Self> {
+    fn new(info: &'a MotionInfo, parameters: &Parameters) -> Result<Self> {
         let (foreign, first_frame) = (&info.foreign, info.source.first_frame);
         let outputs = PartSamples::outputs(foreign, first_frame)?;
         let n_markers = info.markers.len();
@@ -391,6 +399,7 @@ impl<'a> Body<'a> {
             analog_offsets: Vec::new(),
             points: ordered_points(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
             analog: PartSamples::analog(foreign, first_frame)?,
+            recorded: RecordedAnalog::open(info)?,
             residuals: PartSamples::residuals(foreign, first_frame)?
                 .filter(|kept| kept.header.n_signals == n_markers),
             outputs,
@@ -400,7 +409,9 @@ impl<'a> Body<'a> {
 
     /// The analog samples of a channel in a frame, and the number of channels.
     fn analog_shape(&self) -> (usize, usize) {
-        self.analog.as_ref().map_or((0, 0), |kept| (kept.header.ratio, kept.header.n_signals))
+        let of_recording = self.recorded.as_ref().map(|all| (all.ratio, all.n_channels()));
+        let kept = self.analog.as_ref().map(|kept| (kept.header.ratio, kept.header.n_signals));
+        kept.or(of_recording.filter(|(_, n)| *n > 0)).unwrap_or((0, 0))
     }
 
     /// Appends a frame.
@@ -434,7 +445,10 @@ impl<'a> Body<'a> {
             words.iter().for_each(|word| buffer.extend(word.to_le_bytes()));
         }
         let (ratio, n_channels) = self.analog_shape();
-        let Some(kept) = self.analog.as_mut() else { return Ok(()) };
+        let Some(kept) = self.analog.as_mut() else {
+            let recorded = self.recorded.as_mut();
+            return recorded.map_or(Ok(()), |all| all.push_frame(&self.analog_offsets, buffer));
+        };
         let present = kept.begin_frame();
         let width = kept.header.width;
         for _ in 0..ratio {

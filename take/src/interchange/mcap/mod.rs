@@ -43,11 +43,11 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     // A part of a take keeps its times.
     let first_of_take = header.and_then(|h| h.source.as_ref()).map_or(1, |s| s.first_frame);
     let frames_before = header.map_or(0, |_| info.source.first_frame.saturating_sub(first_of_take));
-    let time_between = |index: u64, samples: usize, of: usize| {
-        let frames = frames_before.saturating_add(index) as f64 + samples as f64 / of as f64;
-        start_unix_ns.saturating_add((frames / info.rate_hz * 1e9).round() as u64)
+    let time_between = |frames: f64| {
+        let frames = frames_before as f64 + frames;
+        start_unix_ns.saturating_add_signed((frames / info.rate_hz * 1e9).round() as i64)
     };
-    let time_of = |index: u64| time_between(index, 0, 1);
+    let time_of = |index: u64| time_between(index as f64);
     let start_ns = time_of(0);
     let options = WriteOptions::new()
         .compression(None)
@@ -78,11 +78,14 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
             file.message(scene, time_ns, &messages::label_scene(&row, &labels, time_ns))?;
         }
         for (channel, table) in &mut tables {
-            let (width, ratio) = (table.columns().len().max(1), table.samples_per_frame());
-            for (sample, row) in table.next_frame()?.chunks_exact(width).enumerate() {
-                let time_ns = time_between(index, sample, ratio);
-                file.message(*channel, time_ns, &messages::sampled(row, time_ns))?;
+            let width = table.columns().len().max(1);
+            while let Some((rows, times)) = table.next_rows(index)? {
+                for (row, time) in rows.chunks_exact(width).zip(times) {
+                    let time_ns = time_between(time.frames);
+                    file.message(*channel, time_ns, &messages::sampled(row, time_ns))?;
+                }
             }
+
             frames.count_sampled(1);
         }
         index += 1;
@@ -106,12 +109,14 @@ impl McapFile<'_> {
     /// A channel for the samples of a table. Its metadata has the name and unit of each field's channel.
     fn sampled_channel(&mut self, table: &SampledTable<'_>) -> Result<u16> {
         let message = match table.kind() {
-            SampledKind::Analog => "mocapd.Analog",
-            SampledKind::ForcePlates => "mocapd.ForcePlates",
+            SampledKind::Analog => "mocapd.Analog".to_owned(),
+            SampledKind::Group(number) => format!("mocapd.Sampled{number}"),
+            SampledKind::ForcePlates(None) => "mocapd.ForcePlates".to_owned(),
+            SampledKind::ForcePlates(Some(number)) => format!("mocapd.ForcePlates{number}"),
         };
         let fields = field_names(table.columns());
-        let schema = schema::sampled_descriptor(message, &fields);
-        let schema = self.writer.add_schema(message, "protobuf", &schema).map_err(mcap_error)?;
+        let schema = schema::sampled_descriptor(&message, &fields);
+        let schema = self.writer.add_schema(&message, "protobuf", &schema).map_err(mcap_error)?;
         let describe = |(field, column): (&String, &SampledColumn)| {
             let unit = Some(&column.unit).filter(|unit| !unit.is_empty());
             let unit = unit.map_or_else(String::new, |unit| format!(" ({unit})"));

@@ -1,0 +1,106 @@
+//! The rows of a table of recorded channels: a group's values, or the loads of the force plates whose channels it has.
+
+use std::io;
+
+use crate::{
+    TakeError,
+    foreign::force_plates::{ForcePlate, PlateLoad},
+    interchange::c3d::AnalogChannel,
+    motion::MotionInfo,
+    record::SampledChannel,
+    sampled::{RecordedSamples, Recording, SampleBlock},
+};
+
+/// A recorded channel, as those of imported files.
+pub(super) fn as_analog(channel: &SampledChannel) -> AnalogChannel {
+    AnalogChannel {
+        name: channel.name.clone(),
+        unit: channel.unit.clone(),
+        description: String::new(),
+        scale: channel.scale,
+        offset: channel.offset,
+    }
+}
+
+/// The rows, one for each sample.
+#[derive(Debug)]
+pub(super) struct RecordedRows<'a> {
+    recording: &'a Recording,
+    samples: RecordedSamples<'a>,
+    /// Whose loads the rows have; empty for a table of channels.
+    plates: Vec<ForcePlate>,
+    block: SampleBlock,
+    next: usize,
+    first_row: u64,
+    /// The values of a sample.
+    values: Vec<f64>,
+}
+
+impl<'a> RecordedRows<'a> {
+    /// # Errors
+    /// Those of [`Recording::samples`].
+    pub(super) fn new(
+        info: &MotionInfo,
+        recording: &'a Recording,
+        group: usize,
+        plates: Vec<ForcePlate>,
+    ) -> Result<Self, TakeError> {
+        let rows = info.rows();
+        let samples = recording.samples(group, &rows)?;
+        let (block, values) = (SampleBlock::default(), Vec::new());
+        Ok(Self { recording, samples, plates, block, next: 0, first_row: rows.start, values })
+    }
+
+    pub(super) fn plates(&self) -> &[ForcePlate] {
+        &self.plates
+    }
+
+    pub(super) fn n_rows(&self) -> u64 {
+        self.samples.n_samples()
+    }
+
+    /// The times of all rows, in seconds from the first frame.
+    pub(super) fn times_s(&self) -> impl Iterator<Item = f64> + '_ {
+        self.samples.positions().map(|at| self.recording.time_s(at, self.first_row))
+    }
+
+    /// The place of the next row in frames from the first one; `None` at the end.
+    ///
+    /// # Errors
+    /// Those of reading the take.
+    pub(super) fn peek(&mut self) -> io::Result<Option<f64>> {
+        while self.next >= self.block.positions.len() {
+            self.next = 0;
+            if !self.samples.next_block(&mut self.block)? {
+                self.block = SampleBlock::default();
+                return Ok(None);
+            }
+        }
+        Ok(self.block.positions.get(self.next).map(|at| at - self.first_row as f64))
+    }
+
+    /// Appends the row that was [seen](Self::peek), and returns its time.
+    pub(super) fn take(&mut self, out: &mut Vec<f32>) -> f64 {
+        let channels = self.samples.channels();
+        let n = channels.len();
+        let position = self.block.positions.get(self.next).copied().unwrap_or(f64::NAN);
+        let stored = self.block.stored.get(self.next * n..(self.next + 1) * n).unwrap_or(&[]);
+        self.next += 1;
+        self.values.clear();
+        self.values.extend(channels.iter().zip(stored).map(|(channel, &s)| channel.value(s)));
+        if self.plates.is_empty() {
+            out.extend(self.values.iter().map(|&value| value as f32));
+        }
+        let mut of_plate = [0.0; 8];
+        for plate in &self.plates {
+            for (value, &channel) in of_plate.iter_mut().zip(&plate.channels) {
+                *value = self.values.get(channel).copied().unwrap_or(f64::NAN);
+            }
+            let load = plate.load(of_plate.get(..plate.channels.len()).unwrap_or(&[]));
+            let PlateLoad { force_n, moment_nm, cop_mm, free_moment_nm } = load;
+            let values = [force_n, moment_nm, cop_mm, free_moment_nm];
+            out.extend(values.into_iter().flatten().map(|value| value as f32));
+        }
+        self.recording.time_s(position, self.first_row)
+    }
+}

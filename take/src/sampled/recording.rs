@@ -1,0 +1,558 @@
+//! The sampled channels of a recording on the time line of its frames: the one place that says when a sample was taken.
+//!
+//! A sample has the device's time that SAMPLE_TIMES gives it, and a place among the rows by [`RowClock`]: sample times and
+//! frame times agree wherever the device took both at once, whatever its rates are. All exports, the plots and the
+//! Python package read recorded samples from here.
+
+use std::{
+    fmt,
+    io::{self, Read, Seek},
+    ops::Range,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use super::{
+    GroupReader, GroupSamples, RowClock, SampleAnchor, SampleClock, SampleRun, SampleTime,
+};
+use crate::{
+    TakeError, TakeMap,
+    foreign::force_plates::ForcePlate,
+    interchange::{Rotation, c3d::factor_of_unit},
+    record::{RecordedPlate, SampledChannel},
+};
+
+/// Samples of a block that are decoded at once are those of a block of the take; lost ones come in blocks of this many.
+const LOST_AT_ONCE: u64 = 1 << 16;
+
+/// Most lost samples of a channel, one after another, that outputs have as missing: more than an hour at 1000 Hz. A few
+/// bytes of a take can claim years, and a clock that jumps can make a recorder count as many.
+const LOST_RUN_MAX: u64 = 1 << 22;
+
+/// Most such samples of a channel in all: those of eight hours at 2000 Hz.
+const LOST_MAX: u64 = 1 << 26;
+
+/// Seconds by which the device's clock goes back at least where it began again: batches may be stamped late by less.
+const BACK_S: f64 = 0.1;
+
+/// The file of a take, for readers that share it.
+pub trait ReadSeek: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> ReadSeek for T {}
+
+/// A group, and where its samples are on the time line.
+struct PlacedGroup {
+    samples: GroupSamples,
+    /// The stated times, without those that were stamped so late that the next ones would be before them.
+    anchors: Vec<SampleAnchor>,
+    /// By run of samples, in ascending order of their starts: the rows' epoch that it belongs to.
+    epochs: Vec<(u64, Option<usize>)>,
+}
+
+/// What all copies of a recording share.
+struct Shared {
+    groups: Vec<GroupSamples>,
+    placed: Vec<PlacedGroup>,
+    clock: RowClock,
+    tick_hz: u64,
+    rate_hz: f64,
+    n_rows: u64,
+    first_frame: u64,
+    input: Mutex<Box<dyn ReadSeek>>,
+    /// For groups and ranges of rows that were asked for before: the numbers of their samples.
+    found: Mutex<Vec<((usize, u64, u64), Arc<[Range<u64>]>)>>,
+}
+
+/// The times of a group's anchors that ascend: one that is later than the rate allows before the next one of its run was
+/// stamped late, with a batch that waited.
+fn ascending(samples: &GroupSamples, tick_hz: u64) -> Vec<SampleAnchor> {
+    let nominal = tick_hz as f64 / samples.group.rate_hz;
+    let mut kept: Vec<SampleAnchor> = Vec::with_capacity(samples.anchors().len());
+    for anchor in samples.anchors() {
+        let is_late = |last: &SampleAnchor| {
+            let ticks = anchor.device_ticks.wrapping_sub(last.device_ticks).cast_signed() as f64;
+            last.run_start == anchor.run_start
+                && last.number > last.run_start
+                && ticks < 0.5 * nominal * (anchor.number - last.number) as f64
+        };
+        while kept.pop_if(|last| is_late(last)).is_some() {}
+        kept.push(*anchor);
+    }
+    kept
+}
+
+/// A sentence on the channels of a plate whose units are none of forces, moments or lengths.
+fn unknown_units(plate: &RecordedPlate, groups: &[GroupSamples]) -> Option<String> {
+    let group = groups.iter().find(|group| group.group.number == plate.group)?;
+    let unknown = plate.channels.iter().enumerate().filter_map(|(place, &channel)| {
+        let channel = group.group.channels.get(channel)?;
+        let unit = channel.unit.trim();
+        let factor = factor_of_unit(plate.kind, place, unit);
+        factor.is_none().then(|| format!("{} ('{unit}')", channel.name))
+    });
+    let unknown: Vec<String> = unknown.collect();
+    (!unknown.is_empty()).then(|| {
+        format!(
+            "Channels of force plate {} have other units than forces, moments and lengths, and were read in N, N m and \
+             mm: {}.",
+            plate.number,
+            unknown.join(", ")
+        )
+    })
+}
+
+/// The epochs of a group's runs.
+fn epochs_of(samples: &GroupSamples, clock: &RowClock, tick_hz: u64) -> Vec<(u64, Option<usize>)> {
+    let mut found: Vec<(u64, Option<usize>)> = Vec::new();
+    let mut from = 0;
+    let mut before: Option<u64> = None;
+    let mut runs = samples.anchors().chunk_by(|a, b| a.run_start == b.run_start).peekable();
+    while let Some(run) = runs.next() {
+        let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
+        let end = runs.peek().and_then(|next| next.first()).map_or(u64::MAX, |next| next.run_start);
+        // A run behind which the clock went back has rows of a later epoch.
+        let back_s = |before: u64| {
+            before.wrapping_sub(first.device_ticks).cast_signed() as f64 / tick_hz as f64
+        };
+        from += usize::from(before.is_some_and(|before| back_s(before) > BACK_S));
+        let offsets = samples.offsets_of(first.run_start..end);
+        let epoch = clock.epoch_of((first.device_ticks, last.device_ticks), offsets, from);
+        from = epoch.unwrap_or(from);
+        before = Some(last.device_ticks);
+        found.push((first.run_start, epoch));
+    }
+    found
+}
+
+/// The sampled channels of a recording, and its force plates.
+#[derive(Clone)]
+pub struct Recording {
+    shared: Arc<Shared>,
+    plates: Vec<RecordedPlate>,
+    warnings: Vec<String>,
+    resamples: bool,
+}
+
+impl fmt::Debug for Recording {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let n_groups = self.shared.groups.len();
+        let mut out = f.debug_struct("Recording");
+        out.field("n_groups", &n_groups).field("plates", &self.plates).finish_non_exhaustive()
+    }
+}
+
+impl PartialEq for Recording {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.shared, &other.shared)
+            && self.plates == other.plates
+            && self.resamples == other.resamples
+    }
+}
+
+impl Recording {
+    /// The sampled channels of a take, whose file `input` reads; `None` if it has none.
+    ///
+    /// # Errors
+    /// Those of [`RowClock::read`].
+    pub fn open(
+        map: &TakeMap,
+        mut input: impl Read + Seek + Send + 'static,
+    ) -> Result<Option<Self>, TakeError> {
+        let groups: Vec<GroupSamples> = map.recorded_groups().cloned().collect();
+        if groups.is_empty() {
+            return Ok(None);
+        }
+        let clock = RowClock::read(&mut input, map)?;
+        let (plates, mut warnings) = map.header.force_plates();
+        let has_channels = |plate: &RecordedPlate| {
+            let mut groups = groups.iter().map(|group| &group.group);
+            let group = groups.find(|group| group.number == plate.group);
+            let n_channels = group.map_or(0, |group| group.channels.len());
+            plate.channels.iter().all(|&channel| channel < n_channels)
+        };
+        let (plates, others): (Vec<_>, Vec<_>) = plates.into_iter().partition(has_channels);
+        warnings.extend(others.iter().map(|plate| {
+            format!("Force plate {} has channels that the take does not have.", plate.number)
+        }));
+        warnings.extend(plates.iter().filter_map(|plate| unknown_units(plate, &groups)));
+        let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
+        let place = |samples: &GroupSamples| PlacedGroup {
+            samples: samples.clone(),
+            anchors: ascending(samples, tick_hz),
+            epochs: epochs_of(samples, &clock, tick_hz),
+        };
+        let shared = Arc::new(Shared {
+            placed: groups.iter().map(place).collect(),
+            groups,
+            clock,
+            tick_hz,
+            rate_hz: map.header.rate_hz,
+            n_rows: map.n_rows,
+            first_frame: map.header.source.as_ref().map_or(1, |source| source.first_frame),
+            input: Mutex::new(Box::new(input)),
+            found: Mutex::default(),
+        });
+        Ok(Some(Self { shared, plates, warnings, resamples: false }))
+    }
+
+    /// The same, for an export that may resample channels where the format needs it.
+    #[must_use]
+    pub fn resampling(self, resamples: bool) -> Self {
+        Self { resamples, ..self }
+    }
+
+    /// Whether an export may resample channels.
+    #[must_use]
+    pub fn resamples(&self) -> bool {
+        self.resamples
+    }
+
+    /// The force plates in the axes after a rotation.
+    pub(crate) fn rotated(&self, rotation: Rotation) -> Self {
+        let mut all = self.clone();
+        for plate in &mut all.plates {
+            plate.geometry = plate.geometry.rotated(rotation);
+        }
+        all
+    }
+
+    /// The groups, in order of their numbers.
+    #[must_use]
+    pub fn groups(&self) -> &[GroupSamples] {
+        &self.shared.groups
+    }
+
+    /// The force plates that can be used.
+    #[must_use]
+    pub fn plates(&self) -> &[RecordedPlate] {
+        &self.plates
+    }
+
+    /// Why force plates cannot be used, one sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Number of the take's first frame.
+    pub(crate) fn first_frame(&self) -> u64 {
+        self.shared.first_frame
+    }
+
+    /// Number of rows of the take.
+    #[must_use]
+    pub fn n_rows(&self) -> u64 {
+        self.shared.n_rows
+    }
+
+    /// The clock of a group; `None` beyond the last one.
+    #[must_use]
+    pub fn clock(&self, group: usize) -> Option<RecordingClock<'_>> {
+        let placed = self.shared.placed.get(group)?;
+        let samples = placed.samples.clock_by(&placed.anchors, self.shared.tick_hz);
+        Some(RecordingClock { samples, rows: &self.shared.clock, epochs: &placed.epochs })
+    }
+
+    /// The time of a place among the rows, in seconds from row `first_row`, to the nanosecond.
+    #[must_use]
+    pub fn time_s(&self, position: f64, first_row: u64) -> f64 {
+        ((position - first_row as f64) / self.shared.rate_hz * 1e9).round() / 1e9
+    }
+
+    /// The numbers of a group's samples that were taken from row `rows.start` to before row `rows.end`, in ascending order;
+    /// those before the first row and after the last one of the take belong to a range that has that row. Lost samples
+    /// count, unless none follows or precedes them.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn numbers(&self, group: usize, rows: &Range<u64>) -> Result<Arc<[Range<u64>]>, TakeError> {
+        let key = (group, rows.start, rows.end);
+        let lock = || self.shared.found.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, known)) = lock().iter().find(|(known, _)| *known == key) {
+            return Ok(Arc::clone(known));
+        }
+        let found: Arc<[Range<u64>]> = self.find_numbers(group, rows)?.into();
+        lock().push((key, Arc::clone(&found)));
+        Ok(found)
+    }
+
+    fn find_numbers(&self, group: usize, rows: &Range<u64>) -> Result<Vec<Range<u64>>, TakeError> {
+        let (Some(samples), Some(clock)) = (self.shared.groups.get(group), self.clock(group))
+        else {
+            return Ok(Vec::new());
+        };
+        let from = if rows.start == 0 { f64::NEG_INFINITY } else { rows.start as f64 };
+        let to = if rows.end >= self.shared.n_rows { f64::INFINITY } else { rows.end as f64 };
+        let stored = samples.stored_range();
+        let mut found: Vec<Range<u64>> = Vec::new();
+        let (mut last, mut n_lost) = (f64::NEG_INFINITY, 0);
+        samples.runs(|run| {
+            let numbers = match run {
+                SampleRun::Block(chunk) => chunk.span.first..chunk.span.end(),
+                SampleRun::Lost { first, n, .. } => {
+                    let inside = first.max(stored.start)..first.saturating_add(n).min(stored.end);
+                    let n = inside.end.saturating_sub(inside.start);
+                    n_lost += n;
+                    if n > LOST_RUN_MAX || n_lost > LOST_MAX { 0..0 } else { inside }
+                }
+            };
+            for number in numbers {
+                // Times ascend: one that does not belongs to a clock that went back by less than its rows tell.
+                let Some(at) = clock.position(number).filter(|&at| at > last) else { continue };
+                last = at;
+                if !(from..to).contains(&at) {
+                    continue;
+                }
+                match found.last_mut() {
+                    Some(last) if last.end == number => last.end = number + 1,
+                    _ => found.push(number..number + 1),
+                }
+            }
+            Ok::<_, TakeError>(())
+        })?;
+        Ok(found)
+    }
+
+    /// How many samples of each channel have no place on the time line, because the take does not say when they were taken,
+    /// or no frame was taken for seconds.
+    ///
+    /// # Errors
+    /// Those of [`numbers`](Self::numbers).
+    pub fn n_without_time(&self, group: usize) -> Result<u64, TakeError> {
+        let placed = self.numbers(group, &(0..self.shared.n_rows))?;
+        let n_placed: u64 = placed.iter().map(|range| range.end - range.start).sum();
+        let stored = self.shared.groups.get(group).map(GroupSamples::stored_range);
+        Ok(stored
+            .map_or(0, |stored| stored.end.saturating_sub(stored.start).saturating_sub(n_placed)))
+    }
+
+    /// The samples of a group in those rows, block by block.
+    ///
+    /// # Errors
+    /// Those of [`numbers`](Self::numbers).
+    pub fn samples(
+        &self,
+        group: usize,
+        rows: &Range<u64>,
+    ) -> Result<RecordedSamples<'_>, TakeError> {
+        Ok(self.samples_of(group, self.numbers(group, rows)?))
+    }
+
+    /// Some of the samples of a group, block by block: `indices` counts those of the whole take that have a time.
+    ///
+    /// # Errors
+    /// Those of [`numbers`](Self::numbers).
+    pub fn samples_at(
+        &self,
+        group: usize,
+        indices: &Range<u64>,
+    ) -> Result<RecordedSamples<'_>, TakeError> {
+        let mut before = 0;
+        let mut wanted = Vec::new();
+        for range in self.numbers(group, &(0..self.shared.n_rows))?.iter() {
+            let n = range.end - range.start;
+            let first = indices.start.saturating_sub(before).min(n);
+            let end = indices.end.saturating_sub(before).min(n);
+            wanted.extend((first < end).then_some(range.start + first..range.start + end));
+            before += n;
+        }
+        Ok(self.samples_of(group, wanted.into()))
+    }
+
+    fn samples_of(&self, group: usize, numbers: Arc<[Range<u64>]>) -> RecordedSamples<'_> {
+        let found = self.shared.groups.get(group);
+        let first = numbers.first().map_or(0, |range| range.start);
+        RecordedSamples {
+            recording: self,
+            clock: self.clock(group),
+            reader: found.map(|found| found.reader_from(first)),
+            channels: found.map_or(&[][..], |found| &found.group.channels),
+            numbers,
+            next_range: 0,
+            lost: None,
+        }
+    }
+
+    /// The force plates whose channels a group has, as those of imported files: their channels are those of the group.
+    #[must_use]
+    pub fn force_plates(&self, group: usize) -> Vec<ForcePlate> {
+        let Some(found) = self.shared.groups.get(group) else { return Vec::new() };
+        let plate = |plate: &RecordedPlate| {
+            let units = plate.channels.iter().map(|&channel| {
+                found.group.channels.get(channel).map_or("", |channel| channel.unit.trim())
+            });
+            // Units that are unknown are taken for N, N m and mm.
+            let factor = |(place, unit)| factor_of_unit(plate.kind, place, unit).unwrap_or(1.0);
+            ForcePlate {
+                number: plate.number,
+                kind: plate.kind,
+                geometry: plate.geometry.clone(),
+                channels: plate.channels.clone(),
+                calibration: None,
+                factors: units.enumerate().map(factor).collect(),
+            }
+        };
+        let of_group = self.plates.iter().filter(|plate| plate.group == found.group.number);
+        of_group.map(plate).collect()
+    }
+}
+
+/// The times of a group's samples on the time line of the rows.
+#[derive(Debug, Clone, Copy)]
+pub struct RecordingClock<'a> {
+    samples: SampleClock<'a>,
+    rows: &'a RowClock,
+    epochs: &'a [(u64, Option<usize>)],
+}
+
+impl RecordingClock<'_> {
+    /// The place of a sample among the rows.
+    #[must_use]
+    pub fn position(&self, number: u64) -> Option<f64> {
+        let time = self.samples.at(number)?;
+        let run =
+            self.epochs.partition_point(|(start, _)| *start <= time.run_start).checked_sub(1)?;
+        let (_, epoch) = self.epochs.get(run)?;
+        self.rows.position((*epoch)?, &time)
+    }
+
+    /// The time of a sample by the device's clock.
+    #[must_use]
+    pub fn device_time(&self, number: u64) -> Option<SampleTime> {
+        self.samples.at(number)
+    }
+}
+
+/// Consecutive samples of all channels of a group.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SampleBlock {
+    /// Numbers of the samples.
+    pub numbers: Vec<u64>,
+    /// Their places among the rows, ascending.
+    pub positions: Vec<f64>,
+    /// The samples as the take stores them, one after another; of each, all channels in order. NaN where they are lost.
+    pub stored: Vec<f32>,
+    /// Whether they are lost.
+    pub is_lost: bool,
+}
+
+/// The samples of a group, decoded block by block.
+pub struct RecordedSamples<'a> {
+    recording: &'a Recording,
+    clock: Option<RecordingClock<'a>>,
+    reader: Option<GroupReader<'a>>,
+    channels: &'a [SampledChannel],
+    numbers: Arc<[Range<u64>]>,
+    next_range: usize,
+    /// Lost samples that have not been returned yet.
+    lost: Option<Range<u64>>,
+}
+
+impl fmt::Debug for RecordedSamples<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("RecordedSamples").field("numbers", &self.numbers).finish_non_exhaustive()
+    }
+}
+
+impl<'a> RecordedSamples<'a> {
+    /// The channels.
+    #[must_use]
+    pub fn channels(&self) -> &'a [SampledChannel] {
+        self.channels
+    }
+
+    /// Samples of each channel.
+    #[must_use]
+    pub fn n_samples(&self) -> u64 {
+        self.numbers.iter().map(|range| range.end - range.start).sum()
+    }
+
+    /// The places of all samples among the rows, in order.
+    pub fn positions(&self) -> impl Iterator<Item = f64> + '_ {
+        let numbers = self.numbers.iter().cloned().flatten();
+        numbers.map(|number| self.position(number))
+    }
+
+    fn position(&self, number: u64) -> f64 {
+        self.clock.and_then(|clock| clock.position(number)).unwrap_or(f64::NAN)
+    }
+
+    /// Replaces `block` by the next samples; `false` at the end.
+    ///
+    /// # Errors
+    /// Those of reading the take.
+    pub fn next_block(&mut self, block: &mut SampleBlock) -> io::Result<bool> {
+        let recording = self.recording;
+        let mut input = recording.shared.input.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            if let Some(lost) = self.lost.take() {
+                // Most of a long loss has no place.
+                let wanted =
+                    self.numbers.get(self.next_range).map_or(lost.end, |range| range.start);
+                let lost = lost.start.max(wanted).min(lost.end)..lost.end;
+                if lost.is_empty() {
+                    continue;
+                }
+                let end = lost.end.min(lost.start + LOST_AT_ONCE);
+                self.lost = Some(end..lost.end).filter(|rest| !rest.is_empty());
+                if self.fill(block, lost.start..end, None) {
+                    return Ok(true);
+                }
+                continue;
+            }
+            let Some(reader) = &mut self.reader else { return Ok(false) };
+            let last = self.numbers.last().map_or(0, |range| range.end);
+            let Some((span, samples)) = reader.next(&mut &mut **input).map_err(io::Error::other)?
+            else {
+                return Ok(false);
+            };
+            let Some(samples) = samples else {
+                self.lost = Some(span.first..span.end().min(last)).filter(|lost| !lost.is_empty());
+                if span.first >= last {
+                    return Ok(false);
+                }
+                continue;
+            };
+            let samples = samples.to_vec();
+            if self.fill(block, span.first..span.end(), Some(&samples)) {
+                return Ok(true);
+            }
+            if span.first >= last {
+                return Ok(false);
+            }
+        }
+    }
+
+    /// Fills a block with those of the samples that are wanted; `samples` has them channel after channel. Returns whether
+    /// there is one.
+    fn fill(&mut self, block: &mut SampleBlock, all: Range<u64>, samples: Option<&[f32]>) -> bool {
+        block.numbers.clear();
+        block.positions.clear();
+        block.stored.clear();
+        block.is_lost = samples.is_none();
+        let n = (all.end - all.start) as usize;
+        while let Some(wanted) = self.numbers.get(self.next_range) {
+            for number in wanted.start.max(all.start)..wanted.end.min(all.end) {
+                let at = (number - all.start) as usize;
+                block.numbers.push(number);
+                let value =
+                    |channel: usize| samples.and_then(|samples| samples.get(channel * n + at));
+                let values = (0..self.channels.len()).map(|channel| value(channel).copied());
+                block.stored.extend(values.map(|value| value.unwrap_or(f32::NAN)));
+            }
+            if wanted.end > all.end {
+                break;
+            }
+            self.next_range += 1;
+        }
+        block.positions.extend(block.numbers.iter().map(|&number| self.position(number)));
+        !block.numbers.is_empty()
+    }
+}
+
+impl SampledChannel {
+    /// The value of a stored sample, in the channel's unit.
+    #[must_use]
+    pub fn value(&self, stored: f32) -> f64 {
+        (f64::from(stored) - self.offset) * self.scale
+    }
+}

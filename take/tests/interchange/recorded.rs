@@ -1,0 +1,277 @@
+//! Sampled channels and force plates of recordings: where samples are on the time line of the frames, and what C3D has.
+
+use std::io::Cursor;
+
+use mocapd_codec::{Settings, Tolerance, sampled::SampledEncoder};
+use mocapd_take::{
+    TakeFrames, TakeWriter,
+    interchange::{Format, SampledKind, SampledTable, write_c3d},
+    motion::{FrameSource, MotionInfo},
+    record::{Channel, Device, Header, Ledger, SampledChannel, SampledGroup, StatedPlate},
+    sampled::{SampleAnchor, SampleContent, SampleSpan},
+    statistics::StretchTally,
+    stretch::{Span, StretchHeaderWriter},
+    timeline::{RowTime, Timeline, TimelineEncoder},
+};
+
+const TICK_HZ: u64 = 100_000;
+/// Ticks from a row to the next, at 100 Hz, and from a sample to the next, at 1000 Hz.
+const ROW: u64 = 1000;
+const SAMPLE: u64 = 100;
+
+/// Consecutive samples of the only group, with the times of the first and of the sample at which a batch begins.
+struct Block {
+    first: u64,
+    run_start: u64,
+    ticks: u64,
+    /// By channel.
+    samples: Vec<Vec<f32>>,
+}
+
+fn block(first: u64, run_start: u64, ticks: u64, samples: Vec<Vec<f32>>) -> Block {
+    Block { first, run_start, ticks, samples }
+}
+
+/// A recording of one marker at 100 Hz whose rows have these ticks, and of a group at 1000 Hz; what is written after each
+/// stretch of 50 rows.
+fn take(
+    rows: &[u64],
+    channels: &[(&str, &str)],
+    plates: &[StatedPlate],
+    mut blocks: impl FnMut(usize) -> Vec<Block>,
+) -> Vec<u8> {
+    let device = Some(Device { tick_hz: TICK_HZ, ..Device::default() });
+    let mut header = Header { rate_hz: 100.0, device, stretch_rows: 50, ..Header::default() };
+    header.channels = vec![Channel { label: "a".to_owned(), labelled: true, marker_id: 0 }];
+    header.settings = plates.iter().map(StatedPlate::setting).collect();
+    let tolerance = Tolerance::from_mm(1.0).unwrap();
+    header.set_codec(&Settings { kind: "dense".parse().unwrap(), tolerance });
+    let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
+    let channel = |(name, unit): &(&str, &str)| SampledChannel {
+        name: (*name).to_owned(),
+        unit: (*unit).to_owned(),
+        scale: 0.5,
+        ..SampledChannel::default()
+    };
+    let channels: Vec<SampledChannel> = channels.iter().map(channel).collect();
+    let part_channels = channels.len() as u32;
+    take.sampled_group(&SampledGroup {
+        rate_hz: 1000.0,
+        channels,
+        part_channels,
+        ..SampledGroup::default()
+    })
+    .unwrap();
+    let mut front = StretchHeaderWriter::with_times(50, TimelineEncoder::new(TICK_HZ, 100.0));
+    let mut encoder = SampledEncoder::new();
+    for (i, part) in rows.chunks(50).enumerate() {
+        let mut timeline = Timeline::default();
+        let first_row = i as u64 * 50;
+        timeline.restart(first_row);
+        for &device_ticks in part {
+            timeline.push(RowTime { device_ticks, arrival_10us: first_row, timecode: None });
+        }
+        let (n_rows, number) = (part.len() as u32, (i % 32) as u8);
+        let span = Span { first_row, n_rows, key: true, number };
+        let mut payload = Vec::new();
+        front.put(span, &timeline, &[], true, &mut payload);
+        take.stretch(span, &payload, &StretchTally::default()).unwrap();
+        for Block { first, run_start, ticks, samples } in blocks(i) {
+            let n = samples[0].len() as u64;
+            let anchor = SampleAnchor { number: first, run_start, device_ticks: ticks, segment: 0 };
+            let later = (n > 10).then_some((first + n - 10, ticks + (n - 10) * SAMPLE));
+            take.sample_time(0, &anchor, later).unwrap();
+            let mut coded = Vec::new();
+            let columns: Vec<&[f32]> = samples.iter().map(Vec::as_slice).collect();
+            encoder.encode(&columns, true, &mut coded).unwrap();
+            let span = SampleSpan { group: 0, first, n, content: SampleContent::Key };
+            take.samples(&span, &coded).unwrap();
+        }
+    }
+    take.finish(&Ledger::default()).unwrap().0
+}
+
+/// Half a second of samples after each stretch, from the first row on.
+fn half_seconds(value: impl Fn(u64) -> Vec<f32>) -> impl FnMut(usize) -> Vec<Block> {
+    move |stretch| {
+        let first = stretch as u64 * 500;
+        let rows: Vec<Vec<f32>> = (first..first + 500).map(&value).collect();
+        let samples =
+            (0..rows[0].len()).map(|channel| rows.iter().map(|row| row[channel]).collect());
+        vec![block(first, 0, first * SAMPLE, samples.collect())]
+    }
+}
+
+fn open(take: Vec<u8>) -> TakeFrames<Cursor<Vec<u8>>> {
+    let mut frames = TakeFrames::open(Cursor::new(take.clone())).unwrap();
+    frames.open_recording(Cursor::new(take), false).unwrap();
+    frames
+}
+
+/// The rows of a table, and their times in seconds.
+fn rows(info: &MotionInfo, kind: SampledKind) -> (Vec<Vec<f32>>, Vec<f64>) {
+    let tables = SampledTable::all(info).unwrap();
+    let mut table = tables.into_iter().find(|table| table.kind() == kind).unwrap();
+    let width = table.columns().len();
+    let (mut rows, mut times) = (Vec::new(), Vec::new());
+    while let Some((values, at)) = table.next_any().unwrap() {
+        rows.extend(values.chunks_exact(width).map(<[f32]>::to_vec));
+        times.extend(at.iter().map(|time| time.time_s));
+    }
+    assert_eq!(table.n_rows(), rows.len() as u64);
+    assert!(table.times_s().eq(times.iter().copied()));
+    (rows, times)
+}
+
+/// The C3D file, read again, and what was said of it.
+fn c3d(frames: &mut TakeFrames<Cursor<Vec<u8>>>) -> (MotionInfo, Vec<String>) {
+    let mut file = Vec::new();
+    let remarks = write_c3d(frames, &mut file).unwrap();
+    (Format::C3d.read(&file).unwrap().info, remarks)
+}
+
+fn even_rows(n: u64) -> Vec<u64> {
+    (0..n).map(|row| row * ROW).collect()
+}
+
+const PLATE: [(&str, &str); 6] =
+    [("Fx", "N"), ("Fy", "N"), ("Fz", "kN"), ("Mx", "Nm"), ("My", "N m"), ("Mz", "Nmm")];
+
+/// A plate with a shear force and sensors above or below its surface, whose axes point up or down, has the same loads in
+/// C3D, which turns the axes where readers would reverse the origin.
+#[test]
+fn a_plate_has_the_same_loads_in_c3d_whichever_way_its_axes_point() {
+    let (x, y) = (300.0, 200.0);
+    let up = [[x, y, 5.0], [-x, y, 5.0], [-x, -y, 5.0], [x, -y, 5.0]];
+    let down = [[x, -y, 5.0], [-x, -y, 5.0], [-x, y, 5.0], [x, y, 5.0]];
+    for corners_mm in [up, down] {
+        for z in [41.5, 0.0, -41.5] {
+            let plate = StatedPlate {
+                number: 1,
+                code: 2,
+                group: 0,
+                channels: (0..6).collect(),
+                corners_mm,
+                origin_mm: [3.0, -2.0, z],
+            };
+            // Stored with a scale of a half: 200 N, -30 N, 0.7 kN, 12 N m, -20 N m, 3000 N mm.
+            let value = |_| vec![400.0, -60.0, 1.4, 24.0, -40.0, 6000.0];
+            let take = take(&even_rows(100), &PLATE, &[plate], half_seconds(value));
+            let mut frames = open(take);
+            let (of_take, _) = rows(frames.info(), SampledKind::ForcePlates(None));
+            let (read, remarks) = c3d(&mut frames);
+            assert_eq!(remarks, Vec::<String>::new());
+            let (of_file, _) = rows(&read, SampledKind::ForcePlates(None));
+            for (found, expected) in of_file[500].iter().zip(&of_take[500]) {
+                assert!(
+                    (found - expected).abs() <= 1e-4 * expected.abs().max(1.0),
+                    "{z}: {found} {expected}"
+                );
+            }
+            // By hand: the moment about the centre is M + F x origin.
+            let sign = if corners_mm == up { 1.0 } else { -1.0 };
+            let moment_x = 12.0 + (-30.0 * z - 700.0 * -2.0) / 1000.0;
+            assert!(
+                (f64::from(of_take[500][3]) - moment_x).abs() < 1e-3,
+                "{z}: {:?}",
+                of_take[500]
+            );
+            assert!((f64::from(of_take[500][2]) - sign * 700.0).abs() < 1e-3);
+        }
+    }
+}
+
+#[test]
+fn a_channel_that_is_no_number_does_not_cost_the_others() {
+    let value = |number: u64| vec![number as f32, f32::NAN];
+    let mut frames =
+        open(take(&even_rows(100), &[("a", "V"), ("b", "V")], &[], half_seconds(value)));
+    let (read, remarks) = c3d(&mut frames);
+    let (found, times) = rows(&read, SampledKind::Analog);
+    assert!(found.iter().enumerate().all(|(i, row)| row[..] == [i as f32 * 0.5, 0.0]));
+    assert_eq!((times.len(), times[999]), (1000, 0.999));
+    assert_eq!(remarks.len(), 1, "{remarks:?}");
+    assert!(
+        remarks[0].contains("no numbers") && remarks[0].contains("1000 samples of b"),
+        "{remarks:?}"
+    );
+}
+
+#[test]
+fn years_of_lost_samples_are_left_out_and_counted() {
+    let blocks = |stretch: usize| {
+        let first = [0, 1 << 49][stretch];
+        vec![block(first, 0, stretch as u64 * 50_000, vec![vec![1.0; 100]])]
+    };
+    let frames = open(take(&even_rows(100), &[("a", "V")], &[], blocks));
+    let (found, times) = rows(frames.info(), SampledKind::Group(0));
+    assert_eq!((found.len(), times[99], times[100]), (200, 0.099, 0.5));
+    let recording = frames.info().recording.as_ref().unwrap();
+    assert_eq!(recording.n_without_time(0).unwrap(), (1 << 49) - 100);
+}
+
+/// The device's clock goes back by a second between two stretches, or begins again at 0.
+#[test]
+fn samples_stay_with_their_rows_where_the_clock_goes_back() {
+    for (back, restart) in [(100_000, false), (0, true)] {
+        let ticks = |at: u64| match at {
+            0..200_000 => at,
+            _ if restart => at - 200_000,
+            _ => at - back,
+        };
+        let ticks_of: Vec<u64> = (0..400).map(|row| ticks(row * ROW)).collect();
+        let blocks = |stretch: usize| {
+            let first = stretch as u64 * 500;
+            let run_start = if stretch < 4 { 0 } else { 2000 };
+            let samples = (first..first + 500).map(|number| number as f32).collect();
+            vec![block(first, run_start, ticks(first * SAMPLE), vec![samples])]
+        };
+        let frames = open(take(&ticks_of, &[("a", "V")], &[], blocks));
+        let (found, times) = rows(frames.info(), SampledKind::Group(0));
+        assert_eq!(found.len(), 4000, "{restart}");
+        for (row, time) in found.iter().zip(&times) {
+            let expected = f64::from(row[0]) * 2.0 / 1000.0;
+            assert!((time - expected).abs() < 1e-6, "{restart}: {time} for {expected}");
+        }
+    }
+}
+
+#[test]
+fn a_clock_that_drifts_away_and_comes_back_is_not_in_step() {
+    // Up to 3 ms late in the middle of 8 s.
+    let late = |at: u64| if at < 400_000 { at / 1333 } else { (800_000 - at) / 1333 };
+    let blocks = |stretch: usize| {
+        let first = stretch as u64 * 500;
+        let samples = (first..first + 500).map(|number| number as f32).collect();
+        vec![block(first, 0, first * SAMPLE + late(first * SAMPLE), vec![samples])]
+    };
+    let mut frames = open(take(&even_rows(800), &[("a", "V")], &[], blocks));
+    let left_out = Format::C3d.leaves_out(frames.info(), true);
+    assert!(
+        left_out
+            .iter()
+            .any(|what| what.contains("drift apart by 2") && what.contains("--resample")),
+        "{left_out:?}"
+    );
+    let (read, _) = c3d(&mut frames);
+    assert_eq!(SampledTable::all(&read).unwrap().len(), 0);
+}
+
+#[test]
+fn what_comes_before_the_first_frame_is_in_tables_and_not_in_c3d() {
+    // A camera that waits for its trigger for three seconds.
+    let rows_from = 300_000;
+    let ticks_of: Vec<u64> = (0..100).map(|row| rows_from + row * ROW).collect();
+    let blocks = |stretch: usize| {
+        let first = stretch as u64 * 2000;
+        let samples = (first..first + 2000).map(|number| number as f32).collect();
+        vec![block(first, 0, first * SAMPLE, vec![samples])]
+    };
+    let mut frames = open(take(&ticks_of, &[("a", "V")], &[], blocks));
+    let (found, times) = rows(frames.info(), SampledKind::Group(0));
+    assert_eq!((found.len(), times[0], times[3000]), (4000, -3.0, 0.0));
+    let (read, remarks) = c3d(&mut frames);
+    let (found, _) = rows(&read, SampledKind::Analog);
+    assert_eq!((found.len(), found[0][0], found[999][0]), (1000, 1500.0, 1999.5));
+    assert!(remarks.is_empty(), "{remarks:?}");
+}
