@@ -158,7 +158,7 @@ impl NatNetHost {
                 }
             }
             (SetupStep::SamplesPerFrame, MessageKind::Unrecognized) => {
-                self.ask(SetupStep::FirstFrame)
+                self.ask(SetupStep::FirstFrame);
             }
             _ => {}
         }

@@ -1,7 +1,7 @@
 //! From a socket to a server that is ready.
 
 use mocapd_drivers::{
-    device::{Command, SampleForm},
+    device::{Command, Protocol, SampleForm},
     natnet::{Bitstream, MessageKind, ServedStream, put_message, put_text},
     transport::DatagramSource,
 };
@@ -169,7 +169,6 @@ fn the_rate_is_the_servers() {
     for (rate, is_set) in [(100_000, true), (120_000, false)] {
         let mut events = Vec::new();
         let mut out = Vec::new();
-        use mocapd_drivers::device::Protocol;
         pair.driver.host.command(Command::SetRate(rate), &mut out);
         pair.driver.host.push(&[], &mut |event| events.push(format!("{event:?}")));
         assert!(out.is_empty() && events[0].starts_with("RateSet") == is_set, "{events:?}");

@@ -1,4 +1,4 @@
-//! Messages whose bytes are known from elsewhere: those that Motive 2.1 and NatNetLib 3.0 sent, as published with python_natnet
+//! Messages whose bytes are known from elsewhere: those that Motive 2.1 and `NatNetLib` 3.0 sent, as published with `python_natnet`
 //! (<https://github.com/mje-nz/python_natnet/tree/master/test_data>). Their values are written out here; the checksum says
 //! that the bytes are the same as there.
 
