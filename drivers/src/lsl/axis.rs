@@ -20,6 +20,10 @@ const FIT_PER_PERIOD: f64 = 1e-3;
 /// however long, leads by less.
 const LEAD_MARGIN_S: f64 = 0.5;
 
+/// What is forgotten of the lead in a second, because clocks drift, and at most from one sample to the next.
+const LEAD_DECAY: f64 = 200e-6;
+const LEAD_DECAY_MAX_S: f64 = 0.1;
+
 /// Longest gap that is counted, in samples, as for the numbers of frames: 17 minutes at 1000 Hz. A longer one is a pause.
 const MISSING_MAX: f64 = 1_048_575.0;
 
@@ -91,7 +95,10 @@ impl SampleAxis {
         };
         self.rejoins = false;
         let is_set = self.is_set(self.last, at);
-        self.lead_s = if is_set || self.lead_s.is_nan() { lead_s } else { self.lead_s.max(lead_s) };
+        let host_s =
+            self.last.map_or(0.0, |last| at.read_ns.saturating_sub(last.read_ns) as f64 * 1e-9);
+        let earlier_s = self.lead_s - (LEAD_DECAY * host_s).min(LEAD_DECAY_MAX_S);
+        self.lead_s = if is_set || self.lead_s.is_nan() { lead_s } else { earlier_s.max(lead_s) };
         let number = self.next.saturating_add(missing);
         self.next = number.saturating_add(1);
         self.last = Some(at);

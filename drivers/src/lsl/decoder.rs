@@ -158,6 +158,11 @@ impl StreamDecoder {
         self.newest_s
     }
 
+    /// Whether its feed is open.
+    pub(super) fn is_open(&self) -> bool {
+        self.wire.is_some()
+    }
+
     /// The connection was lost.
     pub(super) fn close(&mut self) {
         self.wire = None;

@@ -125,6 +125,12 @@ impl StreamDescription {
         self.channels = children(channels, "channel").map(channel).take(self.n_channels).collect();
     }
 
+    /// Whether samples of this stream mean the same as those of an earlier one: the same rate, format, and channels.
+    pub(crate) fn is_recorded_as(&self, earlier: &Self) -> bool {
+        (self.n_channels, self.format, self.rate_hz.to_bits(), &self.channels)
+            == (earlier.n_channels, earlier.format, earlier.rate_hz.to_bits(), &earlier.channels)
+    }
+
     /// One phrase for users: what the stream is, and where.
     #[must_use]
     pub fn summary(&self) -> String {

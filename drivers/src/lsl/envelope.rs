@@ -19,6 +19,7 @@ mod kind {
     pub(super) const TIME: u8 = 6;
     pub(super) const ENDED: u8 = 7;
     pub(super) const LOST: u8 = 8;
+    pub(super) const CHANGED: u8 = 9;
 }
 
 /// What the line reports.
@@ -67,6 +68,11 @@ pub enum Message<'a> {
         /// Number of the stream.
         stream: u8,
     },
+    /// A stream that was lost is back with another description: it is not read any more.
+    Changed {
+        /// Number of the stream.
+        stream: u8,
+    },
 }
 
 /// Appends a message.
@@ -94,6 +100,7 @@ pub fn put_message(message: Message<'_>, out: &mut Vec<u8>) {
         ),
         Message::Ended => put(kind::ENDED, 0, &[]),
         Message::Lost { stream } => put(kind::LOST, stream, &[]),
+        Message::Changed { stream } => put(kind::CHANGED, stream, &[]),
     }
 }
 
@@ -126,6 +133,7 @@ fn decode(kind: u8, stream: u8, content: &[u8]) -> Option<Message<'_>> {
         },
         kind::ENDED => Message::Ended,
         kind::LOST => Message::Lost { stream },
+        kind::CHANGED => Message::Changed { stream },
         _ => return None,
     })
 }
@@ -275,7 +283,7 @@ mod tests {
         reader.extend(&[3, 0, 0, 0, 0, 0]);
         assert_eq!(reader.next_message(), NextMessage::Partial, "until it is cleared");
         reader.clear();
-        reader.extend(&[9, 0, 0, 0, 0, 0]);
+        reader.extend(&[99, 0, 0, 0, 0, 0]);
         assert_eq!(reader.next_message(), NextMessage::Unknown);
     }
 

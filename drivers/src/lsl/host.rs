@@ -99,6 +99,8 @@ pub struct LslHost {
     /// Whether the remarks about the streams were made.
     has_remarked: bool,
     stream_notes: u32,
+    /// Whether each stream was lost, and is not back.
+    lost: [bool; STREAMS_MAX],
     /// Infinite positions of streams that were described otherwise.
     not_finite_before: u64,
 }
@@ -124,6 +126,7 @@ impl LslHost {
             unsent_end: None,
             has_remarked: false,
             stream_notes: 0,
+            lost: [false; STREAMS_MAX],
             not_finite_before: 0,
         }
     }
@@ -157,11 +160,18 @@ impl LslHost {
                 if let Some(decoder) = self.decoders.get_mut(usize::from(stream)) {
                     decoder.open(is_big_endian);
                 }
-                if self.state == State::Streaming {
+                if self.lost.get_mut(usize::from(stream)).is_some_and(std::mem::take) {
                     self.note_stream(stream, "is back", on_event);
                 }
             }
+            Message::Changed { stream } => {
+                let text = "is back with another rate or other channels: start again to record it";
+                self.note_stream(stream, text, on_event);
+            }
             Message::Lost { stream } => {
+                if let Some(is_lost) = self.lost.get_mut(usize::from(stream)) {
+                    *is_lost = true;
+                }
                 if let Some(decoder) = self.decoders.get_mut(usize::from(stream)) {
                     // What cannot be decoded any more was reported when it came.
                     decoder.flush(on_event).ok();
@@ -191,19 +201,20 @@ impl LslHost {
         let Ok(layout) = Layout::new(&self.query, &self.descriptions) else { return };
         let (of_frames, every) = layout.frames;
         let mut before = std::mem::take(&mut self.decoders).into_iter();
-        self.not_finite_before = self.counters.samples_not_finite;
         for (at, (role, of)) in layout.roles.iter().zip(&self.descriptions).enumerate() {
             let frame_every = (at == of_frames).then_some(every);
-            let same = before.next().filter(|decoder| decoder.is_for(role, frame_every, of));
-            self.decoders.push(match same {
-                Some(mut decoder) => {
-                    decoder.close();
-                    self.not_finite_before -= decoder.not_finite;
-                    decoder
+            self.decoders.push(match before.next() {
+                Some(mut same) if same.is_for(role, frame_every, of) => {
+                    same.close();
+                    same
                 }
-                None => StreamDecoder::new(role.clone(), frame_every, of),
+                other => {
+                    self.not_finite_before += other.map_or(0, |decoder| decoder.not_finite);
+                    StreamDecoder::new(role.clone(), frame_every, of)
+                }
             });
         }
+        self.not_finite_before += before.map(|decoder| decoder.not_finite).sum::<u64>();
         self.layout = Some(layout);
         self.state = State::Ready;
     }
@@ -241,6 +252,11 @@ impl LslHost {
             self.counters.messages_unknown += 1;
             return;
         };
+        if !decoder.is_open() {
+            // Of a stream that was given up.
+            self.counters.bytes_skipped += bytes.len() as u64;
+            return;
+        }
         if let Err(cause) = decoder.receive(bytes, (read_ns, self.line.now_ns()), on_event) {
             self.counters.messages_damaged += 1;
             self.counters.bytes_skipped += bytes.len() as u64;
@@ -402,6 +418,7 @@ impl Protocol for LslHost {
         self.descriptions.clear();
         self.offset_s = None;
         self.clock = StampClock::Unknown;
+        self.lost = [false; STREAMS_MAX];
         self.unsent_end = None;
         Box::new(PolledTransport::new(line, receiver))
     }

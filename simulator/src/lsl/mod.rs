@@ -289,8 +289,10 @@ impl LslDevice {
                 self.ends += 1;
                 return u64::MAX;
             }
-            self.play_events(self.played, frame_ns, push);
-            self.play(self.played % n_frames, frame_ns, push);
+            let index = self.played % n_frames;
+            self.next_event = if index == 0 { 0 } else { self.next_event };
+            self.play_events(index, frame_ns, push);
+            self.play(index, frame_ns, push);
         }
     }
 

@@ -164,7 +164,15 @@ impl LslOutlets {
 
 fn open(device: &LslDevice) -> Result<Vec<Outlet>, LslServeError> {
     let outlets = device.infos().into_iter().map(Outlet::new);
-    outlets.collect::<io::Result<_>>().map_err(|source| LslServeError::Outlet { source })
+    let outlets: Vec<Outlet> =
+        outlets.collect::<io::Result<_>>().map_err(|source| LslServeError::Outlet { source })?;
+    let is_found =
+        |outlet: &Outlet| outlet.info().v4service_port != 0 || outlet.info().v6service_port != 0;
+    if outlets.iter().all(is_found) {
+        return Ok(outlets);
+    }
+    // One that answers no question is of no use.
+    Err(LslServeError::Outlet { source: io::ErrorKind::AddrInUse.into() })
 }
 
 fn write_fates(

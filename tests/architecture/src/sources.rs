@@ -27,6 +27,8 @@ const RULES: &[Rule] = &[
             // Looking up a name cannot be cancelled, and may take longer than a reader can wait.
             "drivers/src/transport/network/connect.rs",
             "drivers/src/transport/lsl/discovery.rs",
+            // A stream that does not answer must not keep the samples of others waiting.
+            "drivers/src/transport/lsl/returning.rs",
             "simulator/src/cli/generate.rs",
             "store/src/cloud/connect.rs",
         ],

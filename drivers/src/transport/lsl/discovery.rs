@@ -26,9 +26,6 @@ const OTHERS_TIMEOUT: Duration = Duration::from_millis(500);
 /// Time between two questions.
 const WAVE_INTERVAL: Duration = Duration::from_millis(400);
 
-/// Time between two questions for a stream that is over while others are read.
-const AGAIN_INTERVAL: Duration = Duration::from_secs(2);
-
 /// Streams that are kept, several times those of the busiest laboratory, and those of other names, for an error.
 const FOUND_MAX: usize = 512;
 const OTHERS_MAX: usize = 64;
@@ -48,7 +45,7 @@ pub struct FoundStream {
     /// What it states about itself, without channels.
     pub description: StreamDescription,
     /// Its machine; the port says nothing.
-    machine: SocketAddr,
+    pub(super) machine: SocketAddr,
 }
 
 impl FoundStream {
@@ -100,6 +97,13 @@ pub fn streams(wait: Duration) -> Result<Vec<FoundStream>, TransportError> {
     let mut search = Search::open(&[])?;
     search.run(wait, |_| false);
     Ok(search.found)
+}
+
+/// The streams of these names that answer in this time; none if the system gives no socket.
+pub(super) fn named(names: &[String], wait: Duration) -> Vec<FoundStream> {
+    let Ok(mut search) = Search::open(names) else { return Vec::new() };
+    search.run(wait, |_| false);
+    search.found
 }
 
 /// Finds the streams of a query, in its order.
@@ -171,7 +175,7 @@ fn summaries(streams: &[&FoundStream]) -> String {
 }
 
 /// A search that asks again until it is over.
-pub(super) struct Search {
+struct Search {
     began: Instant,
     next_wave: Instant,
     legs: Vec<Leg>,
@@ -193,14 +197,8 @@ struct Leg {
     groups: Vec<SocketAddr>,
 }
 
-impl std::fmt::Debug for Search {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Search").field("found", &self.found).finish_non_exhaustive()
-    }
-}
-
 impl Search {
-    pub(super) fn open(names: &[String]) -> Result<Self, TransportError> {
+    fn open(names: &[String]) -> Result<Self, TransportError> {
         let settings = config::get();
         let peers = peers(&settings.known_peers);
         let families = [(settings.allow_ipv4, false), (settings.allow_ipv6, true)];
@@ -223,27 +221,6 @@ impl Search {
             found: Vec::new(),
             n_others: 0,
         })
-    }
-
-    /// Asks, if it is time to, and takes the answers that have come. Waits for nothing. Returns a stream that is the same as
-    /// one that is over, and has begun since.
-    pub(super) fn again(&mut self, lost: &StreamDescription) -> Option<FoundStream> {
-        if Instant::now() >= self.next_wave {
-            self.next_wave = Instant::now() + AGAIN_INTERVAL;
-            // Answers to earlier questions may be of streams that are over.
-            self.found.clear();
-            self.n_others = 0;
-            self.ask();
-        }
-        self.listen();
-        let is_same = |found: &&FoundStream| {
-            let of = &found.description;
-            of.uid != lost.uid
-                && (&of.name, &of.source_id, &of.kind, &of.hostname)
-                    == (&lost.name, &lost.source_id, &lost.kind, &lost.hostname)
-                && (of.n_channels, of.format) == (lost.n_channels, lost.format)
-        };
-        self.found.iter().find(is_same).cloned()
     }
 
     fn ask(&self) {

@@ -2,6 +2,7 @@
 
 mod discovery;
 mod feed;
+mod returning;
 
 use std::{
     collections::VecDeque,
@@ -14,8 +15,9 @@ use labstream_core::proto::timesync::{build_probe, parse_answer};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use self::{
-    discovery::{Search, is_retry},
+    discovery::is_retry,
     feed::{Feed, monotonic_ns, whole_description},
+    returning::{Return, ReturnWatch},
 };
 pub use discovery::{FoundStream, streams};
 
@@ -38,9 +40,6 @@ const READ_BYTES: usize = 1 << 15;
 /// waits for it, after the search.
 const SETUP_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// The same for one stream that is back, while others are read.
-const RETURN_TIMEOUT: Duration = Duration::from_millis(500);
-
 /// A stream of this line.
 #[derive(Debug)]
 struct LineStream {
@@ -57,8 +56,8 @@ pub struct LslTransport {
     frames: usize,
     /// Why the stream of frames is over: the connection ends when its last samples were read.
     over: Option<String>,
-    /// The search for other streams that are over.
-    search: Option<Search>,
+    /// Waits for other streams that are over.
+    returns: Option<ReturnWatch>,
     /// Messages that wait for the next read.
     waiting: VecDeque<u8>,
     probes: Option<UdpSocket>,
@@ -107,13 +106,15 @@ impl LslTransport {
         }
         let layout = Layout::new(query, &descriptions).map_err(TransportError::Unsupported)?;
         put_message(Message::Found, &mut waiting);
-        let service = streams.iter().find_map(|stream| stream.found.service_address());
+        // Of the frames: others may end, and they go on.
+        let of_frames = streams.get(layout.frames.0);
+        let service = of_frames.and_then(|stream: &LineStream| stream.found.service_address());
         Ok(Self {
             name,
             streams,
             frames: layout.frames.0,
             over: None,
-            search: None,
+            returns: None,
             waiting: waiting.into(),
             probes: service.and_then(probe_socket),
             next_probe: 1,
@@ -187,7 +188,7 @@ impl LslTransport {
 
     /// Reads what has arrived, and closes the feeds.
     fn end(&mut self) {
-        self.search = None;
+        self.returns = None;
         for number in 0..self.streams.len() {
             let Some(mut feed) = self.streams.get_mut(number).and_then(|stream| stream.feed.take())
             else {
@@ -270,7 +271,7 @@ impl LslTransport {
         let n_max = content.len().min(READ_BYTES);
         let read = feed.stream.read(content.get_mut(..n_max).unwrap_or_default());
         let read_ns = monotonic_ns();
-        let name = stream.found.description.name.clone();
+        let name = &stream.found.description.name;
         let cause = match read {
             Ok(0) => format!("the stream '{name}' is over: its program ended or closed it"),
             Ok(n) => {
@@ -282,36 +283,36 @@ impl LslTransport {
             Err(error) => format!("the stream '{name}' cannot be read any more ({error})"),
         };
         stream.feed = None;
+        let description = stream.found.description.clone();
         self.put(Message::Lost { stream: number as u8 });
         if number == self.frames {
             self.over = Some(cause);
         } else {
             // Without it there are frames all the same.
-            self.search = Search::open(std::slice::from_ref(&name)).ok();
+            self.returns = self.returns.take().or_else(ReturnWatch::start);
+            if let Some(returns) = &self.returns {
+                returns.look_for(number, description);
+            }
         }
         Ok(self.waiting.read(buf).unwrap_or(0))
     }
 
-    /// Opens the feeds of streams that were over and are back.
-    fn look_for_lost(&mut self) {
-        let Some(mut search) = self.search.take() else { return };
-        for number in 0..self.streams.len() {
-            let Some(stream) = self.streams.get_mut(number).filter(|stream| stream.feed.is_none())
-            else {
-                continue;
-            };
-            let Some(found) = search.again(&stream.found.description) else { continue };
-            let Some(address) = found.data_address() else { continue };
-            // One that cannot be opened is asked for again.
-            let until = Instant::now() + RETURN_TIMEOUT;
-            let Ok(mut feed) = Feed::open(&found.description, address, until) else { continue };
-            let (rest, is_big_endian) = (std::mem::take(&mut feed.rest), feed.is_big_endian);
-            *stream = LineStream { found, feed: Some(feed) };
-            self.put(Message::Feed { stream: number as u8, is_big_endian });
-            self.put_data(number as u8, &rest);
+    /// Takes the feeds of streams that were over and are back.
+    fn take_returned(&mut self) {
+        while let Some(report) = self.returns.as_ref().and_then(ReturnWatch::next_return) {
+            match report {
+                Return::Changed { number } => self.put(Message::Changed { stream: number as u8 }),
+                Return::Back { number, found, mut feed } => {
+                    let (rest, is_big_endian) =
+                        (std::mem::take(&mut feed.rest), feed.is_big_endian);
+                    if let Some(stream) = self.streams.get_mut(number) {
+                        *stream = LineStream { found: *found, feed: Some(*feed) };
+                    }
+                    self.put(Message::Feed { stream: number as u8, is_big_endian });
+                    self.put_data(number as u8, &rest);
+                }
+            }
         }
-        let is_missing = self.streams.iter().any(|stream| stream.feed.is_none());
-        self.search = Some(search).filter(|_| is_missing);
     }
 }
 
@@ -332,7 +333,7 @@ fn probe_socket(to: SocketAddr) -> Option<UdpSocket> {
 impl Transport for LslTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         self.arrival = Arrival::default();
-        self.look_for_lost();
+        self.take_returned();
         if self.waiting.is_empty() {
             if let Some(cause) = self.over.take() {
                 return Err(self.lost(cause));
