@@ -13,8 +13,8 @@ use mocapd_report::{
 use mocapd_take::{
     TakeFrames,
     compare::{
-        AnalogDifference, ChannelDifference, Difference, SampledDifference, compare, compare_analog,
-        compare_samples,
+        AnalogDifference, ChannelDifference, Difference, SampledDifference, compare,
+        compare_analog, compare_samples,
     },
     foreign::analog::is_needed,
     interchange::ReadOptions,
@@ -88,7 +88,8 @@ pub(crate) fn against(
         let analog = analog_of(original.info())?;
         let mut files = [open_file(take)?, open_file(original_path)?];
         let [ours, theirs] = &mut files;
-        sampled = compare_samples((take_frames.map(), ours), (original.map(), theirs)).with_context(comparing)?;
+        sampled = compare_samples((take_frames.map(), ours), (original.map(), theirs))
+            .with_context(comparing)?;
         (compare(take_frames, original), exact, analog)
     } else {
         let options = read_options(&take_frames);
@@ -200,10 +201,20 @@ impl AgainstReport {
 
 /// A line about the samples of recordings, and one for each kind of difference.
 fn sampled_text(found: &SampledDifference) -> String {
-    let SampledDifference { samples, samples_differing, samples_lost, samples_missing, groups_missing } = *found;
+    let SampledDifference {
+        samples,
+        samples_differing,
+        samples_lost,
+        samples_missing,
+        groups_missing,
+    } = *found;
     let mut out = match samples_differing {
         0 => format!("  {} of sampled channels, all exact\n", count(samples, "sample")),
-        n => format!("  {} of sampled channels, {} DIFFERENT\n", count(samples, "sample"), thousands(n)),
+        n => format!(
+            "  {} of sampled channels, {} DIFFERENT\n",
+            count(samples, "sample"),
+            thousands(n)
+        ),
     };
     if samples_lost > 0 {
         let samples = count(samples_lost, "sample");

@@ -115,7 +115,8 @@ pub fn compare_samples(
             }
             (left.at, right.at, end) = (left.at + n, right.at + n, end + n);
         }
-        let left_over = [ours.n_samples().saturating_sub(ahead), theirs.n_samples().saturating_sub(skipped)];
+        let left_over =
+            [ours.n_samples().saturating_sub(ahead), theirs.n_samples().saturating_sub(skipped)];
         let longer = left_over[0].max(left_over[1]);
         found.samples_missing += longer.saturating_sub(end).saturating_mul(n_channels as u64);
     }
@@ -126,7 +127,8 @@ pub fn compare_samples(
 /// By how much the samples of a group have higher numbers in `other`, by a time that both state; 0 if there is none.
 fn offset(group: &GroupSamples, other: &GroupSamples) -> u64 {
     let shared = group.anchors().iter().find_map(|anchor| {
-        let same = other.anchors().iter().find(|found| found.device_ticks == anchor.device_ticks)?;
+        let same =
+            other.anchors().iter().find(|found| found.device_ticks == anchor.device_ticks)?;
         Some(same.number.saturating_sub(anchor.number))
     });
     shared.unwrap_or(0)
