@@ -31,6 +31,9 @@ const LOST_RUN_MAX: u64 = 1 << 22;
 /// Most such samples of a channel in all: those of eight hours at 2000 Hz.
 const LOST_MAX: u64 = 1 << 26;
 
+/// The longest time by which a batch is stamped late, in seconds: a device sends one within a tenth of that.
+const LATE_S: f64 = 1.0;
+
 /// Seconds by which the device's clock goes back at least where it began again: batches may be stamped late by less.
 const BACK_S: f64 = 0.1;
 
@@ -72,6 +75,7 @@ fn ascending(samples: &GroupSamples, tick_hz: u64) -> Vec<SampleAnchor> {
             let ticks = anchor.device_ticks.wrapping_sub(last.device_ticks).cast_signed() as f64;
             last.run_start == anchor.run_start
                 && last.number > last.run_start
+                && (anchor.number - last.number) as f64 <= LATE_S * samples.group.rate_hz
                 && ticks < 0.5 * nominal * (anchor.number - last.number) as f64
         };
         while kept.pop_if(|last| is_late(last)).is_some() {}

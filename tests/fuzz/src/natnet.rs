@@ -53,7 +53,7 @@ fn read(wire: &[u8], version: Bitstream) {
         let names: usize = model.sets.iter().map(|set| 1 + set.markers.len()).sum();
         assert!(names + model.assets.len() + model.sampled.len() <= wire.len());
     }
-    ServerInfo::read(wire);
+    drop(ServerInfo::read(wire));
 }
 
 fn settings(bitstream: Bitstream) -> ServerSettings {
