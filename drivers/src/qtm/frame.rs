@@ -136,6 +136,8 @@ pub enum FrameComponent<'a> {
     Markers(MarkerComponent<'a>),
     /// Samples of an analog device, or of a force plate.
     Samples(DeviceSamples<'a>),
+    /// A component of samples whose size and counts differ: it is skipped, and costs the frame no marker.
+    UnreadableSamples,
 }
 
 /// Reads a data packet, and calls `on_component` for each of its components of 3D markers. `None`, and no more calls, at
@@ -166,6 +168,11 @@ pub fn read_components<'a>(
         if let Some(kind) = MarkerComponentKind::of(kind) {
             on_component(header, FrameComponent::Markers(MarkerComponent::read(kind, content)?));
         } else if let Some(kind) = SampledComponentKind::of(kind) {
+            // First as a whole: of one that cannot be read, nothing is.
+            if sampled::read(kind, content, &mut |_| {}).is_none() {
+                on_component(header, FrameComponent::UnreadableSamples);
+                continue;
+            }
             let on_device = &mut |device| on_component(header, FrameComponent::Samples(device));
             sampled::read(kind, content, on_device)?;
         }

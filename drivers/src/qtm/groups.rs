@@ -25,6 +25,8 @@ struct SampledGroup {
     next: Option<u64>,
     /// Number of the next batch.
     batch: u32,
+    /// A sample and its time in microseconds, which follows the times of frames slowly.
+    anchor: Option<(u64, f64)>,
 }
 
 /// The groups of a QTM.
@@ -111,6 +113,7 @@ impl SampledGroups {
                 first_channel,
                 next: None,
                 batch: 0,
+                anchor: None,
             });
         }
     }
@@ -159,11 +162,15 @@ impl SampledGroup {
         values: &mut Vec<f32>,
         on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) {
+        if device.n_samples == 0 {
+            return;
+        }
         let n_channels = self.info.channels.len();
         let (start, is_behind) = self.number(device.first, is_lossy);
-        // The last sample is of the frame's time.
         let period_us = 1e9 / f64::from(self.info.rate_millihertz);
-        let first_us = time_us as f64 - device.n_samples.saturating_sub(1) as f64 * period_us;
+        // As if the last sample were of the frame's time; boards are read in lumps of several frames.
+        let stamp_us = time_us as f64 - (device.n_samples - 1) as f64 * period_us;
+        let first_us = self.time_us(start, stamp_us, period_us, is_behind);
         let channels = self.first_channel..self.first_channel + n_channels;
         let per_batch = (SAMPLE_VALUES_MAX / n_channels.max(1)).max(1);
         for at in (0..device.n_samples).step_by(per_batch) {
@@ -187,6 +194,20 @@ impl SampledGroup {
         }
     }
 
+    /// The time of a sample by the numbers since the anchor, which moves towards the stamps of frames.
+    fn time_us(&mut self, number: u64, stamp_us: f64, period_us: f64, is_behind: bool) -> f64 {
+        let expected = self
+            .anchor
+            .map(|(of, us)| us + number.wrapping_sub(of).cast_signed() as f64 * period_us);
+        let near = expected.filter(|expected| (stamp_us - expected).abs() < ANCHOR_MAX_US);
+        let time_us =
+            near.map_or(stamp_us, |expected| expected + ANCHOR_GAIN * (stamp_us - expected));
+        if !is_behind {
+            self.anchor = Some((number, time_us));
+        }
+        time_us
+    }
+
     /// The number of a batch's first sample in 64 bits, and whether an earlier batch had it. Numbers that were skipped on a
     /// lossless way were skipped by QTM.
     fn number(&mut self, first: u32, is_lossy: bool) -> (u64, bool) {
@@ -196,13 +217,22 @@ impl SampledGroup {
             self.batch = self.batch.wrapping_add(1);
         }
         let start = next.checked_add_signed(ahead).unwrap_or(u64::from(first));
-        // A count that began again is no batch that came late.
-        (start, (-LATE_MAX..0).contains(&ahead))
+        // A count that began again is no batch that came late, which only datagrams do.
+        let late_max = (LATE_S_MAX * f64::from(self.info.rate_millihertz) / 1000.0) as i64;
+        let is_behind = is_lossy && (-late_max..0).contains(&ahead);
+        let start = if ahead < 0 && !is_behind { u64::from(first) } else { start };
+        (start, is_behind)
     }
 }
 
-/// Samples behind the next one that a repeated or late datagram may have: two seconds at 10 kHz.
-const LATE_MAX: i64 = 20_000;
+/// Time by which a repeated or late datagram may be behind, in seconds: as for the recorder's count of samples.
+const LATE_S_MAX: f64 = 0.7;
+
+/// Part of a stamp's deviation that the anchor takes over: it follows a clock that drifts, and hardly a lump.
+const ANCHOR_GAIN: f64 = 1.0 / 64.0;
+
+/// Deviation beyond which QTM's clock jumped or samples are missing, in microseconds.
+const ANCHOR_MAX_US: f64 = 250_000.0;
 
 /// A text of at most so many bytes.
 fn bounded(text: &str, bytes_max: usize) -> String {

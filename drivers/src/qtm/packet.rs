@@ -164,13 +164,26 @@ pub enum OutOfStep {
 
 /// Divides a stream into packets. Memory is bounded by twice [`PACKET_BYTES_MAX`] and one read, and grows with the bytes that
 /// arrive, never with a size that they state.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct PacketReader {
     bytes: Vec<u8>,
     start: usize,
+    packet_bytes_max: usize,
+}
+
+impl Default for PacketReader {
+    fn default() -> Self {
+        Self::with_limit(PACKET_BYTES_MAX)
+    }
 }
 
 impl PacketReader {
+    /// A reader for packets of at most so many bytes.
+    #[must_use]
+    pub fn with_limit(packet_bytes_max: usize) -> Self {
+        Self { bytes: Vec::new(), start: 0, packet_bytes_max }
+    }
+
     /// Adds received bytes.
     pub fn extend(&mut self, bytes: &[u8]) {
         if self.start == self.bytes.len() {
@@ -192,7 +205,7 @@ impl PacketReader {
         let rest = self.bytes.get(self.start..).unwrap_or_default();
         let Some(header) = rest.first_chunk::<HEADER_BYTES>() else { return Ok(None) };
         let (size, kind) = parse_header(*header);
-        if !(HEADER_BYTES..=PACKET_BYTES_MAX).contains(&size) {
+        if !(HEADER_BYTES..=self.packet_bytes_max).contains(&size) {
             return Err(out_of_step(header));
         }
         let Some(packet) = rest.get(HEADER_BYTES..size) else { return Ok(None) };

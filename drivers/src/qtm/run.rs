@@ -100,6 +100,7 @@ impl QtmHost {
             n_components += 1;
             match component {
                 FrameComponent::Markers(markers) => self.on_component(header, &markers, on_event),
+                FrameComponent::UnreadableSamples => self.run.samples_unreadable += 1,
                 FrameComponent::Samples(samples) => {
                     let way = (header.time_us, is_lossy);
                     // Not requested, and without numbers.
@@ -344,6 +345,13 @@ impl QtmHost {
             let text = format!(
                 "{} frames are incomplete: datagrams with some of their markers were lost",
                 self.run.partial
+            );
+            on_event(DeviceEvent::Note(&text));
+        }
+        if self.run.samples_unreadable > 0 {
+            let text = format!(
+                "the analog samples or forces of {} frames cannot be read: their layout is not the documented one",
+                self.run.samples_unreadable
             );
             on_event(DeviceEvent::Note(&text));
         }

@@ -83,6 +83,8 @@ pub(super) struct StreamRun {
     pub(super) excess: u64,
     /// Samples of devices that are not recorded.
     pub(super) samples_left_out: u64,
+    /// Components of samples that cannot be read.
+    pub(super) samples_unreadable: u64,
 }
 
 /// How long a frame waits for its other datagram, which was sent at the same time.

@@ -204,3 +204,44 @@ fn samples_that_the_settings_do_not_have_are_left_out_and_counted() {
     let notes = pair.driver.reported.notes.join("\n");
     assert!(notes.contains("5 analog samples or forces were left out"), "{notes}");
 }
+
+#[test]
+fn lumps_of_samples_have_times_in_step_with_their_numbers() {
+    let mut pair = Pair::with(None, settings());
+    pair.start();
+    for number in 0..60 {
+        // Thirty samples with every third frame.
+        if number % 3 == 2 {
+            let first = u64::from(number - 2) * 10;
+            pair.server.add_samples(false, 4, first, &samples(4, 3, first, 30));
+        }
+        pair.frame(number, 1_000_000 + u64::from(number) * 10_000, &[]);
+        pair.step();
+    }
+    let batches = of_group(&pair, 0);
+    assert_eq!(batches.len(), 20);
+    for pair in batches.windows(2) {
+        let samples = pair[1].first - pair[0].first;
+        let off_us = (pair[1].device_ticks - pair[0].device_ticks).abs_diff(samples * 1000);
+        assert!(samples == 30 && off_us < 1000, "{pair:?}");
+    }
+}
+
+#[test]
+fn a_component_of_samples_that_cannot_be_read_costs_no_marker() {
+    let mut pair = Pair::with(None, settings());
+    pair.start();
+    pair.frame(0, 1_000_000, &[]);
+    let mut packet = pair.server.take_pending(pair.client);
+    // One more component: a plate without forces, of which the number is left out.
+    packet[20] += 1;
+    packet.extend([20_u32, 4, 1, 2, 0].iter().flat_map(|field| field.to_le_bytes()));
+    let size = packet.len() as u32;
+    packet[..4].copy_from_slice(&size.to_le_bytes());
+    pair.driver.push(&packet, false);
+    assert_eq!(pair.driver.reported.frames.len(), 1);
+    pair.driver.command(mocapd_drivers::device::Command::Stop);
+    pair.steps(20);
+    let notes = pair.driver.reported.notes.join("\n");
+    assert!(notes.contains("of 1 frames cannot be read"), "{notes}");
+}

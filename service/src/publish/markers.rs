@@ -63,12 +63,16 @@ impl MarkerMap {
                 id: FIRST_ID + slot as u32,
                 residual_mm: f32::from(marker.residual_10um) / 100.0,
             };
-            if self.is_labelled.get(slot).copied().unwrap_or(false) {
-                self.labelled.push(wire);
-            } else if is_seen {
-                self.unlabelled.push(wire);
+            match self.is_labelled.get(slot) {
+                Some(true) => self.labelled.push(wire),
+                Some(false) if is_seen => self.unlabelled.push(wire),
+                // A marker that has just appeared is left out until its label is known.
+                _ => {}
             }
         }
+        // Frames have as many labelled markers as the settings state.
+        let missing = WireMarker { position_mm: [MISSING; 3], id: 0, residual_mm: 0.0 };
+        self.labelled.resize(self.labels.len(), missing);
     }
 }
 

@@ -36,6 +36,9 @@ use crate::{
 /// Time between two looks at the frames while a client requests them: well below the 3 ms in which they reach its socket.
 const POLL_STREAMING: Duration = Duration::from_millis(1);
 
+/// Frames between two looks at the clients: their sockets take as many at once.
+const FRAMES_A_TURN: usize = 16;
+
 /// The same while nobody does: the rings hold half a second.
 const POLL_IDLE: Duration = Duration::from_millis(20);
 
@@ -109,6 +112,7 @@ impl QtmPublisher {
             requests,
             replied,
             n_executing: 0,
+            is_behind: false,
             rate_limit: RateLimit::default(),
             began: Instant::now(),
             reported: None,
@@ -176,7 +180,7 @@ impl StreamServer for AllowedServer {
     }
 
     fn disconnect(&mut self, id: ClientId) {
-        let report = self.server.report(id).filter(|report| report.frames_missed > 0);
+        let report = self.server.disconnect(id).filter(|report| report.frames_missed > 0);
         if let Some(report) = report {
             self.news.push(format!(
                 "QTM client {} has left: it read too slowly, and missed {} of {} frames",
@@ -185,7 +189,6 @@ impl StreamServer for AllowedServer {
                 report.frames_missed + report.frames_sent
             ));
         }
-        self.server.disconnect(id);
     }
 
     fn receive(&mut self, id: ClientId, bytes: &[u8]) {
@@ -228,6 +231,8 @@ struct PublishWorker {
     replied: Receiver<OwnerReply>,
     /// Commands that are being executed.
     n_executing: usize,
+    /// Whether more frames wait than one turn sends.
+    is_behind: bool,
     rate_limit: RateLimit,
     began: Instant,
     reported: Option<Instant>,
@@ -249,7 +254,11 @@ impl PublishWorker {
             self.clients.exchange(&mut self.server);
             self.report();
             let is_streaming = self.server.server.wants_frames() && self.source.is_some();
-            let timeout = if is_streaming { POLL_STREAMING } else { POLL_IDLE };
+            let timeout = match is_streaming {
+                true if self.is_behind => Duration::ZERO,
+                true => POLL_STREAMING,
+                false => POLL_IDLE,
+            };
             if let Err(error) = self.clients.wait(&mut self.server, timeout) {
                 // Not at once again: the system may be out of memory.
                 std::thread::sleep(POLL_IDLE);
@@ -292,7 +301,12 @@ impl PublishWorker {
         let Some(source) = &mut self.source else { return };
         let server = &mut self.server.server;
         let tick_hz = source.header.device.as_ref().map_or(1_000_000, |device| device.tick_hz);
-        while let Some(frame) = source.frames.next(&mut self.markers) {
+        self.is_behind = true;
+        for _ in 0..FRAMES_A_TURN {
+            let Some(frame) = source.frames.next(&mut self.markers) else {
+                self.is_behind = false;
+                break;
+            };
             server.left_out(frame.left_out);
             if self.map.follow(frame.n_channels, &source.progress) {
                 server.set_source(Some(self.map.settings(&source.header)));

@@ -27,6 +27,9 @@ use super::{
 /// "Number of simultaneous connections is limited to 10."
 pub const CLIENTS_MAX: usize = 10;
 
+/// Longest packet of a client: many times the longest command. Settings are refused, so that none has to fit.
+const COMMAND_BYTES_MAX: usize = 64 << 10;
+
 /// A connected client, until it is disconnected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ClientId(u64);
@@ -150,7 +153,7 @@ impl QtmServer {
         let mut client = Client {
             id,
             peer,
-            reader: PacketReader::default(),
+            reader: PacketReader::with_limit(COMMAND_BYTES_MAX),
             minor: 1,
             stream: None,
             one_frame: None,
@@ -167,14 +170,19 @@ impl QtmServer {
         Some(id)
     }
 
-    /// Forgets a client.
-    pub fn disconnect(&mut self, id: ClientId) {
-        self.missed_by_gone += self.client(id).map_or(0, |client| client.frames_missed);
+    /// Forgets a client; the frames that wait for it are missed. Returns its last report.
+    pub fn disconnect(&mut self, id: ClientId) -> Option<ClientReport> {
+        if let Some(client) = self.client(id) {
+            client.frames_missed += client.outbox.frames_waiting() as u64;
+        }
+        let report = self.report(id);
+        self.missed_by_gone += report.as_ref().map_or(0, |report| report.frames_missed);
         self.clients.retain(|client| client.id != id);
         self.datagrams.retain(|datagram| datagram.client != id);
         if self.master == Some(id) {
             self.master = None;
         }
+        report
     }
 
     /// Forgets all clients; the measurement goes on.
@@ -482,6 +490,7 @@ impl Client {
     fn put_unasked(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
         if self.outbox.is_full() {
             self.is_out_of_step = true;
+            self.frames_missed += self.outbox.frames_waiting() as u64;
             self.outbox.clear();
         } else if !self.is_out_of_step {
             self.outbox.put(write);

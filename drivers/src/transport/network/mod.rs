@@ -83,7 +83,7 @@ impl NetworkTransport {
         let datagrams = if address.datagrams {
             let peer = stream.peer_addr().map_err(failed("looking up its address"))?;
             let local = stream.local_addr().map_err(failed("looking up the own address"))?;
-            let socket = DatagramSocket::open(local, peer.ip()).map(DatagramSocket::pin_port);
+            let socket = DatagramSocket::open(local, peer.ip());
             Some(socket.map_err(failed("opening a UDP socket"))?)
         } else {
             None
