@@ -153,7 +153,7 @@ impl DatagramSocket {
             }
         };
         let n = message.bytes;
-        let sender = message.address.as_ref().and_then(ip_of);
+        let sender = message.address.as_ref().and_then(address_of);
         let stamp = message.cmsgs().find_map(|control| match control {
             ControlMessageOwned::ScmTimestampns(stamp) => Some(stamp),
             _ => None,
