@@ -145,9 +145,9 @@ fn decoded(text: &str) -> Result<String, String> {
 }
 
 /// A name as URIs write it.
-struct Encoded<'a>(&'a str);
+struct PercentEncoded<'a>(&'a str);
 
-impl fmt::Display for Encoded<'_> {
+impl fmt::Display for PercentEncoded<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.chars().try_for_each(|c| match c {
             c if ESCAPED.contains(c) => write!(f, "%{:02X}", u32::from(c)),
@@ -160,7 +160,7 @@ impl fmt::Display for StreamQuery {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "lsl:")?;
         for (at, name) in self.names.iter().enumerate() {
-            write!(f, "{}{}", if at > 0 { "," } else { "" }, Encoded(name))?;
+            write!(f, "{}{}", if at > 0 { "," } else { "" }, PercentEncoded(name))?;
         }
         let rate = self.rate_millihertz.map(|rate| (f64::from(rate) / 1000.0).to_string());
         let unit = self.unit.map(|unit| unit.name().to_owned());
@@ -173,7 +173,7 @@ impl fmt::Display for StreamQuery {
         ];
         let given = properties.into_iter().filter_map(|(key, value)| Some((key, value?)));
         for (at, (key, value)) in given.enumerate() {
-            write!(f, "{}{key}={}", if at > 0 { '&' } else { '?' }, Encoded(value))?;
+            write!(f, "{}{key}={}", if at > 0 { '&' } else { '?' }, PercentEncoded(value))?;
         }
         Ok(())
     }

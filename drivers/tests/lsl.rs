@@ -5,7 +5,7 @@
 use labstream_core::wire::{ByteOrder, Codec, Format, Sample, Value};
 use mocapd_drivers::{
     device::{Command, DeviceEvent, Protocol},
-    lsl::{LineRequest, LslHost, Message, put_message},
+    lsl::{LineRequest, LslHost, StreamMessage, put_message},
     stream_query::StreamQuery,
 };
 use mocapd_testkit::random::Random;
@@ -96,9 +96,9 @@ impl Streams {
         let host = LslHost::new(StreamQuery { names, ..StreamQuery::default() });
         let mut streams = Self { host, seen: Vec::new() };
         for (stream, xml) in descriptions.iter().enumerate() {
-            streams.put(Message::Description { stream: stream as u8, xml });
+            streams.put(StreamMessage::Description { stream: stream as u8, xml });
         }
-        streams.put(Message::Found);
+        streams.put(StreamMessage::Found);
         streams
     }
 
@@ -107,7 +107,7 @@ impl Streams {
         self.host.push(bytes, &mut |event| seen_so_far.push(seen(event)));
     }
 
-    fn put(&mut self, message: Message<'_>) {
+    fn put(&mut self, message: StreamMessage<'_>) {
         let mut bytes = Vec::new();
         put_message(message, &mut bytes);
         self.push(&bytes);
@@ -123,9 +123,9 @@ impl Streams {
     fn start(&mut self, n: u8) {
         assert_eq!(self.command(Command::Start { line_bytes_per_s: 0 }), [LineRequest::Begin]);
         for stream in 0..n {
-            self.put(Message::Feed { stream, is_big_endian: false });
+            self.put(StreamMessage::Feed { stream, is_big_endian: false });
         }
-        self.put(Message::Started);
+        self.put(StreamMessage::Started);
     }
 
     /// A sample of the marker, read when it was taken.
@@ -144,13 +144,13 @@ impl Streams {
         let codec = Codec::new(Format::Float32, 4, ByteOrder::Little);
         let sample = Sample { timestamp, values: vec![Value::F32(0.0); 4] };
         let bytes = codec.encode_to_vec(&sample).unwrap();
-        self.put(Message::Data { stream: 0, read_ns, bytes: &bytes });
+        self.put(StreamMessage::Data { stream: 0, read_ns, bytes: &bytes });
     }
 
     fn send(&mut self, stream: u8, codec: Codec, timestamp: f64, values: Vec<Value>) {
         let bytes = codec.encode_to_vec(&Sample { timestamp, values }).unwrap();
         let read_ns = (timestamp * 1e9) as u64;
-        self.put(Message::Data { stream, read_ns, bytes: &bytes });
+        self.put(StreamMessage::Data { stream, read_ns, bytes: &bytes });
     }
 
     fn take(&mut self) -> Vec<Seen> {
@@ -193,7 +193,7 @@ fn samples_become_frames_samples_and_marks_in_the_order_in_which_they_come() {
     ];
     assert_eq!(streams.take(), expected);
     assert_eq!(streams.command(Command::Stop), [LineRequest::End]);
-    streams.put(Message::Ended);
+    streams.put(StreamMessage::Ended);
     assert_eq!(streams.take(), [Seen::End(2, 0)]);
 }
 
@@ -210,7 +210,7 @@ fn samples_that_are_missing_are_counted_and_their_numbers_left_out() {
     });
     assert_eq!(frames.collect::<Vec<_>>(), [0, 1, 2, 5, 6]);
     streams.command(Command::Stop);
-    streams.put(Message::Ended);
+    streams.put(StreamMessage::Ended);
     assert_eq!(streams.take(), [Seen::End(7, 2)]);
 }
 
@@ -224,7 +224,7 @@ fn a_sample_behind_a_gap_waits_for_the_next_or_the_end() {
     streams.sample(10.05, [0.0; 4]);
     assert_eq!(streams.take(), []);
     streams.command(Command::Stop);
-    streams.put(Message::Ended);
+    streams.put(StreamMessage::Ended);
     assert!(matches!(
         streams.take()[..],
         [Seen::Frame(5, ..), Seen::Samples(0, 5, _), Seen::End(6, 3)]
@@ -237,9 +237,9 @@ fn a_stream_that_is_over_does_not_end_the_others() {
     streams.start(2);
     streams.text(10.0, "before");
     streams.take();
-    streams.put(Message::Lost { stream: 1 });
+    streams.put(StreamMessage::Lost { stream: 1 });
     streams.sample(10.0, [0.0; 4]);
-    streams.put(Message::Feed { stream: 1, is_big_endian: false });
+    streams.put(StreamMessage::Feed { stream: 1, is_big_endian: false });
     streams.text(12.0, "after");
     let seen = streams.take();
     assert!(matches!(&seen[0], Seen::Note(text) if text.contains("'Marks' is over")), "{seen:?}");
@@ -254,7 +254,7 @@ fn an_event_that_is_too_long_is_cut_and_a_damaged_stream_of_events_is_given_up()
     streams.start(2);
     streams.text(10.0, &"long ".repeat(20_000));
     assert!(matches!(&streams.take()[1], Seen::Mark(_, text) if text.len() == 1024));
-    streams.put(Message::Data { stream: 1, read_ns: 10 * SECOND_NS, bytes: &[77, 1, 2] });
+    streams.put(StreamMessage::Data { stream: 1, read_ns: 10 * SECOND_NS, bytes: &[77, 1, 2] });
     let seen = streams.take();
     assert!(
         matches!(&seen[..], [Seen::Note(text)] if text.contains("goes on without it")),
@@ -266,9 +266,9 @@ fn an_event_that_is_too_long_is_cut_and_a_damaged_stream_of_events_is_given_up()
 }
 
 /// A reply to a probe: the sender's clock is half a second ahead.
-fn reply(at_ns: u64) -> Message<'static> {
+fn reply(at_ns: u64) -> StreamMessage<'static> {
     let sender_s = at_ns as f64 * 1e-9 + 0.5;
-    Message::Time { host_ns: at_ns, sender_s, read_ns: at_ns + 1000 }
+    StreamMessage::Time { host_ns: at_ns, sender_s, read_ns: at_ns + 1000 }
 }
 
 #[test]
@@ -325,7 +325,7 @@ fn events_of_another_clock_leave_the_frames_theirs() {
     let codec = Codec::new(Format::String, 1, ByteOrder::Little);
     let sample = Sample { timestamp: 1.7e9, values: vec![Value::Str(b"go".to_vec())] };
     let bytes = codec.encode_to_vec(&sample).unwrap();
-    streams.put(Message::Data { stream: 1, read_ns: 10 * SECOND_NS, bytes: &bytes });
+    streams.put(StreamMessage::Data { stream: 1, read_ns: 10 * SECOND_NS, bytes: &bytes });
     let noted = |seen: &Seen| matches!(seen, Seen::Note(text) if text.contains("'Marks'"));
     assert_eq!(streams.take().iter().filter(|seen| noted(seen)).count(), 1);
     streams.put(reply(11 * SECOND_NS));
@@ -338,20 +338,26 @@ const SEED: u64 = 0x6C73_6C00;
 #[test]
 fn mutated_messages_cause_no_panic_and_frames_have_finite_positions() {
     let mut bytes = Vec::new();
-    put_message(Message::Feed { stream: 0, is_big_endian: false }, &mut bytes);
-    put_message(Message::Feed { stream: 1, is_big_endian: true }, &mut bytes);
-    put_message(Message::Started, &mut bytes);
+    put_message(StreamMessage::Feed { stream: 0, is_big_endian: false }, &mut bytes);
+    put_message(StreamMessage::Feed { stream: 1, is_big_endian: true }, &mut bytes);
+    put_message(StreamMessage::Started, &mut bytes);
     let float = Codec::new(Format::Float32, 4, ByteOrder::Little);
     let string = Codec::new(Format::String, 1, ByteOrder::Big);
     for number in 0..12 {
         let timestamp = 10.0 + f64::from(number) * 0.01;
         let sample = Sample { timestamp, values: vec![Value::F32(number as f32); 4] };
         let data = float.encode_to_vec(&sample).unwrap();
-        put_message(Message::Data { stream: 0, read_ns: 10 * SECOND_NS, bytes: &data }, &mut bytes);
+        put_message(
+            StreamMessage::Data { stream: 0, read_ns: 10 * SECOND_NS, bytes: &data },
+            &mut bytes,
+        );
         let sample = Sample { timestamp, values: vec![Value::Str(b"text".to_vec())] };
         let data = string.encode_to_vec(&sample).unwrap();
-        put_message(Message::Data { stream: 1, read_ns: 10 * SECOND_NS, bytes: &data }, &mut bytes);
-        put_message(Message::Time { host_ns: 1, sender_s: 10.0, read_ns: 2 }, &mut bytes);
+        put_message(
+            StreamMessage::Data { stream: 1, read_ns: 10 * SECOND_NS, bytes: &data },
+            &mut bytes,
+        );
+        put_message(StreamMessage::Time { host_ns: 1, sender_s: 10.0, read_ns: 2 }, &mut bytes);
     }
     for case in 0..5_000 {
         let mut random = Random::new(SEED + case);

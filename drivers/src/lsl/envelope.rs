@@ -24,7 +24,7 @@ mod kind {
 
 /// What the line reports.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Message<'a> {
+pub enum StreamMessage<'a> {
     /// The whole description of a stream, as XML.
     Description {
         /// Number of the stream.
@@ -76,7 +76,7 @@ pub enum Message<'a> {
 }
 
 /// Appends a message.
-pub fn put_message(message: Message<'_>, out: &mut Vec<u8>) {
+pub fn put_message(message: StreamMessage<'_>, out: &mut Vec<u8>) {
     let mut put = |kind: u8, stream: u8, parts: &[&[u8]]| {
         let n: usize = parts.iter().map(|part| part.len()).sum();
         out.extend([kind, stream]);
@@ -84,23 +84,25 @@ pub fn put_message(message: Message<'_>, out: &mut Vec<u8>) {
         parts.iter().for_each(|part| out.extend_from_slice(part));
     };
     match message {
-        Message::Description { stream, xml } => put(kind::DESCRIPTION, stream, &[xml.as_bytes()]),
-        Message::Found => put(kind::FOUND, 0, &[]),
-        Message::Feed { stream, is_big_endian } => {
+        StreamMessage::Description { stream, xml } => {
+            put(kind::DESCRIPTION, stream, &[xml.as_bytes()])
+        }
+        StreamMessage::Found => put(kind::FOUND, 0, &[]),
+        StreamMessage::Feed { stream, is_big_endian } => {
             put(kind::FEED, stream, &[&[u8::from(is_big_endian)]]);
         }
-        Message::Started => put(kind::STARTED, 0, &[]),
-        Message::Data { stream, read_ns, bytes } => {
+        StreamMessage::Started => put(kind::STARTED, 0, &[]),
+        StreamMessage::Data { stream, read_ns, bytes } => {
             put(kind::DATA, stream, &[&read_ns.to_le_bytes(), bytes]);
         }
-        Message::Time { host_ns, sender_s, read_ns } => put(
+        StreamMessage::Time { host_ns, sender_s, read_ns } => put(
             kind::TIME,
             0,
             &[&host_ns.to_le_bytes(), &sender_s.to_le_bytes(), &read_ns.to_le_bytes()],
         ),
-        Message::Ended => put(kind::ENDED, 0, &[]),
-        Message::Lost { stream } => put(kind::LOST, stream, &[]),
-        Message::Changed { stream } => put(kind::CHANGED, stream, &[]),
+        StreamMessage::Ended => put(kind::ENDED, 0, &[]),
+        StreamMessage::Lost { stream } => put(kind::LOST, stream, &[]),
+        StreamMessage::Changed { stream } => put(kind::CHANGED, stream, &[]),
     }
 }
 
@@ -115,25 +117,25 @@ pub(crate) fn data_header(stream: u8, read_ns: u64, n: usize) -> [u8; DATA_HEADE
     header
 }
 
-fn decode(kind: u8, stream: u8, content: &[u8]) -> Option<Message<'_>> {
+fn decode(kind: u8, stream: u8, content: &[u8]) -> Option<StreamMessage<'_>> {
     let number =
         |at: usize| content.get(at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
     Some(match kind {
         kind::DESCRIPTION => {
-            Message::Description { stream, xml: std::str::from_utf8(content).ok()? }
+            StreamMessage::Description { stream, xml: std::str::from_utf8(content).ok()? }
         }
-        kind::FOUND => Message::Found,
-        kind::FEED => Message::Feed { stream, is_big_endian: content.first().copied()? != 0 },
-        kind::STARTED => Message::Started,
-        kind::DATA => Message::Data { stream, read_ns: number(0)?, bytes: content.get(8..)? },
-        kind::TIME => Message::Time {
+        kind::FOUND => StreamMessage::Found,
+        kind::FEED => StreamMessage::Feed { stream, is_big_endian: content.first().copied()? != 0 },
+        kind::STARTED => StreamMessage::Started,
+        kind::DATA => StreamMessage::Data { stream, read_ns: number(0)?, bytes: content.get(8..)? },
+        kind::TIME => StreamMessage::Time {
             host_ns: number(0)?,
             sender_s: f64::from_bits(number(8)?),
             read_ns: number(16)?,
         },
-        kind::ENDED => Message::Ended,
-        kind::LOST => Message::Lost { stream },
-        kind::CHANGED => Message::Changed { stream },
+        kind::ENDED => StreamMessage::Ended,
+        kind::LOST => StreamMessage::Lost { stream },
+        kind::CHANGED => StreamMessage::Changed { stream },
         _ => return None,
     })
 }
@@ -151,7 +153,7 @@ pub struct MessageReader {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum NextMessage<'a> {
     /// A message.
-    Whole(Message<'a>),
+    Whole(StreamMessage<'a>),
     /// Bytes that are no message of this line.
     Unknown,
     /// A message that has not arrived in full.
@@ -244,14 +246,14 @@ mod tests {
     #[test]
     fn messages_are_read_whole_and_in_pieces() {
         let messages = [
-            Message::Description { stream: 1, xml: "<info/>" },
-            Message::Found,
-            Message::Feed { stream: 1, is_big_endian: true },
-            Message::Started,
-            Message::Data { stream: 1, read_ns: 7, bytes: &[1, 2, 3] },
-            Message::Time { host_ns: 5, sender_s: 1.5, read_ns: 9 },
-            Message::Lost { stream: 1 },
-            Message::Ended,
+            StreamMessage::Description { stream: 1, xml: "<info/>" },
+            StreamMessage::Found,
+            StreamMessage::Feed { stream: 1, is_big_endian: true },
+            StreamMessage::Started,
+            StreamMessage::Data { stream: 1, read_ns: 7, bytes: &[1, 2, 3] },
+            StreamMessage::Time { host_ns: 5, sender_s: 1.5, read_ns: 9 },
+            StreamMessage::Lost { stream: 1 },
+            StreamMessage::Ended,
         ];
         let mut bytes = Vec::new();
         messages.iter().for_each(|message| put_message(*message, &mut bytes));

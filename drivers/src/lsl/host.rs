@@ -3,7 +3,7 @@
 use super::{
     decoder::{EventReceiver, StreamDecoder},
     description::StreamDescription,
-    envelope::{LineRequest, Message, MessageReader, NextMessage},
+    envelope::{LineRequest, MessageReader, NextMessage, StreamMessage},
     layout::{Layout, TICK_HZ},
 };
 use crate::{
@@ -147,16 +147,16 @@ impl LslHost {
         self.reader = reader;
     }
 
-    fn on_message(&mut self, message: Message<'_>, on_event: EventReceiver<'_>) {
+    fn on_message(&mut self, message: StreamMessage<'_>, on_event: EventReceiver<'_>) {
         match message {
-            Message::Description { xml, .. } => match StreamDescription::parse(xml) {
+            StreamMessage::Description { xml, .. } => match StreamDescription::parse(xml) {
                 Ok(description) if self.descriptions.len() < STREAMS_MAX => {
                     self.descriptions.push(description);
                 }
                 _ => self.counters.messages_damaged += 1,
             },
-            Message::Found => self.on_found(),
-            Message::Feed { stream, is_big_endian } => {
+            StreamMessage::Found => self.on_found(),
+            StreamMessage::Feed { stream, is_big_endian } => {
                 if let Some(decoder) = self.decoders.get_mut(usize::from(stream)) {
                     decoder.open(is_big_endian);
                 }
@@ -164,11 +164,11 @@ impl LslHost {
                     self.note_stream(stream, "is back", on_event);
                 }
             }
-            Message::Changed { stream } => {
+            StreamMessage::Changed { stream } => {
                 let text = "is back with another rate or other channels: start again to record it";
                 self.note_stream(stream, text, on_event);
             }
-            Message::Lost { stream } => {
+            StreamMessage::Lost { stream } => {
                 if let Some(is_lost) = self.lost.get_mut(usize::from(stream)) {
                     *is_lost = true;
                 }
@@ -184,14 +184,14 @@ impl LslHost {
                     self.note_stream(stream, text, on_event);
                 }
             }
-            Message::Started => self.on_started(on_event),
-            Message::Data { stream, read_ns, bytes } => {
+            StreamMessage::Started => self.on_started(on_event),
+            StreamMessage::Data { stream, read_ns, bytes } => {
                 self.on_data(stream, read_ns, bytes, on_event);
             }
-            Message::Time { host_ns, sender_s, read_ns } => {
+            StreamMessage::Time { host_ns, sender_s, read_ns } => {
                 self.on_time((host_ns, read_ns), sender_s, on_event);
             }
-            Message::Ended => self.on_ended(on_event),
+            StreamMessage::Ended => self.on_ended(on_event),
         }
     }
 

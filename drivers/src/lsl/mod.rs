@@ -2,7 +2,7 @@
 //!
 //! Discovery, the handshake of a feed and time probes are those of the crate `labstream-core`, sans-io; bounds and what
 //! becomes of samples are here. The [transport](crate::transport::lsl) finds the streams and merges what they send into one
-//! stream of [messages](Message), which [`LslHost`] decodes.
+//! stream of [messages](StreamMessage), which [`LslHost`] decodes.
 
 mod axis;
 mod convention;
@@ -19,7 +19,7 @@ pub(crate) use self::{
 };
 pub use self::{
     description::{ChannelDescription, DESCRIPTION_BYTES_MAX, StreamDescription},
-    envelope::{LineRequest, Message, MessageReader, put_message},
+    envelope::{LineRequest, MessageReader, StreamMessage, put_message},
     host::LslHost,
     layout::{GroupLayout, Layout, MarkerColumns, StreamRole},
     values::ValueFormat,

@@ -8,7 +8,7 @@ use super::{
     message::{Bitstream, Message, MessageKind, ServerInfo, put_message},
     model::{AssetKind, Model, ModelError},
     names::MarkerNames,
-    sampled::{SAMPLES_PER_FRAME_MAX, SampledGroups},
+    sampled::{DeviceGroups, SAMPLES_PER_FRAME_MAX},
 };
 use crate::{
     bytes::WireValue,
@@ -305,7 +305,7 @@ impl NatNetHost {
     fn set_ready(&mut self, frame: Option<&FrameOfData<'_>>) {
         let rate_millihertz = self.hello.rate_millihertz;
         self.sampled =
-            SampledGroups::new(&self.model.sampled, self.samples_per_frame, frame, rate_millihertz);
+            DeviceGroups::new(&self.model.sampled, self.samples_per_frame, frame, rate_millihertz);
         self.remarks.extend(self.sampled.remark());
         let (model, version) = self.server.as_ref().map_or_else(Default::default, |server| {
             (server.name.clone(), server.app_version_text())

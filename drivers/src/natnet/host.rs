@@ -5,7 +5,7 @@ use super::{
     message::{Bitstream, Message, MessageKind, ServerInfo, put_echo, put_message, put_text},
     model::Model,
     names::MarkerNames,
-    sampled::SampledGroups,
+    sampled::DeviceGroups,
     stream_run::NatNetRun,
 };
 use crate::{
@@ -111,7 +111,7 @@ pub struct NatNetHost {
     pub(super) labels: LabelTable,
     pub(super) unlabelled: UnlabelledIds,
     pub(super) bodies: BodyTable,
-    pub(super) sampled: SampledGroups,
+    pub(super) sampled: DeviceGroups,
     pub(super) samples_per_frame: Option<u32>,
     /// When the definitions were requested during the stream, if they have not come.
     pub(super) awaits_model_ns: Option<u64>,
@@ -161,7 +161,7 @@ impl NatNetHost {
             labels: LabelTable::default(),
             unlabelled: UnlabelledIds::default(),
             bodies: BodyTable::default(),
-            sampled: SampledGroups::default(),
+            sampled: DeviceGroups::default(),
             samples_per_frame: None,
             awaits_model_ns: None,
             model_request_ns: 0,

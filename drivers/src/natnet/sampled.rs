@@ -14,7 +14,7 @@ pub(super) const SAMPLES_PER_FRAME_MAX: u32 = 1000;
 
 /// A force plate or device.
 #[derive(Debug)]
-struct SampledGroup {
+struct DeviceGroup {
     is_plate: bool,
     /// Its number in frames.
     wire_id: u32,
@@ -24,8 +24,8 @@ struct SampledGroup {
 
 /// All of them.
 #[derive(Debug, Default)]
-pub(super) struct SampledGroups {
-    groups: Vec<SampledGroup>,
+pub(super) struct DeviceGroups {
+    groups: Vec<DeviceGroup>,
     /// Devices that were left out: too many, or too many channels.
     n_left_out: usize,
     /// Frames of a device that had another number of channels or samples, or was not announced.
@@ -38,7 +38,7 @@ fn unit(description: &SampledDescription) -> &'static str {
     if description.data_type == 1 { "V" } else { "" }
 }
 
-impl SampledGroups {
+impl DeviceGroups {
     /// The described devices, with as many samples in a frame as the server states, and those of a frame that are not described.
     pub(super) fn new(
         described: &[SampledDescription],
@@ -58,7 +58,7 @@ impl SampledGroups {
         }
         for data in seen() {
             let is_new =
-                |group: &SampledGroup| (group.is_plate, group.wire_id) != (data.is_plate, data.id);
+                |group: &DeviceGroup| (group.is_plate, group.wire_id) != (data.is_plate, data.id);
             if groups.groups.iter().all(is_new)
                 && let Some(n_samples) = samples_of(data)
             {
@@ -90,7 +90,7 @@ impl SampledGroups {
             channels: channels.collect(),
         };
         let (is_plate, wire_id) = (*is_plate, *wire_id);
-        self.groups.push(SampledGroup { is_plate, wire_id, info, samples_per_frame });
+        self.groups.push(DeviceGroup { is_plate, wire_id, info, samples_per_frame });
     }
 
     /// The groups.
@@ -119,7 +119,7 @@ impl SampledGroups {
     ) {
         for data in frame.sampled() {
             let is_its =
-                |group: &&SampledGroup| (group.is_plate, group.wire_id) == (data.is_plate, data.id);
+                |group: &&DeviceGroup| (group.is_plate, group.wire_id) == (data.is_plate, data.id);
             let found = self.groups.iter().find(is_its);
             let Some(group) = found.filter(|group| fits(group, &data)) else {
                 self.n_misfits += u64::from(data.n_channels > 0);
@@ -142,7 +142,7 @@ impl SampledGroups {
     }
 }
 
-fn fits(group: &SampledGroup, data: &SampledData<'_>) -> bool {
+fn fits(group: &DeviceGroup, data: &SampledData<'_>) -> bool {
     data.n_channels as usize == group.info.channels.len()
         && data.channels().all(|channel| channel.count() == group.samples_per_frame as usize)
 }

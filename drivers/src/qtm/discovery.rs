@@ -70,12 +70,13 @@ pub fn read_discovery_reply(datagram: &[u8]) -> Option<DiscoveredServer> {
 /// The servers on the networks of this machine as devices; none is connected to. A machine without a network has none.
 pub(crate) fn candidates() -> Vec<Candidate> {
     let answers = search(discovery_request, DISCOVERY_PORT, WAIT).unwrap_or_default();
-    let candidate = |(from, answer): (std::net::SocketAddrV4, Vec<u8>)| {
-        let found = read_discovery_reply(&answer)?;
-        let address = NetworkAddress::new("qtm", &from.ip().to_string(), found.port);
+    let candidate = |host: String, answer: &[u8]| {
+        let found = read_discovery_reply(answer)?;
+        let address = NetworkAddress::new("qtm", &host, found.port);
         Some(Candidate { product: Some(found.info), ..Candidate::at(Location::Network(address)) })
     };
-    let mut found: Vec<Candidate> = answers.into_iter().filter_map(candidate).collect();
+    let found = answers.iter().filter_map(|(from, bytes)| candidate(from.ip().to_string(), bytes));
+    let mut found: Vec<Candidate> = found.collect();
     found.sort_by_key(|candidate| candidate.location.to_string());
     // A server answers once for each network that leads to it.
     found.dedup_by_key(|candidate| candidate.location.to_string());

@@ -3,7 +3,7 @@
 use mocapd_drivers::{
     device::{Command, DeviceEvent, LinkCounters, Protocol},
     link::{GROUPS_MAX, SAMPLED_CHANNELS_MAX},
-    lsl::{Layout, LslHost, Message, StreamDescription, put_message},
+    lsl::{Layout, LslHost, StreamDescription, StreamMessage, put_message},
     stream_query::StreamQuery,
     uri::DeviceUri,
 };
@@ -24,7 +24,7 @@ pub fn read_lsl(bytes: &[u8]) {
     );
     for stream in 0..2 {
         let mut data = Vec::new();
-        put_message(Message::Data { stream, read_ns: 1, bytes: wire }, &mut data);
+        put_message(StreamMessage::Data { stream, read_ns: 1, bytes: wire }, &mut data);
         host(&data, data.len());
     }
     let text = String::from_utf8_lossy(wire);
@@ -58,16 +58,16 @@ fn host(wire: &[u8], piece: usize) -> (Vec<String>, LinkCounters) {
     let mut host = LslHost::new(StreamQuery::default());
     let mut bytes = Vec::new();
     for (stream, xml) in (0..).zip(descriptions()) {
-        put_message(Message::Description { stream, xml: &xml }, &mut bytes);
+        put_message(StreamMessage::Description { stream, xml: &xml }, &mut bytes);
     }
-    put_message(Message::Found, &mut bytes);
+    put_message(StreamMessage::Found, &mut bytes);
     host.push(&bytes, &mut |_| {});
     host.command(Command::Start { line_bytes_per_s: 0 }, &mut Vec::new());
     bytes.clear();
     for stream in 0..2 {
-        put_message(Message::Feed { stream, is_big_endian: false }, &mut bytes);
+        put_message(StreamMessage::Feed { stream, is_big_endian: false }, &mut bytes);
     }
-    put_message(Message::Started, &mut bytes);
+    put_message(StreamMessage::Started, &mut bytes);
     host.push(&bytes, &mut |_| {});
     let mut events = Vec::new();
     for bytes in wire.chunks(piece) {

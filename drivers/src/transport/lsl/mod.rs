@@ -24,7 +24,7 @@ pub use discovery::{FoundStream, streams};
 use super::{Arrival, READ_TIMEOUT, Transport, TransportError};
 use crate::{
     lsl::{
-        DATA_HEADER_BYTES, Layout, LineRequest, Message, StreamDescription, data_header,
+        DATA_HEADER_BYTES, Layout, LineRequest, StreamDescription, StreamMessage, data_header,
         put_message,
     },
     stream_query::StreamQuery,
@@ -99,13 +99,16 @@ impl LslTransport {
                     "it is over, and another one answers at its port".to_owned(),
                 ));
             }
-            put_message(Message::Description { stream: number as u8, xml: &xml }, &mut waiting);
+            put_message(
+                StreamMessage::Description { stream: number as u8, xml: &xml },
+                &mut waiting,
+            );
             found.description = whole.clone();
             descriptions.push(whole);
             streams.push(LineStream { found, feed: None });
         }
         let layout = Layout::new(query, &descriptions).map_err(TransportError::Unsupported)?;
-        put_message(Message::Found, &mut waiting);
+        put_message(StreamMessage::Found, &mut waiting);
         // Of the frames: others may end, and they go on.
         let of_frames = streams.get(layout.frames.0);
         let service = of_frames.and_then(|stream: &LineStream| stream.found.service_address());
@@ -128,7 +131,7 @@ impl LslTransport {
         TransportError::ConnectionLost { device: self.name.clone(), cause }
     }
 
-    fn put(&mut self, message: Message<'_>) {
+    fn put(&mut self, message: StreamMessage<'_>) {
         let mut bytes = Vec::new();
         put_message(message, &mut bytes);
         self.waiting.extend(bytes);
@@ -137,7 +140,7 @@ impl LslTransport {
     fn put_data(&mut self, stream: u8, bytes: &[u8]) {
         let read_ns = monotonic_ns();
         for bytes in bytes.chunks(READ_BYTES) {
-            self.put(Message::Data { stream, read_ns, bytes });
+            self.put(StreamMessage::Data { stream, read_ns, bytes });
         }
     }
 
@@ -175,14 +178,14 @@ impl LslTransport {
             };
             let (rest, is_big_endian) = (std::mem::take(&mut feed.rest), feed.is_big_endian);
             stream.feed = Some(feed);
-            self.put(Message::Feed { stream: number as u8, is_big_endian });
+            self.put(StreamMessage::Feed { stream: number as u8, is_big_endian });
             if !rest.is_empty() {
                 // Behind Started, so that the recorder has begun.
-                self.put(Message::Started);
+                self.put(StreamMessage::Started);
                 self.put_data(number as u8, &rest);
             }
         }
-        self.put(Message::Started);
+        self.put(StreamMessage::Started);
         Ok(())
     }
 
@@ -201,13 +204,13 @@ impl LslTransport {
                     Ok(n @ 1..) => {
                         let (stream, read_ns) = (number as u8, monotonic_ns());
                         let bytes = buffer.get(..n).unwrap_or_default();
-                        self.put(Message::Data { stream, read_ns, bytes });
+                        self.put(StreamMessage::Data { stream, read_ns, bytes });
                     }
                     _ => break,
                 }
             }
         }
-        self.put(Message::Ended);
+        self.put(StreamMessage::Ended);
     }
 
     /// Asks for the sender's time; an answer that is lost is not waited for.
@@ -234,7 +237,7 @@ impl LslTransport {
         let Some((_, host_ns)) = place.and_then(|at| self.pending.remove(at)) else { return };
         let sender_s = answer.t1 + (answer.t2 - answer.t1) / 2.0;
         if sender_s.is_finite() {
-            self.put(Message::Time { host_ns, sender_s, read_ns });
+            self.put(StreamMessage::Time { host_ns, sender_s, read_ns });
         }
     }
 
@@ -284,7 +287,7 @@ impl LslTransport {
         };
         stream.feed = None;
         let description = stream.found.description.clone();
-        self.put(Message::Lost { stream: number as u8 });
+        self.put(StreamMessage::Lost { stream: number as u8 });
         if number == self.frames {
             self.over = Some(cause);
         } else {
@@ -301,14 +304,16 @@ impl LslTransport {
     fn take_returned(&mut self) {
         while let Some(report) = self.returns.as_ref().and_then(ReturnWatch::next_return) {
             match report {
-                Return::Changed { number } => self.put(Message::Changed { stream: number as u8 }),
+                Return::Changed { number } => {
+                    self.put(StreamMessage::Changed { stream: number as u8 })
+                }
                 Return::Back { number, found, mut feed } => {
                     let (rest, is_big_endian) =
                         (std::mem::take(&mut feed.rest), feed.is_big_endian);
                     if let Some(stream) = self.streams.get_mut(number) {
                         *stream = LineStream { found: *found, feed: Some(*feed) };
                     }
-                    self.put(Message::Feed { stream: number as u8, is_big_endian });
+                    self.put(StreamMessage::Feed { stream: number as u8, is_big_endian });
                     self.put_data(number as u8, &rest);
                 }
             }

@@ -1,6 +1,6 @@
 //! Seeds of `read_lsl`.
 
-use mocapd_drivers::lsl::{Message, put_message};
+use mocapd_drivers::lsl::{StreamMessage, put_message};
 
 /// Messages of a line, samples, descriptions and URIs.
 pub(super) fn messages() -> Vec<Vec<u8>> {
@@ -30,11 +30,14 @@ fn feeds() -> Vec<u8> {
     let mut wire = Vec::new();
     for number in 0..4 {
         let read_ns = 1_000_000 * number;
-        put_message(Message::Data { stream: 0, read_ns, bytes: &sample(number as f64) }, &mut wire);
+        put_message(
+            StreamMessage::Data { stream: 0, read_ns, bytes: &sample(number as f64) },
+            &mut wire,
+        );
         let text = [&[2][..], &1.5_f64.to_le_bytes(), &[1, 2, b'g', b'o']].concat();
-        put_message(Message::Data { stream: 1, read_ns, bytes: &text }, &mut wire);
-        put_message(Message::Time { host_ns: 5, sender_s: 0.25, read_ns }, &mut wire);
+        put_message(StreamMessage::Data { stream: 1, read_ns, bytes: &text }, &mut wire);
+        put_message(StreamMessage::Time { host_ns: 5, sender_s: 0.25, read_ns }, &mut wire);
     }
-    put_message(Message::Ended, &mut wire);
+    put_message(StreamMessage::Ended, &mut wire);
     wire
 }
