@@ -188,7 +188,7 @@ impl Intake {
             commands,
             tap,
             samples,
-            pose_step: PoseStep::default(),
+            pose_step: PoseStep::new(config.recorded_bodies().len()),
             groups_reported: 0,
         })
     }
