@@ -22,8 +22,8 @@ use mocapd_acquire::{
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::{
     device::{
-        DeviceEvent, Frame, MarkerSample, Protocol, SampleBatch, SampledChannelInfo,
-        SampledGroupInfo,
+        BodyInfo, DeviceEvent, Frame, MarkerSample, Pose, PoseFrame, PoseStatus, Protocol,
+        SampleBatch, SampledChannelInfo, SampledGroupInfo,
     },
     link::{DeviceLink, FrameForm, HostLink},
 };
@@ -100,7 +100,13 @@ fn group() -> SampledGroupInfo {
     }
 }
 
-/// The bytes of frames `from..to` and of a batch of samples for each, as a pty would bring them.
+/// Rigid bodies of two groups.
+const N_BODIES: u16 = 9;
+
+/// Groups with samples: that of the sampled channels, and two of poses.
+const N_GROUPS: u64 = 3;
+
+/// The bytes of frames `from..to`, and of a batch of samples and of poses for each, as a pty would bring them.
 fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
     let mut link = DeviceLink::new();
     let mut out = Vec::new();
@@ -128,6 +134,21 @@ fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
             samples: &samples,
         };
         link.samples(&batch, &mut out).unwrap();
+        let pose = |body: u16| Pose {
+            body,
+            status: if (seq as u16 + body) % 50 < 3 {
+                PoseStatus::Lost
+            } else {
+                PoseStatus::Tracked
+            },
+            position_mm: [seq as f32 * 1.3, f32::from(body), 900.0],
+            quaternion: [0.6, 0.0, -0.8, 0.0],
+            residual_mm: 0.25,
+        };
+        let poses: Vec<Pose> = (0..N_BODIES).map(pose).collect();
+        let (seq, device_ticks) = (seq as u32, seq as u64);
+        let frame = PoseFrame { seq, number: seq, device_ticks, poses: &poses };
+        link.poses(&frame, &mut out).unwrap();
     }
     out
 }
@@ -143,6 +164,7 @@ fn feed(link: &mut HostLink, intake: &mut Intake, bytes: &[u8]) {
                     intake.frame(&frame, frame.device_ticks * 1_000_000_000 / TICK_HZ);
                 }
                 DeviceEvent::Samples(batch) => intake.samples(&batch),
+                DeviceEvent::Poses(frame) => intake.poses(&frame),
                 _ => {}
             }
         });
@@ -157,6 +179,12 @@ fn wait_for(chunks: &AtomicU64, wanted: u64) {
     }
 }
 
+/// Waits for stretches, and as many blocks of each group.
+fn wait_for_stretches([stretches, samples, _]: &[Arc<AtomicU64>; 3], wanted: u64) {
+    wait_for(stretches, wanted);
+    wait_for(samples, wanted * N_GROUPS);
+}
+
 /// The allocations of all threads while the measured frames are recorded, and the ledgers written meanwhile.
 fn allocations(
     kind: ResamplerKind,
@@ -168,6 +196,7 @@ fn allocations(
     let channels = header::channels(&motion.info.markers);
     let config = PipelineConfig {
         sampled: vec![group()],
+        bodies: (0..N_BODIES).map(|id| BodyInfo { id, name: String::new() }).collect(),
         ..PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels)
     };
     let mut header = header::new(&codec, RATE_HZ).unwrap();
@@ -179,21 +208,23 @@ fn allocations(
     let mut link = HostLink::new();
 
     feed(&mut link, &mut intake, warm_up);
-    written_chunks[..2].iter().for_each(|chunks| wait_for(chunks, 5));
+    wait_for_stretches(&written_chunks, 5);
     // The channels allocate per thread at its first wait: let every thread wait once.
     std::thread::sleep(Duration::from_millis(300));
     let ledgers_before = written_chunks[2].load(Ordering::Relaxed);
     let before = ALLOCATIONS.load(Ordering::Relaxed);
     feed(&mut link, &mut intake, measured);
-    written_chunks[..2].iter().for_each(|chunks| wait_for(chunks, 25));
+    wait_for_stretches(&written_chunks, 25);
     let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
     let ledgers = written_chunks[2].load(Ordering::Relaxed) - ledgers_before;
 
     intake.finish();
     let (written, _) = pipeline.finish().unwrap();
     assert_eq!(written.ledger.recorded, 504 + 20 * 120);
-    let samples = written.sample_ledger.unwrap().groups[0];
-    assert_eq!((samples.stored, samples.lost()), ((504 + 20 * 120) * SAMPLES_EACH, 0));
+    let groups = written.sample_ledger.unwrap().groups;
+    let stored: Vec<_> = groups.iter().map(|group| (group.stored, group.lost())).collect();
+    let frames = 504 + 20 * 120;
+    assert_eq!(stored, [(frames * SAMPLES_EACH, 0), (frames, 0), (frames, 0)]);
     (allocations, ledgers)
 }
 
@@ -215,6 +246,10 @@ fn the_sample_path_does_not_allocate_after_the_start() {
         let results = (0..5).map(|_| allocations(kind, &motion, &warm_up, &measured));
         let without_ledger = results.into_iter().find(|&(_, ledgers)| ledgers == 0);
         let n = without_ledger.map(|(allocations, _)| allocations);
-        assert_eq!(n, Some(0), "{kind}: 2400 frames of 70 markers, and 20 sampled channels");
+        assert_eq!(
+            n,
+            Some(0),
+            "{kind}: 2400 frames of 70 markers, 20 sampled channels and 9 bodies"
+        );
     }
 }

@@ -4,8 +4,13 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     os::unix::fs::PermissionsExt,
+    sync::Arc,
 };
 
+use mocapd_simulator::{
+    device::{Device, DeviceSettings},
+    generator::{JumpSpec, RigidBodies},
+};
 use mocapd_take::{
     chunk::{self, ChunkParse, types},
     index::Footer,
@@ -127,6 +132,14 @@ fn info_and_verify() {
     device.unplug();
     recorder.wait().with_code(3);
     infos.push(info("unplugged.take"));
+
+    // One of rigid bodies has poses.
+    let bodies = RigidBodies::new(&JumpSpec::new(1, 120.0), 2).unwrap();
+    let settings = DeviceSettings { bodies: Some(Arc::new(bodies)), ..DeviceSettings::default() };
+    let device = Device::new(jump(1, 120.0, 1.0), settings).unwrap();
+    let device = Simulated::serve(device, None);
+    folder.run(&["record", "-d", &device.uri(), "-o", "poses.take"]).with_code(0);
+    infos.push(info("poses.take"));
 
     // An import has a source, foreign parts, and here a warning.
     let c3d = folder.read("demo/jump-001.c3d");

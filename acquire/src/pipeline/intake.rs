@@ -202,7 +202,7 @@ impl Intake {
             tap,
             frames,
             samples,
-            pose_step: PoseStep::default(),
+            pose_step: PoseStep::new(config.recorded_bodies().len()),
             groups_reported: 0,
         })
     }

@@ -3,7 +3,9 @@
 use std::fmt::Write;
 
 use mocapd_take::{
-    foreign::ForeignPart, record::SampledChannel, sampled::GroupSamples, sampled::LostSamples,
+    foreign::ForeignPart,
+    record::SampledChannel,
+    sampled::{GroupSamples, LostSamples, SampledPart},
 };
 use serde::Serialize;
 
@@ -42,7 +44,7 @@ impl SampledGroupReport {
     /// The groups of all parts, except those of poses.
     pub(super) fn all(parts: &[ForeignPart]) -> Vec<Self> {
         let sampled = parts.iter().filter_map(ForeignPart::sampled);
-        let groups = sampled.flat_map(|part| part.groups());
+        let groups = sampled.flat_map(SampledPart::groups);
         groups.filter(|group| !group.group.has_poses()).map(Self::new).collect()
     }
 

@@ -1,7 +1,7 @@
 //! Poses in step with the frames: they go into the rings behind their frame, before a boundary of takes that follows it,
 //! whichever of both came first.
 
-use mocapd_drivers::device::{BodyInfo, EndOfPoses, Pose, PoseFrame};
+use mocapd_drivers::device::{BODIES_MAX, BodyInfo, EndOfPoses, Pose, PoseFrame};
 
 use super::Intake;
 use crate::pipeline::sampled::PosesOutcome;
@@ -22,6 +22,15 @@ pub(super) struct PoseStep {
     last_poses: Option<u32>,
     /// Whether the device has sent poses: those of a frame are expected.
     is_active: bool,
+}
+
+impl PoseStep {
+    /// For a device with this many bodies.
+    pub(super) fn new(n_bodies: usize) -> Self {
+        // Drivers report at most as many poses, also of bodies that were not announced.
+        let capacity = if n_bodies > 0 { BODIES_MAX } else { 0 };
+        Self { poses: Vec::with_capacity(capacity), ..Self::default() }
+    }
 }
 
 impl Intake {
