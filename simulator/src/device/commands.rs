@@ -6,6 +6,7 @@ use mocapd_drivers::device::{Command, LinkBudget, Pong};
 use mocapd_drivers::link::{DeviceLink, frame_bytes_in_volume, frame_bytes_max, link_budget};
 
 use super::{Device, LineDevice, Queued, RATE_MILLIHERTZ, Run, SECOND_NS, SentCounters};
+use crate::sampled::SampledSource;
 
 impl Device {
     /// Queues a pending end of stream once there is room.
@@ -69,7 +70,7 @@ impl Device {
             let outcome = link.hello(&hello, out).and_then(|()| link.markers(&table, out));
             let mut groups_of = groups.iter().map(|source| link.sampled_group(source.info(), out));
             let outcome = outcome.and(groups_of.try_for_each(|announced| announced));
-            let mut plates = groups.iter().flat_map(|source| source.force_plates());
+            let mut plates = groups.iter().flat_map(SampledSource::force_plates);
             let outcome = outcome.and(plates.try_for_each(|plate| link.force_plate(plate, out)));
             let outcome = match bodies.is_empty() {
                 true => outcome,

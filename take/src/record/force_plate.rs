@@ -89,10 +89,6 @@ impl RecordedPlate {
             words.find(|(key, _)| *key == name).map(|(_, value)| value)
         };
         let field = |name: &str| of(name).ok_or_else(|| format!("it states no {name}"));
-        fn numbers<T: std::str::FromStr>(name: &str, text: &str) -> Result<Vec<T>, String> {
-            let all = text.split(',').map(str::parse).collect::<Result<_, _>>();
-            all.map_err(|_| format!("its {name} is '{text}'"))
-        }
         let one = |name: &str| {
             let text = field(name)?;
             text.parse::<u8>().map_err(|_| format!("its {name} is '{text}'"))
@@ -117,6 +113,12 @@ impl RecordedPlate {
     }
 }
 
+/// The numbers of a list.
+fn numbers<T: std::str::FromStr>(name: &str, text: &str) -> Result<Vec<T>, String> {
+    let all = text.split(',').map(str::parse).collect::<Result<_, _>>();
+    all.map_err(|_| format!("its {name} is '{text}'"))
+}
+
 impl Header {
     /// The force plates that a recording states, and why others cannot be used, one sentence each.
     #[must_use]
@@ -126,7 +128,7 @@ impl Header {
             match RecordedPlate::parse(text) {
                 Ok(plate) => plates.push(plate),
                 Err(why) => {
-                    unusable.push(format!("A force plate of the take cannot be used: {why}."))
+                    unusable.push(format!("A force plate of the take cannot be used: {why}."));
                 }
             }
         }

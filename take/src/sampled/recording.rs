@@ -1,6 +1,6 @@
 //! The sampled channels of a recording on the time line of its frames: the one place that says when a sample was taken.
 //!
-//! A sample has the device's time that SAMPLE_TIMES gives it, and a place among the rows by [`RowClock`]: sample times and
+//! A sample has the device's time that `SAMPLE_TIMES` gives it, and a place among the rows by [`RowClock`]: sample times and
 //! frame times agree wherever the device took both at once, whatever its rates are. All exports, the plots and the
 //! Python package read recorded samples from here.
 
@@ -51,6 +51,12 @@ struct PlacedGroup {
     epochs: Vec<(u64, Option<usize>)>,
 }
 
+/// The index of a group, and a range of rows: the first and one past the last.
+type RowsOfGroup = (usize, u64, u64);
+
+/// The numbers of the samples in such rows.
+type FoundNumbers = (RowsOfGroup, Arc<[Range<u64>]>);
+
 /// What all copies of a recording share.
 struct Shared {
     groups: Vec<GroupSamples>,
@@ -62,7 +68,7 @@ struct Shared {
     first_frame: u64,
     input: Mutex<Box<dyn ReadSeek>>,
     /// For groups and ranges of rows that were asked for before: the numbers of their samples.
-    found: Mutex<Vec<((usize, u64, u64), Arc<[Range<u64>]>)>>,
+    found: Mutex<Vec<FoundNumbers>>,
 }
 
 /// The times of a group's anchors that ascend: one that is later than the rate allows before the next one of its run was

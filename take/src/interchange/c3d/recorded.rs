@@ -220,15 +220,20 @@ pub(in crate::interchange) fn warnings_of(recording: &Recording) -> Vec<String> 
     warnings
 }
 
+/// The samples of a group that are written as they are.
+#[derive(Debug)]
+struct UnchangedSamples<'a> {
+    samples: RecordedSamples<'a>,
+    runs: Vec<RunOfSlots>,
+    block: SampleBlock,
+    /// The next sample of the block.
+    next: usize,
+}
+
 /// Where the samples of a group come from.
 #[derive(Debug)]
 enum GroupSource<'a> {
-    Unchanged {
-        samples: RecordedSamples<'a>,
-        runs: Vec<RunOfSlots>,
-        block: SampleBlock,
-        next: usize,
-    },
+    Unchanged(Box<UnchangedSamples<'a>>),
     Resampled(Box<Resampler<'a>>),
 }
 
@@ -280,7 +285,12 @@ impl<'a> RecordedAnalog<'a> {
             let channels = samples.channels();
             let source = match placement {
                 Placement::Unchanged { runs, .. } => {
-                    GroupSource::Unchanged { samples, runs, block: SampleBlock::default(), next: 0 }
+                    GroupSource::Unchanged(Box::new(UnchangedSamples {
+                        samples,
+                        runs,
+                        block: SampleBlock::default(),
+                        next: 0,
+                    }))
                 }
                 Placement::Resampled => {
                     let from_hz = found.group.rate_hz;
@@ -485,7 +495,7 @@ impl GroupWriter<'_> {
             GroupSource::Resampled(resampler) => {
                 resampler.at(row as f64 + sample as f64 / ratio as f64, values)?
             }
-            GroupSource::Unchanged { .. } => {
+            GroupSource::Unchanged(_) => {
                 let slot = row.saturating_mul(ratio as u64).saturating_add(sample as u64);
                 self.push_unchanged(slot as i64, values)?
             }
@@ -505,18 +515,17 @@ impl GroupWriter<'_> {
         values.truncate(before);
         values.extend(self.channels.iter().map(|channel| channel.offset as f32));
         if self.n_written == 0 {
-            self.n_before += 1
+            self.n_before += 1;
         } else {
-            self.n_trailing += 1
+            self.n_trailing += 1;
         }
         Ok(())
     }
 
     /// Appends the sample of a slot, if there is one.
     fn push_unchanged(&mut self, slot: i64, values: &mut Vec<f32>) -> io::Result<bool> {
-        let GroupSource::Unchanged { samples, runs, block, next } = &mut self.source else {
-            return Ok(false);
-        };
+        let GroupSource::Unchanged(source) = &mut self.source else { return Ok(false) };
+        let UnchangedSamples { samples, runs, block, next } = &mut **source;
         let n_channels = self.channels.len();
         loop {
             if *next >= block.numbers.len() {

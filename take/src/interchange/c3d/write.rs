@@ -115,10 +115,10 @@ fn fill_parameters(
     set_manufacturer(parameters);
     fill_subjects(parameters, &info.markers);
     events::fill(parameters, info, whole);
-    if let (Some(recorded), Some(recording)) = (&body.recorded, &info.recording) {
-        if recorded.n_channels() > 0 {
-            recorded.fill_parameters(parameters, recording)?;
-        }
+    if let (Some(recorded), Some(recording)) = (&body.recorded, &info.recording)
+        && recorded.n_channels() > 0
+    {
+        recorded.fill_parameters(parameters, recording)?;
     }
     let (ratio, n_channels) = body.analog_shape();
     if n_channels == 0 {
