@@ -85,7 +85,7 @@ pub fn put_message(message: StreamMessage<'_>, out: &mut Vec<u8>) {
     };
     match message {
         StreamMessage::Description { stream, xml } => {
-            put(kind::DESCRIPTION, stream, &[xml.as_bytes()])
+            put(kind::DESCRIPTION, stream, &[xml.as_bytes()]);
         }
         StreamMessage::Found => put(kind::FOUND, 0, &[]),
         StreamMessage::Feed { stream, is_big_endian } => {

@@ -48,7 +48,7 @@ impl FileSamples {
         for FileSignal { source, ids, .. } in &self.signals {
             let info = source.info();
             let rate_hz = f64::from(info.rate_millihertz) / 1000.0;
-            if source.force_plates().len() > 0 {
+            if !source.force_plates().is_empty() {
                 plates.extend(ids.iter().map(|id| ForcePlate { id: *id, rate_hz }));
             } else {
                 let channel = |c: &mocapd_drivers::device::SampledChannelInfo| {
@@ -92,7 +92,7 @@ impl FileSamples {
             signal.in_file = end;
             for (index, id) in signal.ids.iter().enumerate() {
                 values.clear();
-                let is_force = signal.source.force_plates().len() > 0;
+                let is_force = !signal.source.force_plates().is_empty();
                 for sample in counts.chunks_exact(info.channels.len()) {
                     let physical = sample.iter().zip(&info.channels);
                     let physical = physical.map(|(count, c)| f64::from(*count) * c.scale);

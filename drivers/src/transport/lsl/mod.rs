@@ -305,7 +305,7 @@ impl LslTransport {
         while let Some(report) = self.returns.as_ref().and_then(ReturnWatch::next_return) {
             match report {
                 Return::Changed { number } => {
-                    self.put(StreamMessage::Changed { stream: number as u8 })
+                    self.put(StreamMessage::Changed { stream: number as u8 });
                 }
                 Return::Back { number, found, mut feed } => {
                     let (rest, is_big_endian) =
