@@ -98,6 +98,9 @@ fn check(heading: &str, real: &[Value]) {
     if documented.contains_key("ledger") {
         documented.extend(fields("The ledger"));
     }
+    if real.iter().any(|document| document["sample_ledger"].is_object()) {
+        documented.extend(fields("The ledger of sampled channels"));
+    }
     let mut found: BTreeMap<String, BTreeSet<&'static str>> = BTreeMap::new();
     for (path, kinds) in real.iter().flat_map(paths_of) {
         found.entry(path).or_default().extend(kinds);
