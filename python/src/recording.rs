@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use mocapd_take::{
     TakeMap,
+    interchange::recorded_plates,
     record::SampledChannel,
     sampled::{RecordedSamples, Recording, SampleBlock},
 };
@@ -83,7 +84,7 @@ pub(crate) fn read_loads(
     wanted: &[usize],
     out: &mut [f64],
 ) -> Result<()> {
-    let plates = recording.force_plates(place.0);
+    let plates = recorded_plates(recording, place.0);
     let mut rows = out.chunks_exact_mut((wanted.len() * LOAD_VALUES).max(1));
     for_each(recording, source, place, |channels, stored| {
         let Some(out) = rows.next() else { return };
@@ -134,7 +135,7 @@ pub(crate) fn describe<'py>(
         dict.set_item("rate_hz", group.rate_hz)?;
         dict.set_item("number", group.number)?;
         let plates = PyList::empty(py);
-        for plate in recording.force_plates(index) {
+        for plate in recorded_plates(recording, index) {
             plates.append(records::force_plate(py, &plate)?)?;
         }
         dict.set_item("plates", plates)?;

@@ -44,8 +44,6 @@ impl PlateType {
     }
 }
 
-use crate::interchange::Rotation;
-
 type Vector = [f64; 3];
 
 /// Where a plate is.
@@ -102,8 +100,7 @@ impl PlateGeometry {
     }
 
     /// The same plate in laboratory axes after a rotation.
-    pub(crate) fn rotated(&self, rotation: Rotation) -> Self {
-        let turned = |vector: Vector| rotation.apply_f64(vector);
+    pub(crate) fn turned(&self, turned: impl Fn(Vector) -> Vector + Copy) -> Self {
         let (corners_mm, axes) = (self.corners_mm.map(turned), self.axes.map(turned));
         Self { corners_mm, axes, ..self.clone() }
     }

@@ -54,9 +54,10 @@ mod zip;
 
 pub use csv::quote as csv_cell;
 pub use motion_reader::{MotionReader, ReaderSettings};
+pub use recorded_rows::recorded_plates;
 pub use rotated::RotatedFrames;
 pub use rotation::Direction;
-pub use sampled_table::{RowTime, SampledColumn, SampledKind, SampledTable};
+pub use sampled_table::{SampledColumn, SampledKind, SampledTable, TableRowTime};
 pub use text::column_labels;
 pub use units::LengthUnit;
 

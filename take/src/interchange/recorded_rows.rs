@@ -5,11 +5,55 @@ use std::io;
 use crate::{
     TakeError,
     foreign::force_plates::{ForcePlate, PlateLoad},
-    interchange::c3d::AnalogChannel,
+    interchange::c3d::{AnalogChannel, factor_of_unit},
     motion::MotionInfo,
-    record::SampledChannel,
-    sampled::{RecordedSamples, Recording, SampleBlock},
+    record::{RecordedPlate, SampledChannel},
+    sampled::{GroupSamples, RecordedSamples, Recording, SampleBlock},
 };
+
+/// The force plates whose channels a group of a recording has, as those of imported files: their channels are those of the
+/// group.
+#[must_use]
+pub fn recorded_plates(recording: &Recording, group: usize) -> Vec<ForcePlate> {
+    let Some(found) = recording.groups().get(group) else { return Vec::new() };
+    let plate = |plate: &RecordedPlate| {
+        let units = plate.channels.iter().map(|&channel| {
+            found.group.channels.get(channel).map_or("", |channel| channel.unit.trim())
+        });
+        // Units that are unknown are taken for N, N m and mm.
+        let factor = |(place, unit)| factor_of_unit(plate.kind, place, unit).unwrap_or(1.0);
+        ForcePlate {
+            number: plate.number,
+            kind: plate.kind,
+            geometry: plate.geometry.clone(),
+            channels: plate.channels.clone(),
+            calibration: None,
+            factors: units.enumerate().map(factor).collect(),
+        }
+    };
+    let of_group = recording.plates().iter().filter(|plate| plate.group == found.group.number);
+    of_group.map(plate).collect()
+}
+
+/// A sentence on the channels of a plate whose units are none of forces, moments or lengths.
+pub(super) fn unknown_units(plate: &RecordedPlate, groups: &[GroupSamples]) -> Option<String> {
+    let group = groups.iter().find(|group| group.group.number == plate.group)?;
+    let unknown = plate.channels.iter().enumerate().filter_map(|(place, &channel)| {
+        let channel = group.group.channels.get(channel)?;
+        let unit = channel.unit.trim();
+        let factor = factor_of_unit(plate.kind, place, unit);
+        factor.is_none().then(|| format!("{} ('{unit}')", channel.name))
+    });
+    let unknown: Vec<String> = unknown.collect();
+    (!unknown.is_empty()).then(|| {
+        format!(
+            "Channels of force plate {} have other units than forces, moments and lengths, and were read in N, N m and \
+             mm: {}.",
+            plate.number,
+            unknown.join(", ")
+        )
+    })
+}
 
 /// A recorded channel, as those of imported files.
 pub(super) fn as_analog(channel: &SampledChannel) -> AnalogChannel {

@@ -31,7 +31,9 @@ impl<'a> RotatedFrames<'a> {
         info.up = up;
         if !rotation.is_identity() {
             c3d::rotate(&mut info.foreign, info.markers.len(), rotation)?;
-            info.recording = info.recording.map(|recording| recording.rotated(rotation));
+            info.recording = info
+                .recording
+                .map(|recording| recording.turned(|vector| rotation.apply_f64(vector)));
         }
         Ok(Some(Self { frames, info, rotation }))
     }

@@ -7,7 +7,7 @@ use std::io::{self, Write};
 use super::{
     Result, c3d,
     csv::quote,
-    recorded_rows::{RecordedRows, as_analog},
+    recorded_rows::{RecordedRows, as_analog, recorded_plates},
     text::{unique_names, without_tabs},
 };
 use crate::{
@@ -97,7 +97,7 @@ impl SampledKind {
 
 /// When a row was taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RowTime {
+pub struct TableRowTime {
     /// In frames from the first one.
     pub frames: f64,
     /// In seconds from the first frame.
@@ -129,7 +129,7 @@ pub struct SampledTable<'a> {
     next: usize,
     /// Frames whose rows were read, and the times of the rows of the last one.
     n_read: u64,
-    times: Vec<RowTime>,
+    times: Vec<TableRowTime>,
     warnings: Vec<String>,
 }
 
@@ -177,8 +177,10 @@ impl<'a> SampledTable<'a> {
     /// The tables of a recording's groups, then those of its force plates.
     fn all_recorded(info: &'a MotionInfo, recording: &'a Recording) -> io::Result<Vec<Self>> {
         let groups = recording.groups().iter().enumerate();
-        let n_with_plates =
-            groups.clone().filter(|(index, _)| !recording.force_plates(*index).is_empty()).count();
+        let n_with_plates = groups
+            .clone()
+            .filter(|(index, _)| !recorded_plates(recording, *index).is_empty())
+            .count();
         let (mut of_channels, mut of_plates) = (Vec::new(), Vec::new());
         for (index, found) in groups {
             let number = found.group.number;
@@ -193,7 +195,7 @@ impl<'a> SampledTable<'a> {
             let channels =
                 table(SampledKind::Group(number), analog_columns(&channels), Vec::new())?;
             of_channels.push(channels);
-            let plates = recording.force_plates(index);
+            let plates = recorded_plates(recording, index);
             if !plates.is_empty() {
                 let kind = SampledKind::ForcePlates(Some(number).filter(|_| n_with_plates > 1));
                 of_plates.push(table(kind, plate_columns(&plates), plates)?);
@@ -311,7 +313,7 @@ impl<'a> SampledTable<'a> {
     ///
     /// # Errors
     /// Those of reading the take, or the scratch file that the samples may be in.
-    pub fn next_rows(&mut self, frame: u64) -> io::Result<Option<(&[f32], &[RowTime])>> {
+    pub fn next_rows(&mut self, frame: u64) -> io::Result<Option<(&[f32], &[TableRowTime])>> {
         self.times.clear();
         if let TableSource::Recorded(rows) = &mut self.source {
             self.block.clear();
@@ -321,7 +323,7 @@ impl<'a> SampledTable<'a> {
                 && let Some(frames) = rows.peek()?.filter(|frames| *frames < end)
             {
                 let time_s = rows.take(&mut self.block);
-                self.times.push(RowTime { frames, time_s });
+                self.times.push(TableRowTime { frames, time_s });
             }
             let found = Some((&self.block[..], &self.times[..]));
             return Ok(found.filter(|(_, times)| !times.is_empty()));
@@ -339,7 +341,7 @@ impl<'a> SampledTable<'a> {
         self.next += n;
         let ratio = self.samples_per_frame as u64;
         let (n_rows, rate_hz) = (n / self.columns.len().max(1), self.rate_hz);
-        self.times.extend((0..n_rows as u64).map(|sample| RowTime {
+        self.times.extend((0..n_rows as u64).map(|sample| TableRowTime {
             frames: frame as f64 + sample as f64 / ratio as f64,
             time_s: (frame * ratio + sample) as f64 / rate_hz,
         }));
@@ -350,7 +352,7 @@ impl<'a> SampledTable<'a> {
     ///
     /// # Errors
     /// Those of [`next_rows`](Self::next_rows).
-    pub fn next_any(&mut self) -> io::Result<Option<(&[f32], &[RowTime])>> {
+    pub fn next_any(&mut self) -> io::Result<Option<(&[f32], &[TableRowTime])>> {
         self.next_rows(self.n_frames.saturating_sub(1))
     }
 
@@ -381,7 +383,7 @@ impl<'a> SampledTable<'a> {
     pub fn for_each_row(
         &mut self,
         frames: &dyn FrameSource,
-        mut put: impl FnMut(RowTime, &[f32]) -> io::Result<()>,
+        mut put: impl FnMut(TableRowTime, &[f32]) -> io::Result<()>,
     ) -> io::Result<()> {
         let width = self.columns.len().max(1);
         for frame in 0..self.n_frames {

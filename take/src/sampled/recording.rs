@@ -16,8 +16,6 @@ use super::{
 };
 use crate::{
     TakeError, TakeMap,
-    foreign::force_plates::ForcePlate,
-    interchange::{Rotation, c3d::factor_of_unit},
     record::{RecordedPlate, SampledChannel},
 };
 
@@ -88,26 +86,6 @@ fn ascending(samples: &GroupSamples, tick_hz: u64) -> Vec<SampleAnchor> {
         kept.push(*anchor);
     }
     kept
-}
-
-/// A sentence on the channels of a plate whose units are none of forces, moments or lengths.
-fn unknown_units(plate: &RecordedPlate, groups: &[GroupSamples]) -> Option<String> {
-    let group = groups.iter().find(|group| group.group.number == plate.group)?;
-    let unknown = plate.channels.iter().enumerate().filter_map(|(place, &channel)| {
-        let channel = group.group.channels.get(channel)?;
-        let unit = channel.unit.trim();
-        let factor = factor_of_unit(plate.kind, place, unit);
-        factor.is_none().then(|| format!("{} ('{unit}')", channel.name))
-    });
-    let unknown: Vec<String> = unknown.collect();
-    (!unknown.is_empty()).then(|| {
-        format!(
-            "Channels of force plate {} have other units than forces, moments and lengths, and were read in N, N m and \
-             mm: {}.",
-            plate.number,
-            unknown.join(", ")
-        )
-    })
 }
 
 /// The epochs of a group's runs.
@@ -183,7 +161,6 @@ impl Recording {
         warnings.extend(others.iter().map(|plate| {
             format!("Force plate {} has channels that the take does not have.", plate.number)
         }));
-        warnings.extend(plates.iter().filter_map(|plate| unknown_units(plate, &groups)));
         let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
         let place = |samples: &GroupSamples| PlacedGroup {
             samples: samples.clone(),
@@ -217,10 +194,10 @@ impl Recording {
     }
 
     /// The force plates in the axes after a rotation.
-    pub(crate) fn rotated(&self, rotation: Rotation) -> Self {
+    pub(crate) fn turned(&self, turned: impl Fn([f64; 3]) -> [f64; 3] + Copy) -> Self {
         let mut all = self.clone();
         for plate in &mut all.plates {
-            plate.geometry = plate.geometry.rotated(rotation);
+            plate.geometry = plate.geometry.turned(turned);
         }
         all
     }
@@ -380,29 +357,6 @@ impl Recording {
             next_range: 0,
             lost: None,
         }
-    }
-
-    /// The force plates whose channels a group has, as those of imported files: their channels are those of the group.
-    #[must_use]
-    pub fn force_plates(&self, group: usize) -> Vec<ForcePlate> {
-        let Some(found) = self.shared.groups.get(group) else { return Vec::new() };
-        let plate = |plate: &RecordedPlate| {
-            let units = plate.channels.iter().map(|&channel| {
-                found.group.channels.get(channel).map_or("", |channel| channel.unit.trim())
-            });
-            // Units that are unknown are taken for N, N m and mm.
-            let factor = |(place, unit)| factor_of_unit(plate.kind, place, unit).unwrap_or(1.0);
-            ForcePlate {
-                number: plate.number,
-                kind: plate.kind,
-                geometry: plate.geometry.clone(),
-                channels: plate.channels.clone(),
-                calibration: None,
-                factors: units.enumerate().map(factor).collect(),
-            }
-        };
-        let of_group = self.plates.iter().filter(|plate| plate.group == found.group.number);
-        of_group.map(plate).collect()
     }
 }
 

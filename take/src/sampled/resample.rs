@@ -117,8 +117,9 @@ impl Window {
         let lower = (to_hz / from_hz).min(1.0);
         Self {
             n_channels,
-            places: VecDeque::new(),
-            values: VecDeque::new(),
+            // Twice the reach of an instant, and a sample before and after.
+            places: VecDeque::with_capacity(2 * reach(from_hz, to_hz) + 2),
+            values: VecDeque::with_capacity((2 * reach(from_hz, to_hz) + 2) * n_channels),
             period: 0.0,
             cutoff: CUTOFF * lower,
             half: reach(from_hz, to_hz),

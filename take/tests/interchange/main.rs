@@ -9,6 +9,7 @@ mod columns;
 mod events;
 mod forces;
 mod hostile;
+#[cfg(test)]
 mod recorded;
 mod restored;
 mod round_trip;

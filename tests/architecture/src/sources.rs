@@ -80,6 +80,7 @@ const RULES: &[Rule] = &[
             "acquire/src/pipeline/progress.rs",
             "src/cli/",
             "take/src/foreign/content.rs",
+            "take/src/sampled/recording.rs",
             "service/src/engine/",
             "service/src/http/",
             "service/src/log/rate_limit.rs",

@@ -15,7 +15,7 @@ use super::{
 use crate::{
     TakeError,
     foreign::force_plate::PlateType,
-    interchange::{InterchangeError, Result, counted},
+    interchange::{InterchangeError, Result, counted, recorded_rows::unknown_units},
     motion::MotionInfo,
     record::{RecordedPlate, SampledChannel, SampledGroup},
     sampled::{FILTER, RecordedSamples, Recording, Resampler, SampleBlock, reach},
@@ -47,7 +47,7 @@ struct RunOfSlots {
 
 /// How the samples of a group come into the file.
 #[derive(Debug, Clone, PartialEq)]
-enum Placement {
+enum GroupPlacement {
     /// Unchanged.
     Unchanged { runs: Vec<RunOfSlots>, farthest: f64 },
     /// By the filter.
@@ -60,7 +60,7 @@ pub(crate) struct RecordedPlan {
     /// Samples in a frame.
     ratio: usize,
     /// Indices of the groups.
-    groups: Vec<(usize, Placement)>,
+    groups: Vec<(usize, GroupPlacement)>,
     /// Groups that are left out, as text for the user.
     pub(crate) left_out: Vec<String>,
 }
@@ -70,7 +70,7 @@ fn fit(
     recording: &Recording,
     index: usize,
     rate_hz: f64,
-) -> std::result::Result<(usize, Placement), String> {
+) -> std::result::Result<(usize, GroupPlacement), String> {
     let Some(group) = recording.groups().get(index) else { return Err(String::new()) };
     let multiple = group.group.rate_hz / rate_hz;
     let ratio = multiple.round();
@@ -100,7 +100,7 @@ fn fit(
     if runs.is_empty() {
         return Err("the take does not say when its samples were taken".to_owned());
     }
-    Ok((ratio as usize, Placement::Unchanged { runs, farthest }))
+    Ok((ratio as usize, GroupPlacement::Unchanged { runs, farthest }))
 }
 
 /// `group 1 (16 channels at 2000 Hz)`.
@@ -129,7 +129,7 @@ impl RecordedPlan {
             }
             let placement = match fit {
                 Ok((own, placement)) if own == ratio => placement,
-                _ if recording.resamples() => Placement::Resampled,
+                _ if recording.resamples() => GroupPlacement::Resampled,
                 Ok((own, _)) => {
                     plan.left_out.push(format!(
                         "{name}: it has {own} samples in a frame, but others have {ratio}, and C3D has one number for all; \
@@ -152,7 +152,7 @@ impl RecordedPlan {
     /// resampled, or those of the first group of force plates that fits, or of the first group that does.
     fn choose_ratio(
         recording: &Recording,
-        fits: &[std::result::Result<(usize, Placement), String>],
+        fits: &[std::result::Result<(usize, GroupPlacement), String>],
         rate_hz: f64,
     ) -> usize {
         let own = |index: usize| {
@@ -184,15 +184,15 @@ impl RecordedPlan {
             let Some(found) = recording.groups().get(*index) else { continue };
             let name = name_of(&found.group);
             match placement {
-                Placement::Unchanged { farthest, .. } if *farthest > DISTANCE_TOLD => {
+                GroupPlacement::Unchanged { farthest, .. } if *farthest > DISTANCE_TOLD => {
                     remarks.push(format!(
                         "The samples of {name} are unchanged; they were taken up to {:.3} ms from the instants that C3D \
                          gives them.",
                         farthest / (self.ratio as f64 * info.rate_hz) * 1e3
                     ));
                 }
-                Placement::Unchanged { .. } => {}
-                Placement::Resampled => remarks.push(format!(
+                GroupPlacement::Unchanged { .. } => {}
+                GroupPlacement::Resampled => remarks.push(format!(
                     "{name} was resampled to {} Hz, {} samples in a frame: {FILTER}.",
                     self.ratio as f64 * info.rate_hz,
                     self.ratio
@@ -206,6 +206,8 @@ impl RecordedPlan {
 /// What is wrong with the force plates of a recording, and the times of its samples, one sentence each.
 pub(in crate::interchange) fn warnings_of(recording: &Recording) -> Vec<String> {
     let mut warnings = recording.warnings().to_vec();
+    let of_units = |plate| unknown_units(plate, recording.groups());
+    warnings.extend(recording.plates().iter().filter_map(of_units));
     for (index, found) in recording.groups().iter().enumerate() {
         let n = recording.n_without_time(index).unwrap_or_default();
         warnings.extend((n > 0).then(|| {
@@ -284,7 +286,7 @@ impl<'a> RecordedAnalog<'a> {
             let samples = recording.samples(index, &wider).map_err(of_take)?;
             let channels = samples.channels();
             let source = match placement {
-                Placement::Unchanged { runs, .. } => {
+                GroupPlacement::Unchanged { runs, .. } => {
                     GroupSource::Unchanged(Box::new(UnchangedSamples {
                         samples,
                         runs,
@@ -292,7 +294,7 @@ impl<'a> RecordedAnalog<'a> {
                         next: 0,
                     }))
                 }
-                Placement::Resampled => {
+                GroupPlacement::Resampled => {
                     let from_hz = found.group.rate_hz;
                     let reach_s = (reach(from_hz, to_hz) + 1) as f64 / from_hz;
                     let rows = (reach_s * info.rate_hz).ceil() as u64 + 1;
