@@ -163,7 +163,10 @@ pub(crate) fn analog<'py>(
 }
 
 /// A plate that can be used.
-pub(crate) fn force_plate<'py>(py: Python<'py>, plate: &ForcePlate) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn force_plate<'py>(
+    py: Python<'py>,
+    plate: &ForcePlate,
+) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
     dict.set_item("number", plate.number)?;
     dict.set_item("type", plate.kind.code())?;
