@@ -8,7 +8,7 @@ use super::{
     names::{MarkerNames, is_labelled},
 };
 use crate::{
-    device::{DeviceEvent, Frame, LinkBudget, MarkerSample, PoseFrame},
+    device::{DeviceEvent, EndOfPoses, Frame, LinkBudget, MarkerSample, PoseFrame},
     transport::{DatagramSource, polled::LineCommand},
 };
 
@@ -410,8 +410,7 @@ impl NatNetHost {
         let run = &mut self.run;
         if run.frames > 0 && !self.bodies.infos.is_empty() {
             let (seq, device_ticks) = (run.last.wrapping_add(1), run.last_ticks);
-            let poses = PoseFrame { seq, number: seq, device_ticks, poses: &[] };
-            on_event(DeviceEvent::Poses(poses));
+            on_event(DeviceEvent::EndOfPoses(EndOfPoses { seq, number: seq, device_ticks }));
         }
         let counts = [
             (
