@@ -33,6 +33,8 @@ pub(crate) struct Reported {
     pub(crate) groups: Vec<SampledGroupInfo>,
     pub(crate) bodies: Vec<BodyInfo>,
     pub(crate) poses: Vec<(u32, Vec<Pose>)>,
+    /// The frame that would come next.
+    pub(crate) end_of_poses: Option<u32>,
     pub(crate) frames: Vec<(u32, u64, Vec<MarkerSample>)>,
     /// Group, number, first sample and values of each batch.
     pub(crate) batches: Vec<(u8, u32, u64, Vec<f32>)>,
@@ -60,6 +62,7 @@ impl Reported {
             }
             DeviceEvent::Bodies(bodies) => self.bodies = bodies.to_vec(),
             DeviceEvent::Poses(frame) => self.poses.push((frame.seq, frame.poses.to_vec())),
+            DeviceEvent::EndOfPoses(end) => self.end_of_poses = Some(end.seq),
             DeviceEvent::Note(note) => self.notes.push(note.to_owned()),
             DeviceEvent::Started(_) => self.started += 1,
             DeviceEvent::Pong(pong) => self.pongs.push(pong),
