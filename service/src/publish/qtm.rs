@@ -8,7 +8,7 @@ use std::{
 };
 
 use anyhow::{Context, anyhow};
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use mocapd_acquire::threads::{self, StopReceiver, StopSender};
 use mocapd_drivers::{
     qtm::{
@@ -48,6 +48,9 @@ const REPORT_INTERVAL: Duration = Duration::from_millis(200);
 /// What the server says to be.
 const VERSION: &str = concat!("mocapd ", env!("CARGO_PKG_VERSION"));
 
+/// Time between two attempts to open the port: an address that comes with the network needs some seconds.
+const REOPEN_INTERVAL: Duration = Duration::from_secs(5);
+
 /// How long clients have to take what is pending when the service stops.
 const DRAIN: Duration = Duration::from_millis(500);
 
@@ -62,8 +65,10 @@ pub struct QtmPublisher {
 impl QtmPublisher {
     /// Opens the port and publishes; `None` if the configuration does not want it.
     ///
+    /// A port that cannot be opened is a warning, and tried again until it can: the recording does without clients.
+    ///
     /// # Errors
-    /// The port or the password file cannot be used; the message says what to do.
+    /// The password file cannot be used; the message says what to do.
     pub fn open(
         config: &QtmPublishConfig,
         feed: PublishedFeed,
@@ -79,36 +84,39 @@ impl QtmPublisher {
             _ => None,
         };
         let listen = config.listen;
-        let clients = TcpServer::open(listen).map_err(|error| {
-            anyhow!(
-                "cannot publish at publish.qtm.listen = {listen}: {error}; `ss -tlpn` shows which program uses the port, \
-                 `ip address` lists the addresses of this machine"
-            )
-        })?;
-        let datagrams = UdpSocket::bind((listen.ip(), 0)).context("cannot open a UDP socket")?;
-        datagrams.set_nonblocking(true).context("cannot make a UDP socket non-blocking")?;
-        let address = clients.address();
+        let sockets = Sockets::open(listen);
+        let address = sockets.as_ref().map_or(listen, |sockets| sockets.clients.address());
+        let message = match &sockets {
+            Ok(_) => format!("published for clients of QTM at {address}"),
+            Err(error) => format!("{error:#}; tried again every {} s", REOPEN_INTERVAL.as_secs()),
+        };
+        let kind =
+            if sockets.is_ok() { ServiceEventKind::State } else { ServiceEventKind::Warning };
+        control.notify(kind, &message);
         let (requests, requested) = bounded(CLIENTS_MAX);
         let (replies, replied) = bounded(CLIENTS_MAX);
         let (stopper, stopped) = threads::stop_channel();
         let has_control = password.is_some();
-        let worker = PublishWorker {
+        let (opener, until) = (Arc::clone(control), stopped.clone());
+        let owner = Arc::clone(control);
+        let config = config.clone();
+        let worker = move |Sockets { clients, datagrams, responder }| PublishWorker {
             clients,
             datagrams,
-            responder: Responder::open(DISCOVERY_PORT).ok(),
+            responder,
             server: AllowedServer {
                 server: QtmServer::of_recorder(VERSION.to_owned(), config.clients_max, password),
                 allow_from: config.allow_from.clone(),
                 refused: 0,
                 news: Vec::new(),
             },
-            config: config.clone(),
+            config,
             feed,
             source: None,
             map: MarkerMap::default(),
             markers: Vec::new(),
-            events: control.events(),
-            control: Arc::clone(control),
+            events: owner.events(),
+            control: owner,
             requests,
             replied,
             n_executing: 0,
@@ -118,14 +126,19 @@ impl QtmPublisher {
             reported: None,
             stopped,
         };
-        let mut running = vec![threads::spawn("mocapd-qtm", move || worker.run())?];
+        let publish = move || {
+            let sockets =
+                sockets.ok().or_else(|| Sockets::wait_for(listen, &until, opener.as_ref()));
+            if let Some(sockets) = sockets {
+                worker(sockets).run();
+            }
+        };
+        let mut running = vec![threads::spawn("mocapd-qtm", publish)?];
         if has_control {
             let control = Arc::clone(control);
             let execute = move || execute_requests(control.as_ref(), &requested, &replies);
             running.push(threads::spawn("mocapd-qtm-ctl", execute)?);
         }
-        let message = format!("published for clients of QTM at {address}");
-        control.notify(ServiceEventKind::State, &message);
         Ok(Some(Self { address, stopper, threads: running }))
     }
 
@@ -141,6 +154,47 @@ impl QtmPublisher {
         for thread in self.threads {
             // A thread that panicked has reported it already.
             drop(thread.join());
+        }
+    }
+}
+
+/// What the publisher listens at and sends from.
+#[derive(Debug)]
+struct Sockets {
+    clients: TcpServer<ClientId>,
+    datagrams: UdpSocket,
+    /// Answers searches, unless another program uses their port alone.
+    responder: Option<Responder>,
+}
+
+impl Sockets {
+    fn open(listen: SocketAddr) -> anyhow::Result<Self> {
+        let clients = TcpServer::open(listen).map_err(|error| {
+            anyhow!(
+                "cannot publish at publish.qtm.listen = {listen}: {error}; `ss -tlpn` shows which program uses the port, \
+                 `ip address` lists the addresses of this machine"
+            )
+        })?;
+        let datagrams = UdpSocket::bind((listen.ip(), 0)).context("cannot open a UDP socket")?;
+        datagrams.set_nonblocking(true).context("cannot make a UDP socket non-blocking")?;
+        Ok(Self { clients, datagrams, responder: Responder::open(DISCOVERY_PORT).ok() })
+    }
+
+    /// Tries until the port can be opened, or the service stops.
+    fn wait_for(listen: SocketAddr, stopped: &StopReceiver, control: &dyn Control) -> Option<Self> {
+        loop {
+            // Nothing is sent on it: it ends when it is time to stop.
+            if stopped.channel().recv_timeout(REOPEN_INTERVAL)
+                == Err(RecvTimeoutError::Disconnected)
+            {
+                return None;
+            }
+            if let Ok(sockets) = Self::open(listen) {
+                let address = sockets.clients.address();
+                let message = format!("published for clients of QTM at {address}");
+                control.notify(ServiceEventKind::State, &message);
+                return Some(sockets);
+            }
         }
     }
 }

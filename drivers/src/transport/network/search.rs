@@ -11,6 +11,9 @@ use super::multicast::interfaces;
 /// Most replies that are kept: several times the systems of a building.
 const REPLIES_MAX: usize = 64;
 
+/// All programs of this machine that listen at every address, also if several use a port.
+const LOOPBACK_BROADCAST: Ipv4Addr = Ipv4Addr::new(127, 255, 255, 255);
+
 /// Sends `message(port of replies)` to a port of all machines on the networks of this one, and of this machine. Returns the
 /// replies that arrive within this time, each of an address once.
 ///
@@ -23,12 +26,18 @@ pub fn search(
 ) -> io::Result<Vec<(SocketAddrV4, Vec<u8>)>> {
     let mut sockets = Vec::new();
     for interface in interfaces()? {
-        let loopback = interface.address.is_loopback().then_some(Ipv4Addr::LOCALHOST);
-        let Some(target) = loopback.or(interface.broadcast) else { continue };
+        // On this machine, servers listen at one address, or at all of them.
+        let targets = match interface.address.is_loopback() {
+            true => vec![Ipv4Addr::LOCALHOST, LOOPBACK_BROADCAST],
+            false => interface.broadcast.into_iter().collect(),
+        };
         let socket = UdpSocket::bind((interface.address, 0)).and_then(|socket| {
             socket.set_broadcast(true)?;
             socket.set_nonblocking(true)?;
-            socket.send_to(&message(socket.local_addr()?.port()), (target, port))?;
+            let message = message(socket.local_addr()?.port());
+            for target in targets {
+                socket.send_to(&message, (target, port))?;
+            }
             Ok(socket)
         });
         // An interface that sends no broadcast has nobody to find.
