@@ -10,6 +10,7 @@ use std::{
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
     generator::{JumpSpec, RigidBodies},
+    sampled::SampledSource,
 };
 use mocapd_take::{
     chunk::{self, ChunkParse, types},
@@ -144,6 +145,14 @@ fn info_and_verify() {
     folder.run(&["record", "-d", &device.uri(), "-o", "poses.take"]).with_code(0);
     infos.push(info("poses.take"));
 
+    // One of electrodes has sampled channels.
+    let electrodes = SampledSource::electrodes(1, "5@2kHz".parse().unwrap(), 9).unwrap();
+    let settings = DeviceSettings { sampled: vec![electrodes], ..DeviceSettings::default() };
+    let device = Device::new(jump(1, 120.0, 1.0), settings).unwrap();
+    let device = Simulated::serve(device, None);
+    folder.run(&["record", "-d", &device.uri(), "-o", "sampled.take"]).with_code(0);
+    infos.push(info("sampled.take"));
+
     // An import has a source, foreign parts, and here a warning.
     let c3d = folder.read("demo/jump-001.c3d");
     folder.write("cut.c3d", &c3d[..c3d.len() / 2]);
@@ -247,6 +256,7 @@ fn info_and_verify() {
             verify(&["swapped.take", "--skeleton"]),
             verify(&["zeros.take", "--against", "zeros.trc"]),
             verify(&["walk.take", "--against", "walk.c3d"]),
+            verify(&["sampled.take", "--against", "sampled.take"]),
         ],
     );
 

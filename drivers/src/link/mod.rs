@@ -11,7 +11,10 @@ mod plates;
 mod poses;
 mod samples;
 
-use crate::device::{Claim, Family, LinkBudget};
+use crate::{
+    device::{Claim, Family, LinkBudget},
+    uri::Location,
+};
 pub use endpoints::{DeviceLink, HostLink};
 pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
 pub use poses::pose_frame_bytes_max;
@@ -20,7 +23,10 @@ pub use samples::batch_bytes_max;
 pub(crate) const FAMILY: Family = Family {
     name: "dvmc",
     claims: |candidate| {
-        if candidate.name_matches(|name| name.contains("dvmc") || name.contains("mocapd")) {
+        if matches!(candidate.location, Location::Network(_) | Location::Streams(_)) {
+            // Its scheme is its protocol, whatever it calls itself.
+            Claim::No
+        } else if candidate.name_matches(|name| name.contains("dvmc") || name.contains("mocapd")) {
             Claim::Certain
         } else if candidate.is_serial() {
             // A plain adapter does not reveal the device that is connected to it.
