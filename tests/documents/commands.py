@@ -55,6 +55,8 @@ NOT_RUN = [
     (r"docs/ndi.md", r"mocapd record --device 'serial:/dev/", "needs an NDI system"),
     (r"docs/ndi.md", r"mocapd-sim serve run.take", "continues with a take of an NDI system"),
     (r"docs/ndi.md", r"mocapd record --device 'serial:/tmp/ndi\?driver", "continues with a take of an NDI system"),
+    (r"docs/lsl.md", r"mocapd record --device", "needs streams of LSL"),
+    (r"docs/lsl.md", r"mocapd-sim serve", "serves until it is stopped"),
     (r"docs/natnet.md", r"mocapd record --device", "needs a NatNet server"),
     (r"docs/natnet.md", r"mocapd-sim serve", "serves until it is stopped"),
     (r"docs/qtm.md", r"mocapd record --device", "needs a QTM"),
