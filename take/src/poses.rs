@@ -118,12 +118,18 @@ impl SampledGroup {
 
     /// The names of its bodies; none if it has no poses.
     pub fn bodies(&self) -> impl Iterator<Item = &str> {
+        self.numbered_bodies().map(|(_, name)| name)
+    }
+
+    /// The numbers and the names of its bodies; none if it has no poses.
+    pub fn numbered_bodies(&self) -> impl Iterator<Item = (u32, &str)> {
         let channels = if self.has_poses() { &self.channels[..] } else { &[] };
         let suffix = CHANNEL_NAMES[0];
         channels.chunks_exact(POSE_CHANNELS).filter_map(|channels| channels.first()).map(
             move |first| {
                 let name = first.name.strip_suffix(suffix);
-                name.and_then(|name| name.strip_suffix('.')).unwrap_or(&first.name)
+                let name = name.and_then(|name| name.strip_suffix('.')).unwrap_or(&first.name);
+                (first.index, name)
             },
         )
     }

@@ -23,16 +23,35 @@ pub enum PoseStatus {
     Lost,
     /// It does not vouch for the pose: the body is outside its volume, or its markers do not fit well.
     Rejected,
+    /// A code of a later version of the link protocol, 3 to 127: it has none.
+    Other(u8),
 }
 
 impl PoseStatus {
-    /// All, by their codes.
+    /// All that have a name, by their codes.
     pub const ALL: [Self; 3] = [Self::Tracked, Self::Lost, Self::Rejected];
 
     /// Its number on the wire and in takes, which have numbers of their own from 128 on.
     #[must_use]
     pub const fn code(self) -> u8 {
-        self as u8
+        match self {
+            Self::Tracked => 0,
+            Self::Lost => 1,
+            Self::Rejected => 2,
+            Self::Other(code) => code,
+        }
+    }
+
+    /// That of a number on the wire; `None` from 128 on.
+    #[must_use]
+    pub const fn from_code(code: u8) -> Option<Self> {
+        match code {
+            0 => Some(Self::Tracked),
+            1 => Some(Self::Lost),
+            2 => Some(Self::Rejected),
+            3..128 => Some(Self::Other(code)),
+            128.. => None,
+        }
     }
 }
 

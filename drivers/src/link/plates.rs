@@ -19,8 +19,6 @@ fn plate_error(plate: &ForcePlateInfo) -> Option<&'static str> {
         Some("the index of a channel is not below 64")
     } else if !numbers.all(|number| number.is_finite()) {
         Some("a corner or the origin is not finite")
-    } else if plate.output == PlateOutput::FourSensors && plate.origin_mm[2] > 0.0 {
-        Some("the origin of its sensors is above its surface")
     } else {
         None
     }

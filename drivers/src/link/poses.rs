@@ -63,6 +63,10 @@ pub(super) fn put_poses(
     if let Some(error) = ids_error(frame.poses.iter().map(|pose| pose.body)) {
         return Err(EncodeError::Poses(error));
     }
+    let is_status = |status: PoseStatus| PoseStatus::from_code(status.code()) == Some(status);
+    if !frame.poses.iter().all(|pose| is_status(pose.status)) {
+        return Err(EncodeError::Poses("another status is not within 3 to 127"));
+    }
     let message = framer.open(kind::POSES);
     frame.seq.put(message);
     frame.number.put(message);
@@ -107,7 +111,7 @@ pub(super) fn get_poses<'a>(payload: &[u8], poses: &'a mut Vec<Pose>) -> Option<
     poses.clear();
     for _ in 0..n {
         let body = cursor.get()?;
-        let status = *PoseStatus::ALL.get(usize::from(cursor.get::<u8>()?))?;
+        let status = PoseStatus::from_code(cursor.get()?)?;
         let mut pose = Pose::without(body, status);
         if status == PoseStatus::Tracked {
             pose.position_mm = cursor.get()?;

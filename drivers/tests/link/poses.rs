@@ -10,8 +10,9 @@ use crate::{host_events, with_envelope};
 
 fn any_pose() -> impl Strategy<Value = Pose> {
     let numbers = any::<[u32; 8]>().prop_map(|bits| bits.map(f32::from_bits));
-    (0..3_usize, numbers).prop_map(|(status, [x, y, z, w, a, b, c, residual_mm])| {
-        let status = PoseStatus::ALL[status];
+    let code = prop_oneof![0..3_u8, 3..128_u8];
+    (code, numbers).prop_map(|(code, [x, y, z, w, a, b, c, residual_mm])| {
+        let status = PoseStatus::from_code(code).unwrap();
         let whole =
             Pose { body: 0, status, position_mm: [x, y, z], quaternion: [w, a, b, c], residual_mm };
         if status == PoseStatus::Tracked { whole } else { Pose::without(0, status) }
@@ -96,7 +97,13 @@ fn every_cut_and_every_wrong_code_is_damage() {
     let mut bad: Vec<Vec<u8>> = (0..payload.len()).map(|n| payload[..n].to_vec()).collect();
     bad.push([&payload[..], &[0]].concat());
     // A status, a body twice, and more poses than there may be.
-    for (at, byte) in [(20, 3), (payload.len() - 3, 1), (16, 129)] {
+    for (at, byte) in [
+        (20, 128),
+        (payload.len() - 1, 128),
+        (payload.len() - 1, 255),
+        (payload.len() - 3, 1),
+        (16, 129),
+    ] {
         let mut wrong = payload.clone();
         wrong[at] = byte;
         bad.push(wrong);
@@ -105,6 +112,37 @@ fn every_cut_and_every_wrong_code_is_damage() {
         let mut host = HostLink::new();
         assert!(host_events(&mut host, &with_envelope(1, 0x14, &payload)).is_empty());
         assert_eq!(host.counters().messages_damaged, 1, "{payload:?}");
+    }
+}
+
+/// A later version may have more reasons why a body has no pose; the poses of the others stay readable.
+#[test]
+fn a_status_of_a_later_version_is_a_body_without_a_pose_with_its_code() {
+    for code in 3..128 {
+        let mut payload = [[0; 16].as_slice(), &[3, 0, 1, 0, 0]].concat();
+        for number in [1.0_f32, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0, 0.5] {
+            payload.extend(number.to_le_bytes());
+        }
+        payload.extend([2, 0, code, 9, 0, 1]);
+        let mut n_events = 0;
+        HostLink::new().push(&with_envelope(1, 0x14, &payload), &mut |event| {
+            let DeviceEvent::Poses(frame) = event else { panic!("{event:?}") };
+            let found: Vec<_> = frame.poses.iter().map(|p| (p.body, p.status)).collect();
+            let other = PoseStatus::Other(code);
+            assert_eq!(found, [(1, PoseStatus::Tracked), (2, other), (9, PoseStatus::Lost)]);
+            assert_eq!(frame.poses[0].position_mm, [1.0, 2.0, 3.0]);
+            let without = frame.poses[1].checked();
+            assert!(without.status == other && without.status.code() == code);
+            assert!(without.position_mm.iter().all(|number| number.is_nan()));
+            n_events += 1;
+        });
+        assert_eq!(n_events, 1);
+    }
+    // Not sent: codes that have a name, and those of takes.
+    for code in [0, 1, 2, 128, 255] {
+        let poses = [Pose::without(1, PoseStatus::Other(code))];
+        let refused = DeviceLink::new().poses(&frame(&poses), &mut Vec::new());
+        assert!(matches!(refused, Err(EncodeError::Poses(_))), "{code}");
     }
 }
 

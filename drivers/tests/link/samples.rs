@@ -199,8 +199,12 @@ fn plate(output: PlateOutput) -> ForcePlateInfo {
 
 #[test]
 fn every_kind_of_force_plate_round_trips() {
-    for output in PlateOutput::ALL {
-        let (plate, mut wire) = (plate(output), Vec::new());
+    // The sensors are below or above the surface, in axes that point up or down.
+    for (output, z) in
+        PlateOutput::ALL.into_iter().flat_map(|output| [(output, -50.0), (output, 50.0)])
+    {
+        let (mut plate, mut wire) = (plate(output), Vec::new());
+        plate.origin_mm[2] = z;
         DeviceLink::new().force_plate(&plate, &mut wire).unwrap();
         let expected = format!("{:?}", DeviceEvent::ForcePlate(&plate));
         assert_eq!(host_events(&mut HostLink::new(), &wire), [expected]);

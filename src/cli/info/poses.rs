@@ -11,7 +11,7 @@ use crate::cli::{
 /// The rigid bodies of a take, and their poses.
 #[derive(Debug, Serialize)]
 pub(super) struct PosesReport {
-    bodies: Vec<String>,
+    bodies: Vec<BodyReport>,
     rate_hz: f64,
     /// Frames with poses, lost ones included.
     frames: u64,
@@ -25,19 +25,30 @@ pub(super) struct PosesReport {
     stored_bytes: u64,
 }
 
+/// A rigid body. Names may be empty, and may repeat.
+#[derive(Debug, Serialize)]
+struct BodyReport {
+    name: String,
+    number: u32,
+}
+
 impl PosesReport {
     /// `None` for a take without bodies.
     pub(super) fn new(take: &TakeMap) -> Option<Self> {
         let groups = || take.pose_groups();
         let first = groups().next()?;
         let tolerance = first.group.pose_bounds();
-        let errors = groups().map(|group| group.pose_errors(take.sample_ledger.as_ref()).errors());
+        let errors = groups().map(|group| group.pose_errors(take.sample_ledger.as_ref()));
+        let errors = errors.map(|errors| errors.unwrap_or_default().errors());
         let lost = first.lost().iter().fold(0_u64, |sum, lost| sum.saturating_add(lost.n));
         let (mm, degrees) = errors.fold((0.0_f64, 0.0_f64), |(mm, degrees), of_group| {
             (mm.max(of_group.position_mm), degrees.max(of_group.angle_degrees))
         });
         Some(Self {
-            bodies: groups().flat_map(|group| group.group.bodies()).map(str::to_owned).collect(),
+            bodies: groups()
+                .flat_map(|group| group.group.numbered_bodies())
+                .map(|(number, name)| BodyReport { name: name.to_owned(), number })
+                .collect(),
             rate_hz: first.group.rate_hz,
             frames: first.n_samples(),
             frames_lost: lost,
@@ -51,7 +62,8 @@ impl PosesReport {
 
     /// A line of text.
     pub(super) fn text(&self) -> String {
-        let names: Vec<String> = self.bodies.iter().map(|name| plain(name).to_string()).collect();
+        let names: Vec<String> =
+            self.bodies.iter().map(|body| plain(&body.name).to_string()).collect();
         let lost = match self.frames_lost {
             0 => String::new(),
             n => format!(", {n} lost"),

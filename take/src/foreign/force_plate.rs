@@ -86,8 +86,7 @@ impl PlateGeometry {
     }
 
     /// ORIGIN in the plate's own axes, mm: in types 2 and 4 the vector from the origin of the sensors to the centre of
-    /// the surface; in type 3 half the distances of the sensors along x and y, and the height of the origin above the
-    /// surface along z.
+    /// the surface; in type 3 half the distances of the sensors along x and y, and z of that vector.
     #[must_use]
     pub fn origin_mm(&self) -> Vector {
         self.origin_mm
@@ -194,14 +193,14 @@ impl ForcePlate {
             }
             PlateType::Type3 => {
                 let &[fx12, fx34, fy14, fy23, fz1, fz2, fz3, fz4] = values;
-                let [a, b, height] = origin_m;
+                let [a, b, z] = origin_m;
                 let force = [fx12 + fx34, fy14 + fy23, fz1 + fz2 + fz3 + fz4];
                 let moment = [
                     b * (fz1 + fz2 - fz3 - fz4),
                     a * (fz2 + fz3 - fz1 - fz4),
                     b * (fx34 - fx12) + a * (fy14 - fy23),
                 ];
-                (force, add(moment, cross(force, [0.0, 0.0, height])))
+                (force, add(moment, cross(force, [0.0, 0.0, z])))
             }
         }
     }

@@ -76,9 +76,6 @@ impl RecordedPlate {
                 kind.n_channels()
             ));
         }
-        if kind == PlateType::Type3 && origin_mm[2] > 0.0 {
-            return Err("its sensors are above its surface".to_owned());
-        }
         let geometry = PlateGeometry::new(corners_mm, origin_mm)?;
         Ok(Self { number: number.into(), kind, group, channels, geometry })
     }

@@ -4,30 +4,15 @@ use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, err
 use mocapd_codec::poses::PoseErrors;
 
 use super::Record;
-use crate::{TakeError, chunk::types, sampled::SampleContent, timeline::LossCauses};
+use crate::{chunk::types, sampled::SampleContent, timeline::LossCauses};
 
-/// The largest errors of the poses of a group, rounded up; 0 for a group without poses, and for poses as the device sent
-/// them. They are not part of version 1 of the record; version 2 has them after all else.
+/// The largest errors of the poses of a group, rounded up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct MeasuredErrors {
     /// Of positions, in nanometres.
     pub position_nm: u64,
     /// Of angles, in billionths of a degree.
     pub angle_nanodegrees: u64,
-}
-
-bincode::impl_borrow_decode!(MeasuredErrors);
-
-impl Encode for MeasuredErrors {
-    fn encode<E: Encoder>(&self, _: &mut E) -> Result<(), EncodeError> {
-        Ok(())
-    }
-}
-
-impl<C> Decode<C> for MeasuredErrors {
-    fn decode<D: Decoder<Context = C>>(_: &mut D) -> Result<Self, DecodeError> {
-        Ok(Self::default())
-    }
 }
 
 impl MeasuredErrors {
@@ -62,7 +47,7 @@ impl MeasuredErrors {
 }
 
 /// The account of a group. All counts are samples of each channel, except [`jumps`](Self::jumps).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Encode, Decode)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GroupLedger {
     /// Number of the group.
     pub group: u32,
@@ -85,8 +70,28 @@ pub struct GroupLedger {
     /// Times that the numbers of samples began again or jumped as no loss explains. How many samples the device took
     /// meanwhile is unknown.
     pub jumps: u64,
-    /// The largest errors of its poses.
-    pub errors: MeasuredErrors,
+    /// The largest errors of its poses, if they are within bounds and the take states what was measured. The record does
+    /// not have them, so that earlier versions read it: they are in [`PoseErrorsRecord`].
+    pub errors: Option<MeasuredErrors>,
+}
+
+bincode::impl_borrow_decode!(GroupLedger);
+
+impl Encode for GroupLedger {
+    fn encode<E: Encoder>(&self, encoder: &mut E) -> Result<(), EncodeError> {
+        self.group.encode(encoder)?;
+        self.counts().into_iter().try_for_each(|n| n.encode(encoder))
+    }
+}
+
+impl<C> Decode<C> for GroupLedger {
+    fn decode<D: Decoder<Context = C>>(decoder: &mut D) -> Result<Self, DecodeError> {
+        let mut ledger = Self { group: u32::decode(decoder)?, ..Self::default() };
+        for n in ledger.counts_mut() {
+            *n = u64::decode(decoder)?;
+        }
+        Ok(ledger)
+    }
 }
 
 impl GroupLedger {
@@ -135,22 +140,45 @@ impl GroupLedger {
         Self { stored: 0, lost_other, ..*self }
     }
 
-    /// Adds the counts of the same group in a take that follows.
+    /// All counts, in the order of the record.
+    fn counts(&self) -> [u64; 9] {
+        [
+            self.taken,
+            self.stored,
+            self.lost_on_link,
+            self.dropped_by_device,
+            self.lost_ring_full,
+            self.lost_other,
+            self.unknown_after_disconnect,
+            self.duplicates,
+            self.jumps,
+        ]
+    }
+
+    /// The same, to be changed.
+    fn counts_mut(&mut self) -> [&mut u64; 9] {
+        [
+            &mut self.taken,
+            &mut self.stored,
+            &mut self.lost_on_link,
+            &mut self.dropped_by_device,
+            &mut self.lost_ring_full,
+            &mut self.lost_other,
+            &mut self.unknown_after_disconnect,
+            &mut self.duplicates,
+            &mut self.jumps,
+        ]
+    }
+
+    /// Adds the counts of the same group in a take that follows. Its errors are known only if both are.
     fn add(&mut self, other: &Self) {
-        for (sum, n) in [
-            (&mut self.taken, other.taken),
-            (&mut self.stored, other.stored),
-            (&mut self.lost_on_link, other.lost_on_link),
-            (&mut self.dropped_by_device, other.dropped_by_device),
-            (&mut self.lost_ring_full, other.lost_ring_full),
-            (&mut self.lost_other, other.lost_other),
-            (&mut self.unknown_after_disconnect, other.unknown_after_disconnect),
-            (&mut self.duplicates, other.duplicates),
-            (&mut self.jumps, other.jumps),
-        ] {
+        for (sum, n) in self.counts_mut().into_iter().zip(other.counts()) {
             *sum = sum.saturating_add(n);
         }
-        self.errors.take_larger(&other.errors);
+        self.errors = self.errors.zip(other.errors).map(|(mut larger, errors)| {
+            larger.take_larger(&errors);
+            larger
+        });
     }
 }
 
@@ -189,93 +217,111 @@ impl Record for SampleLedger {
     const NAME: &'static str = "ledger of samples";
     const KIND: u8 = types::SAMPLE_LEDGER;
     const VERSION: u16 = 1;
-
-    fn to_payload(&self) -> Result<Vec<u8>, TakeError> {
-        let errors: Vec<MeasuredErrors> = self.groups.iter().map(|group| group.errors).collect();
-        if errors.iter().all(|errors| *errors == MeasuredErrors::default()) {
-            return Counts(self.clone()).to_payload();
-        }
-        let errors = errors.iter().map(|e| (e.position_nm, e.angle_nanodegrees)).collect();
-        WithErrors { counts: self.clone(), errors }.to_payload()
-    }
-
-    fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
-        let (what, supported) = (Self::NAME, WithErrors::VERSION);
-        match Counts::from_payload(payload, offset) {
-            Err(TakeError::Unsupported { found, .. }) if found == supported => {}
-            Err(TakeError::Unsupported { found, .. }) => {
-                return Err(TakeError::Unsupported { what, found, supported });
-            }
-            read => return read.map(|counts| counts.0),
-        }
-        let WithErrors { mut counts, errors } = WithErrors::from_payload(payload, offset)?;
-        if errors.len() != counts.groups.len() {
-            return Err(TakeError::corrupt(what, offset, "it has no errors of some group"));
-        }
-        for (group, (position_nm, angle_nanodegrees)) in counts.groups.iter_mut().zip(errors) {
-            group.errors = MeasuredErrors { position_nm, angle_nanodegrees };
-        }
-        Ok(counts)
-    }
 }
 
-/// Version 1.
-#[derive(Debug, Encode, Decode)]
-struct Counts(SampleLedger);
+/// The largest errors of poses that were measured in a take, by group; a section of the summary.
+#[derive(Debug, PartialEq, Eq, Encode, Decode)]
+pub(super) struct PoseErrorsRecord {
+    /// Number of the group, nanometres, billionths of a degree.
+    groups: Vec<(u32, u64, u64)>,
+}
 
-impl Record for Counts {
-    const NAME: &'static str = SampleLedger::NAME;
-    const KIND: u8 = types::SAMPLE_LEDGER;
+impl Record for PoseErrorsRecord {
+    const NAME: &'static str = "errors of poses";
+    const KIND: u8 = types::SUMMARY;
     const VERSION: u16 = 1;
 }
 
-/// Version 2: the largest errors of the poses of each group, in nanometres and in billionths of a degree.
-#[derive(Debug, Encode, Decode)]
-struct WithErrors {
-    counts: SampleLedger,
-    errors: Vec<(u64, u64)>,
-}
+impl PoseErrorsRecord {
+    /// Those of a ledger; `None` if it has none.
+    pub(super) fn of(ledger: &SampleLedger) -> Option<Self> {
+        let errors = |group: &GroupLedger| {
+            group.errors.map(|errors| (group.group, errors.position_nm, errors.angle_nanodegrees))
+        };
+        let groups: Vec<_> = ledger.groups.iter().filter_map(errors).collect();
+        (!groups.is_empty()).then_some(Self { groups })
+    }
 
-impl Record for WithErrors {
-    const NAME: &'static str = SampleLedger::NAME;
-    const KIND: u8 = types::SAMPLE_LEDGER;
-    const VERSION: u16 = 2;
+    /// States them in the ledger; those of other groups are ignored.
+    pub(super) fn state_in(&self, ledger: &mut SampleLedger) {
+        for &(number, position_nm, angle_nanodegrees) in &self.groups {
+            let mut groups = ledger.groups.iter_mut();
+            if let Some(group) = groups.find(|group| group.group == number) {
+                group.errors = Some(MeasuredErrors { position_nm, angle_nanodegrees });
+            }
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::record::SummaryRecord;
+
+    fn ledger() -> SampleLedger {
+        let group = |group| GroupLedger { group, taken: 300, stored: 300, ..Default::default() };
+        SampleLedger { finished: true, groups: vec![group(0), group(16)], batches_refused: 0 }
+    }
+
+    /// A reader of the version before poses has all counts, and skips the section with the errors.
+    #[test]
+    fn errors_of_poses_are_in_a_section_of_the_summary_and_not_in_the_ledger() {
+        let without = ledger();
+        let mut with = without.clone();
+        let errors = with.groups[1].errors.insert(MeasuredErrors::default());
+        errors.add(&PoseErrors { position_mm: 0.099_999_999_5, angle_degrees: 0.028 });
+        errors.add(&PoseErrors::default());
+        assert_eq!((errors.position_nm, errors.angle_nanodegrees), (100_000, 28_000_000));
+        let payload = with.to_payload().unwrap();
+        assert_eq!(payload, without.to_payload().unwrap());
+        let group = |n| [n, 251, 44, 1, 251, 44, 1, 0, 0, 0, 0, 0, 0, 0];
+        assert_eq!(payload, [&[1, 0, 1, 2][..], &group(0), &group(16), &[0]].concat());
+        assert_eq!(SampleLedger::from_payload(&payload, 8).unwrap(), without);
+        let summary = |ledger: &SampleLedger| SummaryRecord {
+            sample_ledger: Some(ledger.clone()),
+            ..SummaryRecord::default()
+        };
+        let (short, long) =
+            (summary(&without).to_payload().unwrap(), summary(&with).to_payload().unwrap());
+        // Tag 7, 14 bytes, version 1, and one group: 100 000 and 28 000 000.
+        let section = [7, 14, 1, 0, 1, 16, 252, 0xA0, 0x86, 1, 0, 252, 0, 0x3F, 0xAB, 1];
+        assert_eq!(long, [&short[..], &section].concat());
+        assert_eq!(SummaryRecord::from_payload(&short, 8).unwrap(), summary(&without));
+        assert_eq!(SummaryRecord::from_payload(&long, 8).unwrap(), summary(&with));
+        // Of a later version; before the ledger; twice; cut off.
+        let mut later = long.clone();
+        later[short.len() + 2] = 2;
+        assert_eq!(SummaryRecord::from_payload(&later, 8).unwrap(), summary(&without));
+        let before = [&short[..2], &section, &short[2..]].concat();
+        assert_eq!(SummaryRecord::from_payload(&before, 8).unwrap(), summary(&with));
+        assert!(SummaryRecord::from_payload(&[&long[..], &section].concat(), 8).is_err());
+        for n in short.len() + 1..long.len() {
+            assert!(SummaryRecord::from_payload(&long[..n], 8).is_err(), "{n}");
+        }
+        let alone = [&short[..2], &section].concat();
+        let read = SummaryRecord::from_payload(&alone, 8).unwrap();
+        assert_eq!(read, SummaryRecord::default(), "errors without a ledger mean nothing");
+    }
 
     #[test]
-    fn a_ledger_without_errors_is_of_version_1_and_one_with_errors_of_version_2() {
-        let group = |group| GroupLedger { group, taken: 300, stored: 300, ..Default::default() };
-        let mut ledger =
-            SampleLedger { finished: true, groups: vec![group(0), group(16)], batches_refused: 0 };
-        let first = ledger.to_payload().unwrap();
-        assert_eq!(first[..2], [1, 0]);
-        assert_eq!(SampleLedger::from_payload(&first, 8).unwrap(), ledger);
-        let errors = PoseErrors { position_mm: 0.099_999_999_5, angle_degrees: 0.028 };
-        ledger.groups[1].errors.add(&errors);
-        ledger.groups[1].errors.add(&PoseErrors::default());
-        let found = ledger.groups[1].errors;
-        assert_eq!((found.position_nm, found.angle_nanodegrees), (100_000, 28_000_000));
-        let second = ledger.to_payload().unwrap();
-        // 2 groups: nothing, and two numbers.
-        let numbers = [2, 0, 0, 0xFC, 0xA0, 0x86, 1, 0, 0xFC, 0, 0x3F, 0xAB, 1];
-        assert_eq!(second, [&[2, 0], &first[2..], &numbers].concat());
-        assert_eq!(SampleLedger::from_payload(&second, 8).unwrap(), ledger);
-        let mut sum = ledger.clone();
-        sum.add_counters(&SampleLedger { groups: vec![group(16)], ..Default::default() });
-        assert_eq!((sum.groups[1].errors, sum.groups[1].taken), (found, 600));
-        // Of a later version, cut off, and without the errors of a group.
-        let later = [&[3, 0], &second[2..]].concat();
-        let read = SampleLedger::from_payload(&later, 8);
-        assert!(matches!(read, Err(TakeError::Unsupported { found: 3, supported: 2, .. })));
-        for n in 2..second.len() {
-            assert!(SampleLedger::from_payload(&second[..n], 8).is_err(), "{n}");
+    fn the_errors_of_joined_takes_are_the_larger_ones_and_unknown_if_those_of_one_are() {
+        let errors = |position_nm, angle_nanodegrees| {
+            Some(MeasuredErrors { position_nm, angle_nanodegrees })
+        };
+        let of = |errors| {
+            let mut ledger = ledger();
+            ledger.groups[1].errors = errors;
+            ledger
+        };
+        for (one, other, sum) in [
+            (errors(5, 9), errors(7, 2), errors(7, 9)),
+            (errors(5, 9), None, None),
+            (None, errors(7, 2), None),
+        ] {
+            let mut found = of(one);
+            found.add_counters(&of(other));
+            assert_eq!((found.groups[1].errors, found.groups[1].taken), (sum, 600));
+            assert_eq!(found.groups[0].errors, None);
         }
-        let mut short = second[..second.len() - numbers.len()].to_vec();
-        short.extend([1, 5, 5]);
-        assert!(SampleLedger::from_payload(&short, 8).is_err());
     }
 }

@@ -6,7 +6,8 @@ use std::fmt;
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 
 use super::{
-    Header, Record, SampleLedger, deflate, inflate, put_section, section_content, statistics,
+    Header, Record, SampleLedger, deflate, inflate, put_section, sample_ledger::PoseErrorsRecord,
+    section_content, statistics,
 };
 use crate::{ChannelOrder, TakeError, chunk::types, statistics::TakeStatistics, varint::Cursor};
 
@@ -35,6 +36,9 @@ const STATISTICS_TAG: u64 = 3;
 /// The section that holds a [`ChannelOrder`].
 const ORDER_TAG: u64 = 5;
 const SAMPLE_LEDGER_TAG: u64 = 6;
+
+/// The section that holds the largest errors of poses: those of the ledger's groups that it knows.
+const POSE_ERRORS_TAG: u64 = 7;
 
 /// Why a take ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -190,7 +194,7 @@ pub struct SummaryRecord {
     pub statistics: Option<TakeStatistics>,
     /// The order of the markers in the source; `None` if not stated.
     pub order: Option<ChannelOrder>,
-    /// The last ledger of sampled channels; `None` if the take has none.
+    /// The last ledger of sampled channels, with the errors of poses that were measured; `None` if the take has none.
     pub sample_ledger: Option<SampleLedger>,
 }
 
@@ -224,6 +228,9 @@ impl SummaryRecord {
         }
         if let Some(ledger) = &self.sample_ledger {
             put_section(&mut out, SAMPLE_LEDGER_TAG, &ledger.to_payload()?);
+            if let Some(errors) = PoseErrorsRecord::of(ledger) {
+                put_section(&mut out, POSE_ERRORS_TAG, &errors.to_payload()?);
+            }
         }
         if out.len() > SUMMARY_BYTES_MAX {
             return Err(TakeError::InvalidArgument(format!(
@@ -251,6 +258,7 @@ impl SummaryRecord {
             return Err(TakeError::Unsupported { what: "summary", found, supported: VERSION });
         }
         let mut summary = Self::default();
+        let mut pose_errors = None;
         let mut cursor = Cursor::new(sections);
         while !cursor.is_empty() {
             let (Some(tag), Some(section)) = (cursor.varint(), cursor.prefixed()) else {
@@ -262,16 +270,25 @@ impl SummaryRecord {
                 STATISTICS_TAG => summary.statistics.is_some(),
                 ORDER_TAG => summary.order.is_some(),
                 SAMPLE_LEDGER_TAG => summary.sample_ledger.is_some(),
+                POSE_ERRORS_TAG => pose_errors.is_some(),
                 _ => continue,
             };
             if is_twice {
                 return Err(corrupt("it has a section twice"));
             }
-            match summary.set_section(tag, section, offset) {
+            let read = match tag {
+                POSE_ERRORS_TAG => PoseErrorsRecord::from_payload(section, offset)
+                    .map(|errors| pose_errors = Some(errors)),
+                _ => summary.set_section(tag, section, offset),
+            };
+            match read {
                 // A newer version counts as an unknown section.
                 Err(TakeError::Unsupported { .. }) => {}
                 read => read?,
             }
+        }
+        if let (Some(errors), Some(ledger)) = (&pose_errors, &mut summary.sample_ledger) {
+            errors.state_in(ledger);
         }
         Ok(summary)
     }

@@ -195,17 +195,16 @@ impl GroupSamples {
         self.ledger(|_| true)
     }
 
-    /// The largest errors of its poses: those that a ledger states, if it covers all samples, else the bounds.
+    /// The largest errors of its poses: those that were measured, if the ledger with them covers all samples, else the
+    /// bounds. `None` for poses as the device sent them, and other samples.
     #[must_use]
-    pub fn pose_errors(&self, stated: Option<&SampleLedger>) -> MeasuredErrors {
+    pub fn pose_errors(&self, stated: Option<&SampleLedger>) -> Option<MeasuredErrors> {
+        let bounds = self.group.pose_bounds()?;
         let number = self.group.number;
         let stated = stated.and_then(|of| of.groups.iter().find(|group| group.group == number));
         let covers = |stated: &&GroupLedger| stated.stored >= self.found_ledger().stored;
-        match (stated.filter(covers), self.group.pose_bounds()) {
-            (_, None) => MeasuredErrors::default(),
-            (Some(stated), Some(_)) => stated.errors,
-            (None, Some(bounds)) => MeasuredErrors::at_most(bounds),
-        }
+        let measured = stated.filter(covers).and_then(|stated| stated.errors);
+        Some(measured.unwrap_or_else(|| MeasuredErrors::at_most(bounds)))
     }
 
     /// Its chunks of samples: what each holds, and the file offset and size of its block.

@@ -181,6 +181,69 @@ fn a_plate_has_the_same_loads_in_c3d_whichever_way_its_axes_point() {
     }
 }
 
+/// The same of a plate of type 3, whose sensors change places when its axes are turned, and of type 1, which has no origin.
+/// Expected by hand: force, moment about the centre and centre of pressure in the plate's own axes, for sensors `z` mm from
+/// the surface.
+#[test]
+fn plates_of_types_1_and_3_have_the_same_loads_in_c3d_whichever_way_their_axes_point() {
+    let (x, y) = (300.0, 200.0);
+    let up = [[x, y, 5.0], [-x, y, 5.0], [-x, -y, 5.0], [x, -y, 5.0]];
+    let down = [[x, -y, 5.0], [-x, -y, 5.0], [-x, y, 5.0], [x, y, 5.0]];
+    let units = ["N", "N", "N", "mm", "mm", "N m"].map(|unit| ("", unit));
+    // Twice the values, for the scale of a half.
+    let of_centre = [400.0_f32, -60.0, 1400.0, 80.0, -50.0, 6.0];
+    let at_sensors = [300.0_f32, 100.0, -20.0, -40.0, 600.0, 200.0, 300.0, 300.0];
+    for (corners_mm, sign) in [(up, 1.0), (down, -1.0)] {
+        for z in [50.0, 0.0, -50.0] {
+            for code in [1, 3] {
+                let names: Vec<(String, &str)> = match code {
+                    1 => (0..6).map(|i| (format!("c{i}"), units[i].1)).collect(),
+                    _ => (0..8).map(|i| (format!("c{i}"), "N")).collect(),
+                };
+                let channels: Vec<(&str, &str)> =
+                    names.iter().map(|(name, unit)| (&name[..], *unit)).collect();
+                let origin_mm = if code == 1 { [0.0, 0.0, z] } else { [120.0, 80.0, z] };
+                let plate = StatedPlate {
+                    number: 1,
+                    code,
+                    group: 0,
+                    channels: (0..channels.len()).collect(),
+                    corners_mm,
+                    origin_mm,
+                };
+                let value = |_| if code == 1 { of_centre.to_vec() } else { at_sensors.to_vec() };
+                let take = take(&even_rows(100), &channels, &[plate], half_seconds(value));
+                let mut frames = open(take);
+                let (of_take, _) = rows(frames.info(), SampledKind::ForcePlates(None));
+                let (read, remarks) = c3d(&mut frames);
+                assert_eq!(remarks, Vec::<String>::new());
+                let (of_file, _) = rows(&read, SampledKind::ForcePlates(None));
+                // Type 1: the centre is given, with y fz, -x fz, and x fy - y fx + 3 N m. Type 3: 0.08 m x 100 N and
+                // 0.12 m x -200 N, with -30 N and 200 N at the distance of the sensors; 0.08 m x -100 N + 0.12 m x 10 N.
+                let [mx, my, mz] = match code {
+                    1 => [-17.5, -28.0, 6.8],
+                    _ => [8.0 - 0.03 * z, -24.0 - 0.2 * z, -6.8],
+                };
+                let (cop_x, cop_y) = (-my / 0.7, mx / 0.7);
+                let expected = [
+                    [200.0, sign * -30.0, sign * 700.0],
+                    [mx, sign * my, sign * mz],
+                    [cop_x, sign * cop_y, 5.0],
+                ];
+                for (found, expected) in of_take[500].iter().zip(expected.as_flattened()) {
+                    assert!((f64::from(*found) - expected).abs() < 1e-3, "{code} {z}: {found}");
+                }
+                assert!(of_take[500].len() >= 9);
+                for (found, expected) in of_file[500].iter().zip(&of_take[500]) {
+                    let close = 1e-4 * expected.abs().max(1.0);
+                    assert!((found - expected).abs() <= close, "{code} {z}: {found} {expected}");
+                }
+                assert_eq!(of_file[500].len(), of_take[500].len());
+            }
+        }
+    }
+}
+
 #[test]
 fn a_channel_that_is_no_number_does_not_cost_the_others() {
     let value = |number: u64| vec![number as f32, f32::NAN];

@@ -50,6 +50,7 @@ fn bits(pose: Option<&Pose>) -> (PoseState, Vec<u32>) {
         PoseStatus::Tracked => (PoseState::Tracked, numbers.map(|x| x.to_bits()).collect()),
         PoseStatus::Lost => (PoseState::Lost, Vec::new()),
         PoseStatus::Rejected => (PoseState::Rejected, Vec::new()),
+        PoseStatus::Other(_) => (PoseState::Other, Vec::new()),
     }
 }
 

@@ -5,7 +5,7 @@ use std::{collections::VecDeque, io::Write, time::Instant};
 
 use mocapd_take::{
     TakeError, TakeWriter,
-    record::{GroupLedger, SampleLedger, SampledGroup},
+    record::{GroupLedger, MeasuredErrors, SampleLedger, SampledGroup},
     sampled::{SampleAnchor, SampleContent, SampleSpan},
     timeline::LossCauses,
 };
@@ -164,11 +164,13 @@ impl TakeSamples {
         take: &mut TakeWriter<W>,
     ) -> Result<Self, TakeError> {
         groups.iter().try_for_each(|group| take.sampled_group(group))?;
-        let ledger = |group| GroupLedger { group, ..GroupLedger::default() };
-        let of_take = |group: &SampledGroup| TakeGroup {
-            ledger: ledger(group.number),
-            ..TakeGroup::default()
+        let ledger = |group: &SampledGroup| GroupLedger {
+            group: group.number,
+            errors: group.pose_bounds().map(|_| MeasuredErrors::default()),
+            ..GroupLedger::default()
         };
+        let of_take =
+            |group: &SampledGroup| TakeGroup { ledger: ledger(group), ..TakeGroup::default() };
         Ok(Self { groups: groups.iter().map(of_take).collect() })
     }
 
@@ -205,7 +207,9 @@ impl TakeSamples {
         match &part.content {
             PartContent::Block { key, time, errors, block, .. } => {
                 group.ledger.stored += n;
-                group.ledger.errors.add(errors);
+                if let Some(largest) = &mut group.ledger.errors {
+                    largest.add(errors);
+                }
                 let anchor = SampleAnchor {
                     number: first,
                     run_start: time.run_start.saturating_sub(base),

@@ -438,7 +438,10 @@ fn in_file_units(
         (PlateType::Type1, 3 | 4) => ("mm", known),
         _ => ("Nmm", known * 1000.0),
     };
-    let is_along_x = matches!(place, 0 | 3);
+    let is_along_x = match kind {
+        PlateType::Type3 => place < 2,
+        _ => matches!(place, 0 | 3),
+    };
     (name, if is_turned && !is_along_x { -factor } else { factor })
 }
 
@@ -446,7 +449,24 @@ fn in_file_units(
 /// reverse one that is. The axes are turned about x by half a turn, so that z points the other way.
 fn turned(plate: &RecordedPlate) -> Option<([[f64; 3]; 4], [f64; 3])> {
     let ([a, b, c, d], [x, y, z]) = (plate.geometry.corners_mm(), plate.geometry.origin_mm());
-    (plate.kind == PlateType::Type2 && z > 0.0).then_some(([d, c, b, a], [x, -y, -z]))
+    let origin_mm = match plate.kind {
+        PlateType::Type2 => [x, -y, -z],
+        // x and y are distances.
+        PlateType::Type3 => [x, y, -z],
+        PlateType::Type1 | PlateType::Type4 => return None,
+    };
+    (z > 0.0).then_some(([d, c, b, a], origin_mm))
+}
+
+/// The channels of a plate in the order of its axes in the file. When a plate of type 3 is turned, the sensors 1 and 4, and
+/// 2 and 3, change places.
+fn in_file_order(plate: &RecordedPlate, channels: &[usize]) -> Vec<usize> {
+    match (plate.kind, turned(plate), channels) {
+        (PlateType::Type3, Some(_), &[fx12, fx34, fy14, fy23, fz1, fz2, fz3, fz4]) => {
+            vec![fx34, fx12, fy14, fy23, fz4, fz3, fz2, fz1]
+        }
+        _ => channels.to_vec(),
+    }
 }
 
 /// Sets the `FORCE_PLATFORM` group, with the indices of each plate's analog channels.
@@ -467,9 +487,10 @@ fn set_plates(parameters: &mut Parameters, plates: &[(&RecordedPlate, Vec<usize>
         (corners.into_iter().flatten().flatten(), origins.into_iter().flatten());
 
     let n_channels = plates.iter().map(|(_, channels)| channels.len()).max().unwrap_or(6);
-    let channels = plates.iter().flat_map(|(_, channels)| {
+    let channels = plates.iter().flat_map(|(plate, channels)| {
         // Numbers count from 1; 0 is none.
-        let numbers = channels.iter().map(|channel| channel + 1).chain(std::iter::repeat(0));
+        let channels = in_file_order(plate, channels).into_iter();
+        let numbers = channels.map(|channel| channel + 1).chain(std::iter::repeat(0));
         numbers.take(n_channels).collect::<Vec<_>>()
     });
     let types = plates.iter().map(|(plate, _)| usize::from(plate.kind.code()));
