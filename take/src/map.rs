@@ -16,7 +16,9 @@ use crate::{
     damage::{LostRows, Problem, push_problem},
     foreign::ForeignPart,
     index::IndexEntry,
-    record::{Channel, ClockLine, Event, Header, Ledger, SampleLedger, Subject, TakeEnding},
+    record::{
+        Channel, ClockLine, Event, Header, Ledger, RecordedPlate, SampleLedger, Subject, TakeEnding,
+    },
     sampled::{GroupSamples, SampledPart, is_recorded},
     statistics::TakeStatistics,
 };
@@ -104,6 +106,22 @@ impl TakeMap {
     /// The groups of scalar channels of a recording.
     pub fn recorded_groups(&self) -> impl Iterator<Item = &GroupSamples> {
         self.sample_groups().filter(|group| !group.group.has_poses())
+    }
+
+    /// The force plates of a recording that can be used, and why others cannot, one sentence each.
+    #[must_use]
+    pub fn force_plates(&self) -> (Vec<RecordedPlate>, Vec<String>) {
+        let (plates, mut warnings) = self.header.force_plates();
+        let has_channels = |plate: &RecordedPlate| {
+            let group = self.recorded_groups().find(|of| of.group.number == plate.group);
+            let n_channels = group.map_or(0, |of| of.group.channels.len());
+            plate.channels.iter().all(|&channel| channel < n_channels)
+        };
+        let (plates, others): (Vec<_>, Vec<_>) = plates.into_iter().partition(has_channels);
+        warnings.extend(others.iter().map(|plate| {
+            format!("Force plate {} has channels that the take does not have.", plate.number)
+        }));
+        (plates, warnings)
     }
 
     /// All groups of sampled channels of a recording: scalar ones, and those of poses.

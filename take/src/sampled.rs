@@ -9,6 +9,7 @@ mod resample;
 mod row_clock;
 #[cfg(test)]
 mod tests;
+mod time_line;
 mod times;
 
 pub(crate) use self::encoder::PartContext;
@@ -17,8 +18,9 @@ pub(crate) use self::resample::{FILTER, Resampler, reach};
 pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},
-    recording::{ReadSeek, RecordedSamples, Recording, RecordingClock, SampleBlock},
+    recording::{ReadSeek, RecordedSamples, Recording, SampleBlock},
     row_clock::RowClock,
+    time_line::{PlaceIndex, RecordingClock, SampleTimeLine},
     times::{SampleAnchor, SampleClock, SampleTime, SampleTimes},
 };
 

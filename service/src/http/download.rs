@@ -166,14 +166,19 @@ fn write(
     client_alive: Weak<()>,
     stopping: watch::Receiver<bool>,
 ) -> Result<(), Problem> {
-    let input = CancellableReader { input: SparseFile::of(file), client_alive, stopping };
+    let again = file.try_clone().map_err(|error| unreadable(&error))?;
+    let reader = |file: File| {
+        let (client_alive, stopping) = (client_alive.clone(), stopping.clone());
+        BufReader::new(CancellableReader { input: SparseFile::of(file), client_alive, stopping })
+    };
     // A CSV file has the markers alone: what would be beside it is not read.
     let is_restored = |kind: &str| format == Format::C3d && format.restores(kind);
-    let mut frames = TakeFrames::open_with(BufReader::new(input), is_restored, files::scratch)
-        .map_err(|error| match error {
-            TakeError::Io(error) => unreadable(&error),
-            error => refused(name, &error.to_string()),
-        })?;
+    let mut frames = TakeFrames::open_with(reader(file), is_restored, files::scratch)
+        .map_err(|error| not_read(name, error))?;
+    if format == Format::C3d {
+        // As `mocapd export` does.
+        frames.open_recording(reader(again), false).map_err(|error| not_read(name, error))?;
+    }
     let left_out = frames.problems().iter().find(|problem| {
         matches!(problem, Damage::ForeignTooLong { .. } | Damage::PartUnreadable { .. })
     });
@@ -186,6 +191,13 @@ fn write(
         InterchangeError::Io(error) => unreadable(&error),
         error => refused(name, &error.to_string()),
     })
+}
+
+fn not_read(name: &str, error: TakeError) -> Problem {
+    match error {
+        TakeError::Io(error) => unreadable(&error),
+        error => refused(name, &error.to_string()),
+    }
 }
 
 fn refused(name: &str, reason: &str) -> Problem {

@@ -400,6 +400,10 @@ const KEPT_MAX: usize = 4;
 /// key stretch per second has as many.
 const MAP_ENTRIES_MAX: usize = 1 << 18;
 
+/// Maximum number of entries of a take's forces that is kept, some ten of each second: a day, in at most 32 MiB. Without them
+/// each window would read the times of the whole take.
+const FORCES_ENTRIES_MAX: usize = 1 << 20;
+
 /// What was found in some takes, by their entity tags, which change with the files; the last one first.
 #[derive(Debug)]
 struct LastUsed<T>(Mutex<VecDeque<(String, Arc<T>)>>);
@@ -454,7 +458,7 @@ impl KnownMaps {
             return Ok(known);
         }
         let forces = Arc::new(TakeForces::open(input)?);
-        self.forces.put(tag.filter(|_| forces.n_entries() <= MAP_ENTRIES_MAX), &forces);
+        self.forces.put(tag.filter(|_| forces.n_entries() <= FORCES_ENTRIES_MAX), &forces);
         Ok(forces)
     }
 }

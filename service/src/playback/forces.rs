@@ -1,7 +1,7 @@
 //! The forces of a take for a player: its force plates, and windows of their loads.
 //!
-//! A take that was imported from a C3D file has the parameters of its plates, and so their places. A recording has channels
-//! that are named as those of force plates; devices do not state where the plates are, so there are forces without a place.
+//! The plates are those of the parameters of an imported C3D file, or those that a recording states. The samples of a recording
+//! have the places among its frames that exports give them.
 
 use std::{
     io::{Read, Seek},
@@ -10,24 +10,21 @@ use std::{
 
 use mocapd_acquire::files;
 use mocapd_take::{
-    TakeError, TakeFrames, TakeMap, TakeTraversal,
+    TakeError, TakeFrames, TakeMap,
     foreign::{
         analog::AnalogChannel,
         force_plates::{ForcePlate, ForcePlates},
     },
+    interchange::plates_of_group,
     motion::{FrameSource, MotionInfo},
-    sampled::GroupSamples,
-    traversal::Decode,
+    sampled::{GroupSamples, PlaceIndex, SampleTimeLine},
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{
-    plate_names::{PlateColumns, named_plates},
-    window::{
-        DAMAGED, EVERY_MAX, HEADER_BYTES, SHORTENED, WINDOW_BYTES_MAX, WindowError, WindowRequest,
-        put_header, rows_of,
-    },
+use super::window::{
+    DAMAGED, EVERY_MAX, HEADER_BYTES, SHORTENED, WINDOW_BYTES_MAX, WindowError, WindowRequest,
+    put_header, rows_of,
 };
 
 /// The signature of a window of forces: "mocapd forces", version 1.
@@ -70,33 +67,22 @@ pub struct PlateList {
 pub struct PlateOverview {
     /// Its name, such as `1`.
     pub name: String,
-    /// Its corners in millimetres, in the axes of the markers; null if the take does not state where it is: then there is no
-    /// centre of pressure either.
-    pub corners_mm: Option<[[f64; 3]; 4]>,
+    /// Its corners in millimetres, in the axes of the markers.
+    pub corners_mm: [[f64; 3]; 4],
 }
 
-/// Where the values of a plate come from.
+/// A plate, and where the values of its channels come from.
 #[derive(Debug, Clone)]
 struct Plate {
-    name: String,
-    /// By quantity, its column: six, or up to eight of a plate of a file.
+    /// By quantity, its column: six, or up to eight.
     columns: Vec<Column>,
-    load: LoadOf,
-}
-
-/// How values become a load.
-#[derive(Debug, Clone)]
-enum LoadOf {
-    /// A plate of a C3D file.
-    File(Box<ForcePlate>),
-    /// A plate of a recording: three forces and, if there are any, three moments, in N and N m.
-    Recording,
+    plate: ForcePlate,
 }
 
 /// A channel of a group of sampled channels.
 #[derive(Debug, Clone, Copy)]
 struct Column {
-    /// The index of the group in [`TakeForces::groups`].
+    /// The index of the group.
     group: usize,
     /// The channel in the group.
     channel: usize,
@@ -104,15 +90,32 @@ struct Column {
     offset: f64,
 }
 
+/// The samples of the plates.
+#[derive(Debug, Clone)]
+enum PlateSamples {
+    /// Those of an imported file: samples in a frame, and the sample of the first frame.
+    File { groups: Vec<GroupSamples>, per_frame: u64, first: i128 },
+    /// Those of a recording, with an index by group that has plates.
+    Recording { line: Box<SampleTimeLine>, indices: Vec<Option<PlaceIndex>> },
+}
+
+/// Samples one after another of a frame of a window.
+#[derive(Debug, Clone)]
+struct FramePiece {
+    /// The frame in the window.
+    frame: usize,
+    numbers: Range<u64>,
+    /// Whether its first sample is the load of the frame.
+    begins: bool,
+}
+
 /// The force plates of a take, and where their samples are.
 #[derive(Debug, Clone)]
 pub struct TakeForces {
     map: TakeMap,
-    groups: Vec<GroupSamples>,
+    samples: PlateSamples,
     plates: Vec<Plate>,
     unusable: Vec<String>,
-    /// Samples in a frame, and the sample of the first; `None` in a recording, whose samples have times.
-    per_frame: Option<(u64, i128)>,
     /// The vertical axis.
     up: usize,
 }
@@ -129,29 +132,27 @@ pub struct ForceWindow {
 }
 
 impl TakeForces {
-    /// Reads the take for its plates, without decoding anything.
+    /// Reads the take for its plates, without decoding anything but times.
     ///
     /// # Errors
     /// Those of the reader.
-    pub fn open(input: impl Read + Seek) -> Result<Self, TakeError> {
-        let frames = TakeFrames::open_with(input, |kind| kind == PARAMETERS, files::scratch)?;
+    pub fn open(mut input: impl Read + Seek) -> Result<Self, TakeError> {
+        let frames = TakeFrames::open_with(&mut input, |kind| kind == PARAMETERS, files::scratch)?;
         let map = frames.map().clone();
         let up = frames.info().up.index().unwrap_or(2);
-        let mut forces = Self {
-            groups: Vec::new(),
-            plates: Vec::new(),
-            unusable: Vec::new(),
-            per_frame: None,
-            up,
-            map,
-        };
+        let samples = PlateSamples::File { groups: Vec::new(), per_frame: 1, first: 0 };
+        let (plates, unusable) = (Vec::new(), Vec::new());
+        let mut forces = Self { map, samples, plates, unusable, up };
         forces.add_plates_of_file(frames.info())?;
+        drop(frames);
         if forces.plates.is_empty() {
-            forces.add_plates_of_recording();
+            forces.add_plates_of_recording(input)?;
         }
         let others = forces.plates.iter().skip(PLATES_MAX);
         let others: Vec<String> = others
-            .map(|plate| format!("{}: a player shows {PLATES_MAX} plates", plate.name))
+            .map(|Plate { plate, .. }| {
+                format!("{}: a player shows {PLATES_MAX} plates", plate.number)
+            })
             .collect();
         forces.unusable.extend(others);
         forces.plates.truncate(PLATES_MAX);
@@ -177,56 +178,53 @@ impl TakeForces {
             return Ok(());
         }
         let before = i128::from(info.source.first_frame) - i128::from(first.first_frame);
-        self.per_frame = Some((ratio, before * i128::from(ratio)));
+        let first_sample = before * i128::from(ratio);
         for plate in found.plates {
             let column = |index: &usize| column_of(&groups, &channels, *index);
             let Some(columns) = plate.channels.iter().map(column).collect() else { continue };
-            let (name, load) = (plate.number.to_string(), LoadOf::File(Box::new(plate)));
-            self.plates.push(Plate { name, columns, load });
+            self.plates.push(Plate { columns, plate });
         }
-        self.groups = groups;
+        self.samples = PlateSamples::File { groups, per_frame: ratio, first: first_sample };
         Ok(())
     }
 
-    fn add_plates_of_recording(&mut self) {
-        let groups: Vec<GroupSamples> = self.map.recorded_groups().cloned().collect();
-        for (group, of) in groups.iter().enumerate() {
-            let ticks = of.anchors().iter().map(|anchor| anchor.device_ticks);
-            let first = of.anchors().first().map_or(0, |anchor| anchor.device_ticks);
-            let is_ascending =
-                ticks.is_sorted_by_key(|ticks| ticks.wrapping_sub(first).cast_signed());
-            let channels = &of.group.channels;
-            if !is_ascending {
-                let names = named_plates(channels).into_iter().map(|plate| plate.name);
-                self.unusable.extend(
-                    names.map(|name| {
-                        format!("{name}: the device's clock began again during the take")
-                    }),
-                );
-                continue;
-            }
-            for PlateColumns { name, columns } in named_plates(channels) {
-                let column = |(channel, factor): &(usize, f64)| {
-                    let of = channels.get(*channel);
-                    let (scale, offset) = of.map_or((0.0, 0.0), |of| (of.scale, of.offset));
-                    Column { group, channel: *channel, scale: scale * factor, offset }
+    fn add_plates_of_recording(&mut self, input: impl Read + Seek) -> Result<(), TakeError> {
+        let (plates, unusable) = self.map.force_plates();
+        self.unusable.extend(unusable);
+        if plates.is_empty() {
+            return Ok(());
+        }
+        let line = SampleTimeLine::read(input, &self.map)?;
+        let mut indices = Vec::new();
+        for (group, of) in line.groups().iter().enumerate() {
+            let found = plates_of_group(&plates, &of.group);
+            indices.push(if found.is_empty() { None } else { line.index(group) });
+            for plate in found {
+                let column = |channel: &usize| {
+                    let of = of.group.channels.get(*channel)?;
+                    Some(Column { group, channel: *channel, scale: of.scale, offset: of.offset })
                 };
-                let columns = columns.iter().map(column).collect();
-                self.plates.push(Plate { name, columns, load: LoadOf::Recording });
+                let Some(columns) = plate.channels.iter().map(column).collect() else { continue };
+                self.plates.push(Plate { columns, plate });
             }
         }
-        (self.groups, self.per_frame) = (groups, None);
+        self.samples = PlateSamples::Recording { line: Box::new(line), indices };
+        Ok(())
+    }
+
+    fn groups(&self) -> &[GroupSamples] {
+        match &self.samples {
+            PlateSamples::File { groups, .. } => groups,
+            PlateSamples::Recording { line, .. } => line.groups(),
+        }
     }
 
     /// The plates.
     #[must_use]
     pub fn list(&self) -> PlateList {
-        let overview = |plate: &Plate| PlateOverview {
-            name: plate.name.clone(),
-            corners_mm: match &plate.load {
-                LoadOf::File(plate) => Some(plate.geometry.corners_mm()),
-                LoadOf::Recording => None,
-            },
+        let overview = |Plate { plate, .. }: &Plate| PlateOverview {
+            name: plate.number.to_string(),
+            corners_mm: plate.geometry.corners_mm(),
         };
         PlateList {
             plates: self.plates.iter().map(overview).collect(),
@@ -235,11 +233,17 @@ impl TakeForces {
         }
     }
 
-    /// Entries that it holds in memory: key stretches, channels, and blocks of samples.
+    /// Entries that it holds in memory: key stretches, channels, blocks of samples, and times.
     #[must_use]
     pub fn n_entries(&self) -> usize {
-        let blocks = self.groups.iter().map(|of| of.anchors().len().max(of.n_chunks()));
-        self.map.keys.len() + self.map.channels.len() + blocks.sum::<usize>()
+        let of_samples = match &self.samples {
+            PlateSamples::File { groups, .. } => groups.iter().map(GroupSamples::n_chunks).sum(),
+            PlateSamples::Recording { line, indices } => {
+                let of_indices = indices.iter().flatten().map(PlaceIndex::n_entries);
+                line.n_entries() + of_indices.sum::<usize>()
+            }
+        };
+        self.map.keys.len() + self.map.channels.len() + of_samples
     }
 
     fn frames_max(&self) -> u64 {
@@ -249,10 +253,12 @@ impl TakeForces {
     /// Values of all plates in a frame.
     fn values_per_frame(&self) -> f64 {
         let of_plate = |plate: &Plate| {
-            let group = plate.columns.first().and_then(|column| self.groups.get(column.group));
-            let samples = match self.per_frame {
-                Some((ratio, _)) => ratio as f64,
-                None => group.map_or(0.0, |of| of.group.rate_hz) / self.map.header.rate_hz,
+            let group = plate.columns.first().and_then(|column| self.groups().get(column.group));
+            let samples = match &self.samples {
+                PlateSamples::File { per_frame, .. } => *per_frame as f64,
+                PlateSamples::Recording { .. } => {
+                    group.map_or(0.0, |of| of.group.rate_hz) / self.map.header.rate_hz
+                }
             };
             samples.max(1.0) * plate.columns.len() as f64
         };
@@ -287,65 +293,97 @@ impl TakeForces {
             loads: vec![[f32::NAN; LOAD_VALUES]; n_frames * self.plates.len()],
         };
         let rows = rows.start..end;
-        let ticks = match self.per_frame {
-            None if !self.plates.is_empty() => row_ticks(input, &self.map, &rows)?,
-            _ => Vec::new(),
-        };
+        let mut work_left = COLUMN_VALUES_MAX as u64;
+        // The plates of a recording follow each other by group.
+        let (mut of_group, mut pieces) = (None, Vec::new());
         for (place, plate) in self.plates.iter().enumerate() {
-            let frames = self.sample_ranges(plate, &rows, every, &ticks);
-            self.read_plate(input, (place, plate), &frames, &mut window)?;
+            let group = plate.columns.first().map(|column| column.group);
+            if of_group.is_none() || of_group != group {
+                pieces = self.pieces(plate, &rows, every, (&mut window.flags, &mut work_left))?;
+                of_group = group;
+            }
+            let n: u64 = pieces.iter().map(|piece| piece.numbers.end - piece.numbers.start).sum();
+            let values = n.saturating_mul(plate.columns.len() as u64);
+            work_left = work_left.checked_sub(values).ok_or(WindowError::TooMuchWork)?;
+            self.read_plate(input, (place, plate), &pieces, &mut window)?;
         }
         Ok(window)
     }
 
-    /// By frame that a window has, the numbers of the samples up to the next one; `None` where it is unknown when they were
-    /// taken, or none were.
-    fn sample_ranges(
+    /// The samples of a plate in the frames of a window, in ascending order.
+    fn pieces(
         &self,
         plate: &Plate,
         rows: &Range<u64>,
         every: u64,
-        ticks: &[(u64, u64)],
-    ) -> Vec<Option<Range<u64>>> {
-        let columns = plate.columns.iter();
-        let groups = columns.filter_map(|column| self.groups.get(column.group));
-        let Some(group) = groups.min_by_key(|group| group.n_samples()) else { return Vec::new() };
-        let n_samples = group.n_samples();
-        let clock = FrameClock::new(self, group, ticks);
-        let starts = (rows.start..rows.end).step_by(every as usize);
-        let range = |row: u64| {
-            let from = clock.number(row)?;
-            let to = clock.number(row.saturating_add(every).min(rows.end))?.min(n_samples);
-            (from < to).then_some(from..to)
-        };
-        starts.map(range).collect()
+        (flags, work_left): (&mut u32, &mut u64),
+    ) -> Result<Vec<FramePiece>, WindowError> {
+        let group = plate.columns.first().map_or(0, |column| column.group);
+        let mut pieces: Vec<FramePiece> = Vec::new();
+        match &self.samples {
+            PlateSamples::File { groups, per_frame, first } => {
+                let n_samples = groups.iter().map(GroupSamples::n_samples).min().unwrap_or(0);
+                let number = |row: u64| i128::from(row) * i128::from(*per_frame) + first;
+                // Before the first sample there is none, and behind the last.
+                let stored = |number: i128| number.clamp(0, n_samples.into()) as u64;
+                for (frame, row) in (rows.start..rows.end).step_by(every as usize).enumerate() {
+                    let end = row.saturating_add(every).min(rows.end);
+                    let numbers = stored(number(row))..stored(number(end));
+                    let begins = number(row) >= 0;
+                    pieces.extend((!numbers.is_empty()).then_some(FramePiece {
+                        frame,
+                        numbers,
+                        begins,
+                    }));
+                }
+            }
+            PlateSamples::Recording { line, indices } => {
+                let index = indices.get(group).and_then(Option::as_ref);
+                let Some((index, clock)) = index.zip(line.clock(group)) else { return Ok(pieces) };
+                let mut is_too_much = false;
+                let has_lost = index.in_rows(clock, rows, |number, row| {
+                    is_too_much = *work_left == 0;
+                    *work_left = work_left.saturating_sub(1);
+                    if let Some(row) = row {
+                        put_sample(&mut pieces, (number, row - rows.start), every);
+                    }
+                    !is_too_much
+                });
+                if is_too_much {
+                    return Err(WindowError::TooMuchWork);
+                }
+                *flags |= if has_lost { DAMAGED } else { 0 };
+            }
+        }
+        Ok(pieces)
     }
 
-    /// Reads the samples of a plate in these frames, some at a time, and states its loads.
+    /// Reads the samples of a plate, some at a time, and states its loads.
     fn read_plate(
         &self,
         input: &mut (impl Read + Seek),
         (place, plate): (usize, &Plate),
-        frames: &[Option<Range<u64>>],
+        pieces: &[FramePiece],
         window: &mut ForceWindow,
     ) -> Result<(), TakeError> {
-        let piece = PIECE_VALUES / plate.columns.len().max(1) as u64;
+        let n_max = PIECE_VALUES / plate.columns.len().max(1) as u64;
         let (mut values, mut held, mut sample) = (Vec::new(), 0..0, Vec::new());
-        let last = frames.iter().flatten().map(|range| range.end).max().unwrap_or(0);
-        for (frame, range) in frames.iter().enumerate() {
-            let Some(range) = range else { continue };
-            let n_plates = self.plates.len();
-            let Some(load) = window.loads.get_mut(frame * n_plates + place) else { continue };
-            for number in range.clone() {
+        for (i, piece) in pieces.iter().enumerate() {
+            let at = piece.frame * self.plates.len() + place;
+            for number in piece.numbers.clone() {
                 if !held.contains(&number) {
-                    held = number..number.saturating_add(piece).min(last);
+                    let end = end_of_run(pieces.get(i..).unwrap_or_default(), number + n_max);
+                    held = number..end;
                     values = self.read_values(input, plate, &held, &mut window.flags)?;
                 }
                 let n = (held.end - held.start) as usize;
-                let at = (number - held.start) as usize;
+                let within = (number - held.start) as usize;
                 sample.clear();
-                sample.extend(values.iter().skip(at).step_by(n.max(1)).copied());
-                self.add_sample(plate, &sample, number == range.start, load);
+                sample.extend(values.iter().skip(within).step_by(n.max(1)).copied());
+                let is_first = piece.begins && number == piece.numbers.start;
+                if let Some(load) = window.loads.get_mut(at) {
+                    self.add_sample(plate, &sample, is_first, load);
+                }
             }
         }
         Ok(())
@@ -361,7 +399,7 @@ impl TakeForces {
     ) -> Result<Vec<f64>, TakeError> {
         let n = (numbers.end - numbers.start) as usize;
         let mut values = vec![f64::NAN; n * plate.columns.len()];
-        for (index, group) in self.groups.iter().enumerate() {
+        for (index, group) in self.groups().iter().enumerate() {
             let columns = plate.columns.iter().enumerate();
             let of_group: Vec<_> = columns.filter(|(_, column)| column.group == index).collect();
             if of_group.is_empty() {
@@ -398,23 +436,13 @@ impl TakeForces {
         is_first: bool,
         load: &mut [f32; LOAD_VALUES],
     ) {
-        let nothing = [f64::NAN; 3];
-        let (force, cop, free_moment, up) = match &plate.load {
-            LoadOf::File(plate) => {
-                let load = plate.load(sample);
-                let normal = plate.geometry.axes()[2];
-                let along = load.free_moment_nm.iter().zip(normal).map(|(m, z)| m * z).sum();
-                (load.force_n, load.cop_mm, along, load.force_n[self.up])
-            }
-            // As the device sent them, in the plate's own axes.
-            LoadOf::Recording => match sample {
-                &[x, y, z, ..] => ([x, y, z], nothing, f64::NAN, z),
-                _ => (nothing, nothing, f64::NAN, f64::NAN),
-            },
-        };
+        let found = plate.plate.load(sample);
+        let normal = plate.plate.geometry.axes()[2];
+        let free_moment = found.free_moment_nm.iter().zip(normal).map(|(m, z)| m * z).sum();
+        let up = found.force_n[self.up];
         if is_first {
-            let [fx, fy, fz] = force;
-            let [cx, cy, cz] = cop;
+            let [fx, fy, fz] = found.force_n;
+            let [cx, cy, cz] = found.cop_mm;
             let values = [fx, fy, fz, cx, cy, cz, free_moment, up, up];
             *load = values.map(|value: f64| value as f32);
         }
@@ -423,56 +451,29 @@ impl TakeForces {
     }
 }
 
-/// When the samples of a group were taken, by the frames of the take.
-struct FrameClock<'a> {
-    forces: &'a TakeForces,
-    group: &'a GroupSamples,
-    /// The recorded rows around, with their times.
-    ticks: &'a [(u64, u64)],
-    tick_hz: f64,
-    ticks_each: f64,
-}
-
-/// A frame that was not recorded has the time that it was due, if one was recorded within this time of it.
-const NEAR_S: f64 = 0.5;
-
-impl<'a> FrameClock<'a> {
-    fn new(forces: &'a TakeForces, group: &'a GroupSamples, ticks: &'a [(u64, u64)]) -> Self {
-        let header = &forces.map.header;
-        let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz.max(1)) as f64;
-        Self { forces, group, ticks, tick_hz, ticks_each: tick_hz / header.rate_hz }
-    }
-
-    /// The number of the first sample that was taken with a frame or after it.
-    fn number(&self, row: u64) -> Option<u64> {
-        if let Some((ratio, first)) = self.forces.per_frame {
-            let number = i128::from(row) * i128::from(ratio) + first;
-            return u64::try_from(number).ok();
+/// Adds a sample of a row of a window to its frames.
+fn put_sample(pieces: &mut Vec<FramePiece>, (number, row): (u64, u64), every: u64) {
+    let frame = (row / every) as usize;
+    match pieces.last_mut() {
+        Some(last) if last.frame == frame && last.numbers.end == number => last.numbers.end += 1,
+        last => {
+            let begins = row % every == 0 && last.is_none_or(|last| last.frame != frame);
+            pieces.push(FramePiece { frame, numbers: number..number + 1, begins });
         }
-        let after = self.ticks.partition_point(|(known, _)| *known <= row);
-        let nearest = self.ticks.get(after.saturating_sub(1))?;
-        let by = row as f64 - nearest.0 as f64;
-        if by.abs() > NEAR_S * self.forces.map.header.rate_hz + 1.0 {
-            return None;
-        }
-        let ticks = nearest.1.wrapping_add_signed((by * self.ticks_each).round() as i64);
-        let since = |from: u64| ticks.wrapping_sub(from).cast_signed();
-        // They ascend: those of a clock that began again have no forces.
-        let anchors = self.group.anchors();
-        let after = anchors.partition_point(|anchor| since(anchor.device_ticks) >= 0);
-        let anchor = anchors.get(after.saturating_sub(1))?;
-        let by = since(anchor.device_ticks) as f64 / self.tick_hz * self.group.group.rate_hz;
-        // The times of samples are stated to a tick.
-        let number = (anchor.number as f64 + by - TICK_SAMPLES).ceil();
-        let is_in_run = number >= anchor.run_start as f64;
-        let next = anchors.get(after).filter(|next| next.run_start != anchor.run_start);
-        let is_before = next.is_none_or(|next| number <= next.run_start as f64);
-        (is_in_run && is_before).then_some(number as u64)
     }
 }
 
-/// Samples by which a time may miss that of a sample.
-const TICK_SAMPLES: f64 = 0.05;
+/// The end of the samples that follow each other from the first piece on, at most `end_max`.
+fn end_of_run(pieces: &[FramePiece], end_max: u64) -> u64 {
+    let mut end = pieces.first().map_or(end_max, |first| first.numbers.end);
+    for next in pieces.iter().skip(1) {
+        if next.numbers.start != end || end >= end_max {
+            break;
+        }
+        end = next.numbers.end;
+    }
+    end.min(end_max)
+}
 
 /// The channel of a part of an imported file, by its index.
 fn column_of(groups: &[GroupSamples], channels: &[AnalogChannel], index: usize) -> Option<Column> {
@@ -483,23 +484,6 @@ fn column_of(groups: &[GroupSamples], channels: &[AnalogChannel], index: usize) 
     })?;
     let in_group = index - of.group.first_channel as usize;
     Some(Column { group, channel: in_group, scale: channel.scale, offset: channel.offset })
-}
-
-/// The times of the recorded rows among these, in ticks of the device's clock.
-fn row_ticks(
-    input: &mut (impl Read + Seek),
-    map: &TakeMap,
-    rows: &Range<u64>,
-) -> Result<Vec<(u64, u64)>, TakeError> {
-    let mut found = Vec::new();
-    let mut take = TakeTraversal::from_map(input, map, Decode::Groups(Vec::new()))?;
-    take.read_rows(rows, |take, part, _| {
-        let Some(timeline) = take.timeline() else { return Ok(()) };
-        let times = timeline.recorded().filter(|(row, _)| part.contains(row));
-        found.extend(times.map(|(row, time)| (row, time.device_ticks)));
-        Ok(())
-    })?;
-    Ok(found)
 }
 
 impl ForceWindow {

@@ -9,7 +9,6 @@ mod face;
 mod forces;
 mod gaps;
 mod overview;
-mod plate_names;
 mod window;
 
 use std::io::{Read, Seek};

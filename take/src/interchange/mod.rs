@@ -54,7 +54,7 @@ mod zip;
 
 pub use csv::quote as csv_cell;
 pub use motion_reader::{MotionReader, ReaderSettings};
-pub use recorded_rows::recorded_plates;
+pub use recorded_rows::{plates_of_group, recorded_plates};
 pub use rotated::RotatedFrames;
 pub use rotation::Direction;
 pub use sampled_table::{SampledColumn, SampledKind, SampledTable, TableRowTime};

@@ -7,7 +7,7 @@ use crate::{
     foreign::force_plates::{ForcePlate, PlateLoad},
     interchange::c3d::{AnalogChannel, factor_of_unit},
     motion::MotionInfo,
-    record::{RecordedPlate, SampledChannel},
+    record::{RecordedPlate, SampledChannel, SampledGroup},
     sampled::{GroupSamples, RecordedSamples, Recording, SampleBlock},
 };
 
@@ -15,11 +15,18 @@ use crate::{
 /// group.
 #[must_use]
 pub fn recorded_plates(recording: &Recording, group: usize) -> Vec<ForcePlate> {
-    let Some(found) = recording.groups().get(group) else { return Vec::new() };
+    let found = recording.groups().get(group);
+    found.map_or_else(Vec::new, |found| plates_of_group(recording.plates(), &found.group))
+}
+
+/// Those of a recording's force plates whose channels this group has, as those of imported files.
+#[must_use]
+pub fn plates_of_group(plates: &[RecordedPlate], group: &SampledGroup) -> Vec<ForcePlate> {
     let plate = |plate: &RecordedPlate| {
-        let units = plate.channels.iter().map(|&channel| {
-            found.group.channels.get(channel).map_or("", |channel| channel.unit.trim())
-        });
+        let units = plate
+            .channels
+            .iter()
+            .map(|&channel| group.channels.get(channel).map_or("", |channel| channel.unit.trim()));
         // Units that are unknown are taken for N, N m and mm.
         let factor = |(place, unit)| factor_of_unit(plate.kind, place, unit).unwrap_or(1.0);
         ForcePlate {
@@ -31,8 +38,7 @@ pub fn recorded_plates(recording: &Recording, group: usize) -> Vec<ForcePlate> {
             factors: units.enumerate().map(factor).collect(),
         }
     };
-    let of_group = recording.plates().iter().filter(|plate| plate.group == found.group.number);
-    of_group.map(plate).collect()
+    plates.iter().filter(|of| of.group == group.number).map(plate).collect()
 }
 
 /// A sentence on the channels of a plate whose units are none of forces, moments or lengths.

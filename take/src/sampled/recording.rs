@@ -11,9 +11,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use super::{
-    GroupReader, GroupSamples, RowClock, SampleAnchor, SampleClock, SampleRun, SampleTime,
-};
+use super::{GroupReader, GroupSamples, RecordingClock, SampleRun, SampleTimeLine};
 use crate::{
     TakeError, TakeMap,
     record::{RecordedPlate, SampledChannel},
@@ -29,25 +27,10 @@ const LOST_RUN_MAX: u64 = 1 << 22;
 /// Most such samples of a channel in all: those of eight hours at 2000 Hz.
 const LOST_MAX: u64 = 1 << 26;
 
-/// The longest time by which a batch is stamped late, in seconds: a device sends one within a tenth of that.
-const LATE_S: f64 = 1.0;
-
-/// Seconds by which the device's clock goes back at least where it began again: batches may be stamped late by less.
-const BACK_S: f64 = 0.1;
-
 /// The file of a take, for readers that share it.
 pub trait ReadSeek: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> ReadSeek for T {}
-
-/// A group, and where its samples are on the time line.
-struct PlacedGroup {
-    samples: GroupSamples,
-    /// The stated times, without those that were stamped so late that the next ones would be before them.
-    anchors: Vec<SampleAnchor>,
-    /// By run of samples, in ascending order of their starts: the rows' epoch that it belongs to.
-    epochs: Vec<(u64, Option<usize>)>,
-}
 
 /// The index of a group, and a range of rows: the first and one past the last.
 type RowsOfGroup = (usize, u64, u64);
@@ -57,58 +40,13 @@ type FoundNumbers = (RowsOfGroup, Arc<[Range<u64>]>);
 
 /// What all copies of a recording share.
 struct Shared {
-    groups: Vec<GroupSamples>,
-    placed: Vec<PlacedGroup>,
-    clock: RowClock,
-    tick_hz: u64,
+    line: SampleTimeLine,
     rate_hz: f64,
     n_rows: u64,
     first_frame: u64,
     input: Mutex<Box<dyn ReadSeek>>,
     /// For groups and ranges of rows that were asked for before: the numbers of their samples.
     found: Mutex<Vec<FoundNumbers>>,
-}
-
-/// The times of a group's anchors that ascend: one that is later than the rate allows before the next one of its run was
-/// stamped late, with a batch that waited.
-fn ascending(samples: &GroupSamples, tick_hz: u64) -> Vec<SampleAnchor> {
-    let nominal = tick_hz as f64 / samples.group.rate_hz;
-    let mut kept: Vec<SampleAnchor> = Vec::with_capacity(samples.anchors().len());
-    for anchor in samples.anchors() {
-        let is_late = |last: &SampleAnchor| {
-            let ticks = anchor.device_ticks.wrapping_sub(last.device_ticks).cast_signed() as f64;
-            last.run_start == anchor.run_start
-                && last.number > last.run_start
-                && (anchor.number - last.number) as f64 <= LATE_S * samples.group.rate_hz
-                && ticks < 0.5 * nominal * (anchor.number - last.number) as f64
-        };
-        while kept.pop_if(|last| is_late(last)).is_some() {}
-        kept.push(*anchor);
-    }
-    kept
-}
-
-/// The epochs of a group's runs.
-fn epochs_of(samples: &GroupSamples, clock: &RowClock, tick_hz: u64) -> Vec<(u64, Option<usize>)> {
-    let mut found: Vec<(u64, Option<usize>)> = Vec::new();
-    let mut from = 0;
-    let mut before: Option<u64> = None;
-    let mut runs = samples.anchors().chunk_by(|a, b| a.run_start == b.run_start).peekable();
-    while let Some(run) = runs.next() {
-        let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
-        let end = runs.peek().and_then(|next| next.first()).map_or(u64::MAX, |next| next.run_start);
-        // A run behind which the clock went back has rows of a later epoch.
-        let back_s = |before: u64| {
-            before.wrapping_sub(first.device_ticks).cast_signed() as f64 / tick_hz as f64
-        };
-        from += usize::from(before.is_some_and(|before| back_s(before) > BACK_S));
-        let offsets = samples.offsets_of(first.run_start..end);
-        let epoch = clock.epoch_of((first.device_ticks, last.device_ticks), offsets, from);
-        from = epoch.unwrap_or(from);
-        before = Some(last.device_ticks);
-        found.push((first.run_start, epoch));
-    }
-    found
 }
 
 /// The sampled channels of a recording, and its force plates.
@@ -122,7 +60,7 @@ pub struct Recording {
 
 impl fmt::Debug for Recording {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let n_groups = self.shared.groups.len();
+        let n_groups = self.groups().len();
         let mut out = f.debug_struct("Recording");
         out.field("n_groups", &n_groups).field("plates", &self.plates).finish_non_exhaustive()
     }
@@ -140,38 +78,18 @@ impl Recording {
     /// The sampled channels of a take, whose file `input` reads; `None` if it has none.
     ///
     /// # Errors
-    /// Those of [`RowClock::read`].
+    /// Those of [`SampleTimeLine::read`].
     pub fn open(
         map: &TakeMap,
         mut input: impl Read + Seek + Send + 'static,
     ) -> Result<Option<Self>, TakeError> {
-        let groups: Vec<GroupSamples> = map.recorded_groups().cloned().collect();
-        if groups.is_empty() {
+        if map.recorded_groups().next().is_none() {
             return Ok(None);
         }
-        let clock = RowClock::read(&mut input, map)?;
-        let (plates, mut warnings) = map.header.force_plates();
-        let has_channels = |plate: &RecordedPlate| {
-            let mut groups = groups.iter().map(|group| &group.group);
-            let group = groups.find(|group| group.number == plate.group);
-            let n_channels = group.map_or(0, |group| group.channels.len());
-            plate.channels.iter().all(|&channel| channel < n_channels)
-        };
-        let (plates, others): (Vec<_>, Vec<_>) = plates.into_iter().partition(has_channels);
-        warnings.extend(others.iter().map(|plate| {
-            format!("Force plate {} has channels that the take does not have.", plate.number)
-        }));
-        let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
-        let place = |samples: &GroupSamples| PlacedGroup {
-            samples: samples.clone(),
-            anchors: ascending(samples, tick_hz),
-            epochs: epochs_of(samples, &clock, tick_hz),
-        };
+        let line = SampleTimeLine::read(&mut input, map)?;
+        let (plates, warnings) = map.force_plates();
         let shared = Arc::new(Shared {
-            placed: groups.iter().map(place).collect(),
-            groups,
-            clock,
-            tick_hz,
+            line,
             rate_hz: map.header.rate_hz,
             n_rows: map.n_rows,
             first_frame: map.header.source.as_ref().map_or(1, |source| source.first_frame),
@@ -205,7 +123,7 @@ impl Recording {
     /// The groups, in order of their numbers.
     #[must_use]
     pub fn groups(&self) -> &[GroupSamples] {
-        &self.shared.groups
+        self.shared.line.groups()
     }
 
     /// The force plates that can be used.
@@ -234,9 +152,7 @@ impl Recording {
     /// The clock of a group; `None` beyond the last one.
     #[must_use]
     pub fn clock(&self, group: usize) -> Option<RecordingClock<'_>> {
-        let placed = self.shared.placed.get(group)?;
-        let samples = placed.samples.clock_by(&placed.anchors, self.shared.tick_hz);
-        Some(RecordingClock { samples, rows: &self.shared.clock, epochs: &placed.epochs })
+        self.shared.line.clock(group)
     }
 
     /// The time of a place among the rows, in seconds from row `first_row`, to the nanosecond.
@@ -263,8 +179,7 @@ impl Recording {
     }
 
     fn find_numbers(&self, group: usize, rows: &Range<u64>) -> Result<Vec<Range<u64>>, TakeError> {
-        let (Some(samples), Some(clock)) = (self.shared.groups.get(group), self.clock(group))
-        else {
+        let (Some(samples), Some(clock)) = (self.groups().get(group), self.clock(group)) else {
             return Ok(Vec::new());
         };
         let from = if rows.start == 0 { f64::NEG_INFINITY } else { rows.start as f64 };
@@ -307,7 +222,7 @@ impl Recording {
     pub fn n_without_time(&self, group: usize) -> Result<u64, TakeError> {
         let placed = self.numbers(group, &(0..self.shared.n_rows))?;
         let n_placed: u64 = placed.iter().map(|range| range.end - range.start).sum();
-        let stored = self.shared.groups.get(group).map(GroupSamples::stored_range);
+        let stored = self.groups().get(group).map(GroupSamples::stored_range);
         Ok(stored
             .map_or(0, |stored| stored.end.saturating_sub(stored.start).saturating_sub(n_placed)))
     }
@@ -346,7 +261,7 @@ impl Recording {
     }
 
     fn samples_of(&self, group: usize, numbers: Arc<[Range<u64>]>) -> RecordedSamples<'_> {
-        let found = self.shared.groups.get(group);
+        let found = self.groups().get(group);
         let first = numbers.first().map_or(0, |range| range.start);
         RecordedSamples {
             recording: self,
@@ -357,32 +272,6 @@ impl Recording {
             next_range: 0,
             lost: None,
         }
-    }
-}
-
-/// The times of a group's samples on the time line of the rows.
-#[derive(Debug, Clone, Copy)]
-pub struct RecordingClock<'a> {
-    samples: SampleClock<'a>,
-    rows: &'a RowClock,
-    epochs: &'a [(u64, Option<usize>)],
-}
-
-impl RecordingClock<'_> {
-    /// The place of a sample among the rows.
-    #[must_use]
-    pub fn position(&self, number: u64) -> Option<f64> {
-        let time = self.samples.at(number)?;
-        let run =
-            self.epochs.partition_point(|(start, _)| *start <= time.run_start).checked_sub(1)?;
-        let (_, epoch) = self.epochs.get(run)?;
-        self.rows.position((*epoch)?, &time)
-    }
-
-    /// The time of a sample by the device's clock.
-    #[must_use]
-    pub fn device_time(&self, number: u64) -> Option<SampleTime> {
-        self.samples.at(number)
     }
 }
 

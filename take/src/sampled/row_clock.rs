@@ -132,6 +132,11 @@ impl RowClock {
         Ok(Self { epochs })
     }
 
+    /// Times of rows that it holds in memory.
+    pub(super) fn n_knots(&self) -> usize {
+        self.epochs.iter().map(|epoch| epoch.knots.len()).sum()
+    }
+
     /// The epoch that samples belong to which are taken one after another, from the first to the last of these times, in the
     /// chunks at `offsets`; not before the epoch `from`.
     ///
