@@ -70,10 +70,9 @@ export class Curves {
     const { forces, comparison } = this;
     const strips = [];
     forces?.curves.slice(0, PLATES_MAX).forEach((curve, plate) => {
-      const { name, corners_mm: corners } = forces.plates[plate];
+      const { name } = forces.plates[plate];
       const valueAt = (bin) => [curve[2 * bin], curve[2 * bin + 1]];
-      const what = corners ? "upward force" : "Fz";
-      strips.push({ title: `plate ${name}: ${what} (N)`, bins: curve.length / 2, binFrames: forces.columnFrames, valueAt, colour: `series-${plate + 1}`, isFromZero: false });
+      strips.push({ title: `plate ${name}: upward force (N)`, bins: curve.length / 2, binFrames: forces.columnFrames, valueAt, colour: `series-${plate + 1}`, isFromZero: false });
     });
     if (comparison) {
       const { largestByBin } = comparison;

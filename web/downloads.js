@@ -6,7 +6,7 @@ import { h, setText } from "./dom.js";
 /** Extensions, and the texts of their links. */
 const FORMATS = [["take", "Take"], ["c3d", "C3D"], ["trc", "TRC"], ["csv", "CSV"]];
 /** What the formats lack. */
-const NOTE = "C3D has the markers, and the analog channels of an imported C3D file; TRC and CSV have the markers. Sampled channels of a recording are in the take.";
+const NOTE = "C3D has the markers, analog channels and force plates; channels of a recording whose rate does not fit the frames are left out. TRC and CSV have the markers. The take has everything.";
 /** Converting and sending a large take over a slow network takes a while. */
 const TIMEOUT_MS = 600_000;
 

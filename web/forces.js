@@ -62,7 +62,6 @@ export function drawForces(forces, ctx, { row, upAxis }, project, { colours }) {
     return project(p[0], p[1], p[2], out);
   };
   forces.plates.forEach(({ corners_mm: corners, name }, i) => {
-    if (!corners) return;
     const places = corners.map((corner) => {
       const out = [0, 0, 0];
       return point(...corner, out) ? out : null;

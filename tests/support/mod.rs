@@ -142,11 +142,21 @@ pub(crate) fn output_of<W: TakeOutput>(output: Box<dyn TakeOutput>) -> W {
 }
 
 pub(crate) fn start<W: TakeOutput>(config: &PipelineConfig, output: W) -> (Intake, Recording<W>) {
+    start_with(config, output, |_| {})
+}
+
+/// The same with a header that `changed` changes.
+pub(crate) fn start_with<W: TakeOutput>(
+    config: &PipelineConfig,
+    output: W,
+    changed: impl FnOnce(&mut mocapd_take::record::Header),
+) -> (Intake, Recording<W>) {
     let mut header = header::new(&config.codec, config.rate_hz).unwrap();
     header.channels.clone_from(&config.channels);
     header.stretch_rows = config.stretch_rows();
     header.device =
         Some(mocapd_take::record::Device { tick_hz: config.tick_hz, ..Default::default() });
+    changed(&mut header);
     let (intake, pipeline) = Pipeline::start(config, NewTake::new(output, header)).unwrap();
     (intake, Recording(pipeline, PhantomData))
 }

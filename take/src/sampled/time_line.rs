@@ -183,7 +183,14 @@ impl PlaceIndex {
         let (mut pieces, mut before) = (Vec::new(), f64::NEG_INFINITY);
         let mut add = |numbers: Range<u64>, is_lost: bool| {
             pieces.push(Piece { first: numbers.start, before, is_lost });
-            let ends = [numbers.start, numbers.end - 1].map(|number| clock.position(number));
+            let place = |number: u64| clock.position(number);
+            let (mut last, mut end) = (numbers.start, numbers.end);
+            // Where frames stop within it, the last sample that has a place.
+            while place(numbers.end - 1).is_none() && end - last > 1 {
+                let middle = last + (end - last) / 2;
+                if place(middle).is_some() { last = middle } else { end = middle }
+            }
+            let ends = [numbers.start, last, numbers.end - 1].map(place);
             before = ends.into_iter().flatten().fold(before, f64::max);
         };
         let found = samples.runs(|run| {

@@ -8,7 +8,7 @@ use mocapd_take::{
     interchange::{Format, SampledKind, SampledTable, write_c3d},
     motion::{FrameSource, MotionInfo},
     record::{Channel, Device, Header, Ledger, SampledChannel, SampledGroup, StatedPlate},
-    sampled::{SampleAnchor, SampleContent, SampleSpan},
+    sampled::{SampleAnchor, SampleContent, SampleSpan, SampleTimeLine},
     statistics::StretchTally,
     stretch::{Span, StretchHeaderWriter},
     timeline::{RowTime, Timeline, TimelineEncoder},
@@ -289,7 +289,9 @@ fn samples_stay_with_their_rows_where_the_clock_goes_back() {
             let samples = (first..first + 500).map(|number| number as f32).collect();
             vec![block(first, run_start, ticks(first * SAMPLE), vec![samples])]
         };
-        let frames = open(take(&ticks_of, &[("a", "V")], &[], blocks));
+        let file = take(&ticks_of, &[("a", "V")], &[], blocks);
+        windows_are_those_of_exports(&file, 2000);
+        let frames = open(file);
         let (found, times) = rows(frames.info(), SampledKind::Group(0));
         assert_eq!(found.len(), 4000, "{restart}");
         for (row, time) in found.iter().zip(&times) {
@@ -337,4 +339,52 @@ fn what_comes_before_the_first_frame_is_in_tables_and_not_in_c3d() {
     let (found, _) = rows(&read, SampledKind::Analog);
     assert_eq!((found.len(), found[0][0], found[999][0]), (1000, 1500.0, 1999.5));
     assert!(remarks.is_empty(), "{remarks:?}");
+}
+
+/// Windows of a few rows, by an index, have the samples that exports place there.
+fn windows_are_those_of_exports(file: &[u8], n_seen_max: u64) {
+    let frames = open(file.to_vec());
+    let recording = frames.info().recording.as_ref().unwrap();
+    let line = SampleTimeLine::read(Cursor::new(file), frames.map()).unwrap();
+    let (index, clock) = (line.index(0).unwrap(), line.clock(0).unwrap());
+    let mut n_found = 0;
+    for first in (1..392).step_by(7) {
+        let rows = first..first + 7;
+        let (mut found, mut n_seen) = (Vec::new(), 0);
+        index.in_rows(clock, &rows, |number, row| {
+            n_seen += 1;
+            found.extend(row.map(|row| (number, row)));
+            true
+        });
+        // Times of rows and samples are the same to a tick.
+        let expected = recording.numbers(0, &rows).unwrap();
+        let expected: Vec<u64> = expected.iter().cloned().flatten().collect();
+        let numbers: Vec<u64> = found.iter().map(|(number, _)| *number).collect();
+        assert_eq!(numbers, expected, "{rows:?}");
+        for (number, row) in &found {
+            let place = clock.position(*number).unwrap();
+            assert!((*row as f64 - place.floor()).abs() < 1e-9, "{number}: {row} for {place}");
+        }
+        assert!(n_seen <= n_seen_max, "{n_seen} samples were looked at for {}", found.len());
+        n_found += found.len();
+    }
+    assert!(n_found > 0);
+}
+
+/// While no frames come, samples have no place, and no row has them.
+#[test]
+fn windows_around_an_outage_have_the_samples_of_exports() {
+    let ticks = |row: u64| row * ROW + if row < 200 { 0 } else { 300_000 };
+    let ticks_of: Vec<u64> = (0..400).map(ticks).collect();
+    let blocks = |stretch: usize| {
+        let first = stretch as u64 * 900;
+        let samples = (first..first + 900).map(|number| number as f32).collect();
+        vec![block(first, 0, first * SAMPLE, vec![samples])]
+    };
+    let file = take(&ticks_of, &[("a", "V")], &[], blocks);
+    // Those of the outage are looked at by the windows at its ends.
+    windows_are_those_of_exports(&file, 5000);
+    let frames = open(file);
+    let recording = frames.info().recording.as_ref().unwrap();
+    assert!(recording.n_without_time(0).unwrap() > 2900);
 }

@@ -242,10 +242,7 @@ fn examples() -> Vec<(&'static str, Value)> {
         (
             "PlateList",
             value(serde_json::to_value(PlateList {
-                plates: vec![PlateOverview {
-                    name: "1".to_owned(),
-                    corners_mm: Some([[1.0; 3]; 4]),
-                }],
+                plates: vec![PlateOverview { name: "1".to_owned(), corners_mm: [[1.0; 3]; 4] }],
                 window_frames_max: 1,
                 unusable: vec!["2: no channels".to_owned()],
             })),
