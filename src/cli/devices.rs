@@ -32,7 +32,7 @@ fn line(listed: &ListedDevice) -> String {
 /// The list as text.
 pub(super) fn text(listed: &[ListedDevice]) -> String {
     if listed.is_empty() {
-        return "no devices found: plug one in, give a QTM its address as in `--device qtm:HOST`, or try `mocapd demo`, which needs none\n"
+        return "no devices found: plug one in, give a system on the network its address as in `--device qtm:HOST`, or try `mocapd demo`, which needs none\n"
             .to_owned();
     }
     listed.iter().map(line).collect()

@@ -38,7 +38,7 @@ pub(crate) struct Args {
     /// The configuration file
     #[arg(long, value_name = "FILE", default_value = CONFIG_PATH)]
     config: PathBuf,
-    /// Device, instead of the configured one: serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT], lsl:NAME, or auto
+    /// Device, instead of the configured one: serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT], natnet:HOST[:PORT], lsl:NAME, or auto
     #[arg(long, value_name = "DEVICE")]
     device: Option<String>,
     /// Folder for takes, instead of the configured one

@@ -83,7 +83,7 @@ keys! {
     /// The device to record; `auto` takes the only attached device that a driver recognises, as listed by `mocapd devices`.
     /// A path under /dev/serial/by-id or a USB serial number stays the same when other devices are plugged in.
     device.uri: ValueType::Text(
-            "auto, serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT] or lsl:NAME, with ?driver=NAME if needed"
+            "auto, serial:PATH[@BAUD], usb:VID:PID[:SERIAL], qtm:HOST[:PORT], natnet:HOST[:PORT] or lsl:NAME, with ?driver=NAME if needed"
         ),
         DefaultValue::Text("auto"), ReloadPolicy::NextArm, field!(device.uri, device_choice);
     /// Frame rate to set on the device; if absent, the device keeps its own.

@@ -80,10 +80,12 @@ pub(super) struct DownloadQuery {
 /// sent: it has neither a length nor ranges, and the connection is closed if the take cannot be read to its end.
 #[utoipa::path(get, path = "/v1/takes/{name}/download", tag = "takes",
     params(("name" = String, Path, description = "The take's name, without `.take`"),
-        ("format" = Option<DownloadFormat>, Query,
+        ("format" = inline(Option<DownloadFormat>), Query,
             description = "`take` (the default), `c3d`, `trc` or `csv`")),
-    responses((status = 200, description = "The file", body = Vec<u8>,
-            content_type = "application/octet-stream"),
+    responses((status = 200, description = "The file", content(
+            (Vec<u8> = "application/octet-stream"),
+            (String = "text/tab-separated-values; charset=utf-8"),
+            (String = "text/csv; charset=utf-8"))),
         (status = 206, description = "The bytes of a range", body = Vec<u8>,
             content_type = "application/octet-stream"),
         (status = 304, description = "The client's copy is current"),
@@ -129,7 +131,7 @@ async fn send(
     let out = Pieces { pieces: pieces.clone() };
     let work = move || {
         let take = finished(control.as_ref(), &requested)?;
-        write(&requested, take.file, kind.format, out, client_alive, stopping)
+        write(&requested, take.file, kind.format, out, (&client_alive, &stopping))
     };
     tokio::spawn(async move {
         let done = app.queues.exports.run(work).await.and_then(|done| done);
@@ -163,8 +165,7 @@ fn write(
     file: File,
     format: Format,
     out: Pieces,
-    client_alive: Weak<()>,
-    stopping: watch::Receiver<bool>,
+    (client_alive, stopping): (&Weak<()>, &watch::Receiver<bool>),
 ) -> Result<(), Problem> {
     let again = file.try_clone().map_err(|error| unreadable(&error))?;
     let reader = |file: File| {

@@ -98,7 +98,7 @@ pub(super) fn router(app: &Shared) -> Router {
         description = "A recorder for optical motion capture, as a service. docs/api.md explains it.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
     ),
-    components(schemas(Problem, download::DownloadFormat)),
+    components(schemas(Problem)),
     security((), ("token" = []), ("session" = [])),
     modifiers(&Security),
     tags(

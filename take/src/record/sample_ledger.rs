@@ -71,7 +71,7 @@ pub struct GroupLedger {
     /// meanwhile is unknown.
     pub jumps: u64,
     /// The largest errors of its poses, if they are within bounds and the take states what was measured. The record does
-    /// not have them, so that earlier versions read it: they are in [`PoseErrorsRecord`].
+    /// not have them, so that earlier versions read it: they are in a section of SUMMARY.
     pub errors: Option<MeasuredErrors>,
 }
 
