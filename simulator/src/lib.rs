@@ -2,11 +2,13 @@
 //!
 //! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate, and [`sampled`]
 //! makes the samples of force plates and electrodes. [`device`] plays it over the link protocol, [`ndi`] over that of NDI,
-//! and [`qtm`] and [`natnet`] on the network over those of QTM and of OptiTrack. [`faults`] injects faults by a script, and [`log_device`] replays a raw
-//! log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
+//! and on the
+//! network [`qtm`], [`natnet`] and [`lsl`] over those of QTM, of OptiTrack and of the Lab Streaming Layer. [`faults`] injects
+//! faults by a script, and [`log_device`] replays a raw log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
 //! controller. None of them starts a thread, and only a line reads a clock.
 
 pub mod device;
+mod fate_log;
 pub mod faults;
 #[cfg(target_os = "linux")]
 pub mod gadget;
@@ -21,3 +23,5 @@ pub mod qtm;
 pub mod replay;
 pub mod sampled;
 pub mod source;
+
+pub use fate_log::NetworkOptions;

@@ -10,9 +10,10 @@ use std::{
 };
 
 use mocapd_simulator::{
+    NetworkOptions,
     device::SentLog,
     faults::{Fate, FrameFate, Script},
-    lsl::{LslDevice, LslOptions, LslOutlets, LslSettings, configure},
+    lsl::{LslDevice, LslOutlets, LslSettings, configure},
 };
 use mocapd_take::motion::{Motion, is_gap};
 use serde_json::Value;
@@ -58,7 +59,9 @@ impl Served {
         let (stopped, log) = (Arc::clone(&stop), SharedLog::default());
         let output: Option<Box<dyn Write + Send>> = Some(Box::new(log.clone()));
         let serve = move || {
-            outlets.serve(&mut device, LslOptions { once: false, log: output }, &stopped).unwrap()
+            outlets
+                .serve(&mut device, NetworkOptions { once: false, log: output }, &stopped)
+                .unwrap()
         };
         let thread = Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
         Self { stop, thread: Some(thread), uri, log }

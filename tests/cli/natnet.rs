@@ -12,9 +12,10 @@ use std::{
 
 use mocapd_drivers::natnet::{Bitstream, ServedStream};
 use mocapd_simulator::{
+    NetworkOptions,
     device::SentLog,
     faults::{Fate, FrameFate, Script},
-    natnet::{NatNetDevice, NatNetListener, NatNetOptions, NatNetSettings},
+    natnet::{NatNetDevice, NatNetListener, NatNetSettings},
 };
 use mocapd_take::motion::{Motion, Position, is_gap};
 use serde_json::Value;
@@ -55,7 +56,7 @@ impl Served {
         let (stopped, log) = (Arc::clone(&stop), SharedLog::default());
         let output: Option<Box<dyn Write + Send>> = Some(Box::new(log.clone()));
         let serve = move || {
-            let options = NatNetOptions { once: false, log: output };
+            let options = NetworkOptions { once: false, log: output };
             listener.serve(&mut device, options, &stopped).unwrap()
         };
         let thread = Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();

@@ -11,10 +11,11 @@ use std::{
 };
 
 use mocapd_simulator::{
+    NetworkOptions,
     device::SentLog,
     faults::{Fate, FrameFate, Script},
     generator::{ForcePlates, JumpSpec},
-    qtm::{NetworkOptions, QtmDevice, QtmListener, QtmSettings, force_of},
+    qtm::{QtmDevice, QtmListener, QtmSettings, force_of},
     sampled::SampledSource,
 };
 use mocapd_take::{

@@ -23,8 +23,9 @@ use mocapd_service::{
     status::{PublishStatus, PublishedClient, State},
 };
 use mocapd_simulator::{
+    NetworkOptions,
     generator::JumpSpec,
-    qtm::{NetworkOptions, QtmDevice, QtmListener, QtmSettings},
+    qtm::{QtmDevice, QtmListener, QtmSettings},
 };
 use mocapd_take::motion::{Motion, is_gap};
 

@@ -43,7 +43,7 @@ pub struct NewTake {
     pub pre_roll: Duration,
     /// When the take was requested, by the host's monotonic clock.
     pub requested_ns: u64,
-    /// The take ends by itself after this many rows, lost ones included, with the ending
+    /// The take ends automatically after this many rows, lost ones included, with the ending
     /// [`Length`](EndingKind::Length). They are counted from its request: those of the pre-roll come in addition.
     pub length_rows: Option<u64>,
     /// The notes of the request, which become the first event of the take.

@@ -338,7 +338,7 @@ impl Intake {
         self.event_at(self.next_row, event);
     }
 
-    /// Records an event of the device at the row of its device time, as far as that row is in the open stretch: the event may
+    /// Records an event of the device at the row of its device time, if that row is still in the open stretch: the event may
     /// have come later than the frames of its time.
     pub fn device_event(&mut self, event: Event) {
         let back = self.counter.frames_back(event.device_ticks).map_or(0, |back| back + 1);

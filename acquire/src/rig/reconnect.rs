@@ -138,8 +138,8 @@ impl Rig {
         }
     }
 
-    /// Opens the line again; `None` if cancelled. To look up a name and to connect takes up to seven seconds, in which
-    /// neither a stop nor the watchdog waits: another thread does it, which ends by itself.
+    /// Opens the line again; `None` if cancelled. Looking up a name and connecting can take seven seconds. A separate thread
+    /// does it, so that neither a stop nor the watchdog has to wait; it ends when the attempt does.
     fn reopen_line(
         &self,
         cancel: &dyn Fn() -> bool,
@@ -150,7 +150,7 @@ impl Rig {
         }
         let (sender, receiver) = bounded(1);
         let open = move || {
-            // Where nobody waits any more, the connection is closed again.
+            // If nobody waits any longer, the connection is closed again.
             sender.try_send(registry::reopen(&uri, &identity)).ok();
         };
         if let Err(source) = threads::spawn("mocapd-connect", open) {

@@ -126,7 +126,7 @@ fn binary(bytes: Vec<u8>) -> Response {
 
 /// The force plates of a finished take
 ///
-/// Those of an imported C3D file, or of a recording with sampled channels that are named as those of force plates.
+/// Those of an imported C3D file, or those that the device of a recording has announced.
 #[utoipa::path(get, path = "/v1/takes/{name}/plates", tag = "takes",
     params(("name" = String, Path, description = "The take's name, without `.take`")),
     responses((status = 200, body = PlateList)))]

@@ -24,7 +24,7 @@ use crate::faults::{
 };
 use crate::replay::Replay;
 use crate::sampled::SampledSource;
-pub use serve::{LslOptions, LslOutlets, LslServeError};
+pub use serve::{LslOutlets, LslServeError};
 
 /// Most markers: three channels each, and at most 4096 channels.
 pub const MARKERS_MAX: usize = 4096 / 3;

@@ -1,7 +1,7 @@
 //! The streams on the network: outlets of the crate `labstream-core`, and one thread that sleeps until the next sample.
 
 use std::{
-    io::{self, Write},
+    io,
     num::NonZeroU64,
     sync::atomic::{AtomicBool, Ordering},
     thread::sleep,
@@ -12,7 +12,9 @@ use labstream_core::net::Outlet;
 use mocapd_drivers::stream_query::StreamQuery;
 
 use super::{LslDevice, Push};
-use crate::device::{FrameFate, SentLog};
+use crate::NetworkOptions;
+use crate::device::SentLog;
+use crate::fate_log::FateLog;
 use crate::line::host_ns;
 
 /// The longest sleep, which bounds the reaction time to a stop and to a reader.
@@ -39,22 +41,6 @@ pub enum LslServeError {
     /// The log of sent frames could not be written.
     #[error("cannot write the log of sent frames")]
     Log(#[source] io::Error),
-}
-
-/// How to serve.
-#[derive(Default)]
-pub struct LslOptions {
-    /// Return when the motion has ended.
-    pub once: bool,
-    /// Destination of the log: the fate of every frame, one CSV row each.
-    pub log: Option<Box<dyn Write + Send>>,
-}
-
-impl std::fmt::Debug for LslOptions {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let log = self.log.is_some();
-        f.debug_struct("LslOptions").field("once", &self.once).field("log", &log).finish()
-    }
 }
 
 /// The outlets of a source.
@@ -90,15 +76,14 @@ impl LslOutlets {
     pub fn serve(
         mut self,
         device: &mut LslDevice,
-        options: LslOptions,
+        options: NetworkOptions,
         stop: &AtomicBool,
     ) -> Result<SentLog, LslServeError> {
         // A sleep must not be 50 us late. If the kernel refuses, it stays.
         rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).ok();
-        let mut log = options.log;
-        if let Some(log) = &mut log {
+        let mut log = FateLog::begin(options.log).map_err(LslServeError::Log)?;
+        if log.is_kept() {
             device.keep_frame_log();
-            writeln!(log, "{}", FrameFate::CSV_HEADER).map_err(LslServeError::Log)?;
         }
         while !stop.load(Ordering::Relaxed) {
             self.follow_readers(device);
@@ -112,17 +97,15 @@ impl LslOutlets {
                     (None, _) => {}
                 });
             self.follow_cable(device)?;
-            write_fates(device, log.as_mut())?;
+            log.add(device.take_fates()).map_err(LslServeError::Log)?;
             if options.once && device.has_ended() {
                 break;
             }
             sleep(Duration::from_nanos(wake_ns.saturating_sub(host_ns())).min(SLEEP_MAX));
         }
         sleep(DRAIN);
-        write_fates(device, log.as_mut())?;
-        if let Some(log) = &mut log {
-            log.flush().map_err(LslServeError::Log)?;
-        }
+        log.add(device.take_fates()).map_err(LslServeError::Log)?;
+        log.finish().map_err(LslServeError::Log)?;
         Ok(device.log())
     }
 
@@ -173,15 +156,4 @@ fn open(device: &LslDevice) -> Result<Vec<Outlet>, LslServeError> {
     }
     // One that answers no question is of no use.
     Err(LslServeError::Outlet { source: io::ErrorKind::AddrInUse.into() })
-}
-
-fn write_fates(
-    device: &mut LslDevice,
-    log: Option<&mut Box<dyn Write + Send>>,
-) -> Result<(), LslServeError> {
-    let Some(log) = log else { return Ok(()) };
-    for fate in device.take_fates() {
-        writeln!(log, "{}", fate.to_csv()).map_err(LslServeError::Log)?;
-    }
-    Ok(())
 }

@@ -23,7 +23,7 @@ use mocapd_drivers::{
 use mocapd_take::motion::{Motion, Position, is_gap};
 
 use self::content::Content;
-pub use self::serve::{NatNetListener, NatNetOptions, NatNetServeError};
+pub use self::serve::{NatNetListener, NatNetServeError};
 use crate::{
     device::{
         DeviceError, FaultCounts, FrameFate, Rates, SentCounters, SentFrame, SentLog,

@@ -1,7 +1,7 @@
 //! A simulated Motive on the network: one thread that sleeps until the next frame or datagram.
 
 use std::{
-    io::{self, ErrorKind, Write},
+    io::{self, ErrorKind},
     net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket},
     num::NonZeroU64,
     sync::atomic::{AtomicBool, Ordering},
@@ -12,10 +12,7 @@ use mocapd_drivers::transport::network::multicast_sender;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::NatNetDevice;
-use crate::{
-    device::{FrameFate, SentLog},
-    line::host_ns,
-};
+use crate::{NetworkOptions, device::SentLog, fate_log::FateLog, line::host_ns};
 
 /// The longest sleep, which bounds the reaction time to a stop.
 const SLEEP_MAX: Duration = Duration::from_millis(20);
@@ -52,22 +49,6 @@ pub enum NatNetServeError {
     /// The log of sent frames could not be written.
     #[error("cannot write the log of sent frames")]
     Log(#[source] io::Error),
-}
-
-/// How to serve.
-#[derive(Default)]
-pub struct NatNetOptions {
-    /// Return when the motion has ended.
-    pub once: bool,
-    /// Destination of the log: the fate of every frame, one CSV row each.
-    pub log: Option<Box<dyn Write + Send>>,
-}
-
-impl std::fmt::Debug for NatNetOptions {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let log = self.log.is_some();
-        f.debug_struct("NatNetOptions").field("once", &self.once).field("log", &log).finish()
-    }
 }
 
 /// A port of this machine, on the loopback interface: a simulator is for this machine's programs.
@@ -116,20 +97,19 @@ impl NatNetListener {
     pub fn serve(
         self,
         device: &mut NatNetDevice,
-        options: NatNetOptions,
+        options: NetworkOptions,
         stop: &AtomicBool,
     ) -> Result<SentLog, NatNetServeError> {
         // As for a line: a sleep must not be 50 us late. If the kernel refuses, it stays.
         rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).ok();
-        let mut log = options.log;
-        if let Some(log) = &mut log {
+        let mut log = FateLog::begin(options.log).map_err(NatNetServeError::Log)?;
+        if log.is_kept() {
             device.keep_frame_log();
-            writeln!(log, "{}", FrameFate::CSV_HEADER).map_err(NatNetServeError::Log)?;
         }
         while !stop.load(Ordering::Relaxed) {
             let wake_ns = device.poll(host_ns());
             self.send(device);
-            write_fates(device, log.as_mut())?;
+            log.add(device.take_fates()).map_err(NatNetServeError::Log)?;
             if options.once && device.has_ended() {
                 break;
             }
@@ -137,10 +117,8 @@ impl NatNetListener {
             self.receive(device);
         }
         device.close();
-        write_fates(device, log.as_mut())?;
-        if let Some(log) = &mut log {
-            log.flush().map_err(NatNetServeError::Log)?;
-        }
+        log.add(device.take_fates()).map_err(NatNetServeError::Log)?;
+        log.finish().map_err(NatNetServeError::Log)?;
         Ok(device.log())
     }
 
@@ -182,15 +160,4 @@ impl NatNetListener {
             }
         }
     }
-}
-
-fn write_fates(
-    device: &mut NatNetDevice,
-    log: Option<&mut Box<dyn Write + Send>>,
-) -> Result<(), NatNetServeError> {
-    let Some(log) = log else { return Ok(()) };
-    for fate in device.take_fates() {
-        writeln!(log, "{}", fate.to_csv()).map_err(NatNetServeError::Log)?;
-    }
-    Ok(())
 }

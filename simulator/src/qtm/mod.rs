@@ -28,7 +28,7 @@ use crate::sampled::SampledSource;
 use fates::DeliveryLog;
 use samples::FileSamples;
 pub use samples::force_of;
-pub use serve::{NetworkOptions, QtmListener, ServeError};
+pub use serve::{QtmListener, ServeError};
 
 /// Residual of every marker, which motions do not have.
 const RESIDUAL_MM: f32 = 0.25;

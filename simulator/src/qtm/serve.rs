@@ -1,6 +1,6 @@
 //! A simulated QTM on the network: one thread that sleeps until the next frame, client or byte.
 
-use std::io::{self, Write};
+use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::num::NonZeroU64;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,7 +13,9 @@ use mocapd_drivers::transport::network::responder::Responder;
 use mocapd_drivers::transport::network::server::{StreamServer, TcpServer};
 
 use super::{QtmDevice, VERSION};
-use crate::device::{FrameFate, SentLog};
+use crate::NetworkOptions;
+use crate::device::SentLog;
+use crate::fate_log::FateLog;
 use crate::line::host_ns;
 
 /// The longest sleep, which bounds the reaction time to a stop.
@@ -45,22 +47,6 @@ pub enum ServeError {
     /// The log of sent frames could not be written.
     #[error("cannot write the log of sent frames")]
     Log(#[source] io::Error),
-}
-
-/// How to serve.
-#[derive(Default)]
-pub struct NetworkOptions {
-    /// Return when the file has ended and the clients have all of it.
-    pub once: bool,
-    /// Destination of the log: the fate of every frame, one CSV row each.
-    pub log: Option<Box<dyn Write + Send>>,
-}
-
-impl std::fmt::Debug for NetworkOptions {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let log = self.log.is_some();
-        f.debug_struct("NetworkOptions").field("once", &self.once).field("log", &log).finish()
-    }
 }
 
 /// A port of this machine, on the loopback interface: a simulator is for this machine's programs.
@@ -117,10 +103,9 @@ impl QtmListener {
     ) -> Result<SentLog, ServeError> {
         // As for a line: a sleep must not be 50 us late. If the kernel refuses, it stays.
         rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).ok();
-        let mut log = options.log;
-        if let Some(log) = &mut log {
+        let mut log = FateLog::begin(options.log).map_err(ServeError::Log)?;
+        if log.is_kept() {
             device.keep_frame_log();
-            writeln!(log, "{}", FrameFate::CSV_HEADER).map_err(ServeError::Log)?;
         }
         while !stop.load(Ordering::Relaxed) {
             let wake_ns = device.poll(host_ns());
@@ -136,7 +121,7 @@ impl QtmListener {
             }
             let mut clients = Clients(device);
             self.clients.exchange(&mut clients);
-            write_fates(device, log.as_mut())?;
+            log.add(device.take_fates()).map_err(ServeError::Log)?;
             if options.once && device.has_ended() && device.is_all_sent() {
                 break;
             }
@@ -148,10 +133,8 @@ impl QtmListener {
         self.send_datagrams(device);
         self.clients.finish(&mut Clients(device), DRAIN);
         device.close();
-        write_fates(device, log.as_mut())?;
-        if let Some(log) = &mut log {
-            log.flush().map_err(ServeError::Log)?;
-        }
+        log.add(device.take_fates()).map_err(ServeError::Log)?;
+        log.finish().map_err(ServeError::Log)?;
         Ok(device.log())
     }
 
@@ -206,15 +189,4 @@ impl StreamServer for Clients<'_> {
     fn sent(&mut self, id: ClientId, n: usize) {
         self.0.sent(id, n);
     }
-}
-
-fn write_fates(
-    device: &mut QtmDevice,
-    log: Option<&mut Box<dyn Write + Send>>,
-) -> Result<(), ServeError> {
-    let Some(log) = log else { return Ok(()) };
-    for fate in device.take_fates() {
-        writeln!(log, "{}", fate.to_csv()).map_err(ServeError::Log)?;
-    }
-    Ok(())
 }

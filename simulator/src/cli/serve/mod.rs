@@ -8,7 +8,8 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use mocapd_cli::{numbers::count, stop::stop_on_signal};
 use mocapd_drivers::link::FrameForm;
-use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice};
+use mocapd_simulator::NetworkOptions;
+use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice, SentLog};
 use mocapd_simulator::faults::{FaultyDevice, Script};
 use mocapd_simulator::line::{ServeOptions, serve};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
@@ -25,10 +26,10 @@ use report::{LineReport, SentReport};
 
 mod input;
 mod line;
+mod lsl;
 mod natnet;
-mod network;
+mod qtm;
 mod report;
-mod streams;
 
 pub(super) const EXAMPLES: &str = "\
 Examples:
@@ -224,6 +225,37 @@ enum WireFormat {
     Compact,
 }
 
+/// Serves a system on the network by `serve`: prints its URI, and at the end what it sent.
+fn serve_at<E>(
+    args: &ServeArgs,
+    uri: &str,
+    (n_markers, rate_millihertz): (usize, u32),
+    serve: impl FnOnce(NetworkOptions) -> Result<SentLog, E>,
+) -> Result<(), Failure>
+where
+    Failure: From<E>,
+{
+    let mut options = NetworkOptions { once: args.once, log: None };
+    if let Some(path) = &args.log {
+        // Recordings are checked against a log: never overwrite one.
+        options.log = Some(Box::new(BufWriter::new(files::create(path)?)));
+    }
+    let hz = f64::from(rate_millihertz) / 1000.0;
+    notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
+    if args.json {
+        print_json_line(&LineReport { path: uri })?;
+    } else {
+        print(&format!("{uri}\n"))?;
+    }
+    let report = SentReport::new(&serve(options)?, true);
+    if args.json {
+        print_json_line(&report)?;
+    } else {
+        report.text(args.protocol).lines().for_each(notify);
+    }
+    Ok(())
+}
+
 pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     args.find_take()?;
     args.check_generated()?;
@@ -233,10 +265,10 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
         return natnet::run(args);
     }
     if args.protocol == DeviceProtocol::Lsl {
-        return streams::run(args);
+        return lsl::run(args);
     }
     if args.protocol == DeviceProtocol::Qtm || args.line.tcp.is_some() {
-        return network::run(args);
+        return qtm::run(args);
     }
     if !args.line.is_chosen() {
         let message = "the device needs a line: give --pty, --usb-gadget or --usb-serial";

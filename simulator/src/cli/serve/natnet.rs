@@ -1,18 +1,16 @@
 //! `mocapd-sim serve --protocol natnet`: a simulated Motive on the network.
 
-use std::{io::BufWriter, net::SocketAddrV4};
+use std::net::SocketAddrV4;
 
 use clap::Args;
-use mocapd_cli::{numbers::count, stop::stop_on_signal};
+use mocapd_cli::stop::stop_on_signal;
 use mocapd_drivers::natnet::{Bitstream, DATA_PORT, ServedStream};
 use mocapd_simulator::natnet::{
-    NatNetDevice, NatNetError, NatNetListener, NatNetOptions, NatNetServeError, NatNetSettings,
+    NatNetDevice, NatNetError, NatNetListener, NatNetServeError, NatNetSettings,
 };
 
-use super::report::{LineReport, SentReport};
-use super::{DeviceProtocol, ServeArgs, input, refused};
-use crate::cli::output::{notify, print, print_json_line};
-use crate::cli::{Failure, files};
+use super::{DeviceProtocol, ServeArgs, input, refused, serve_at};
+use crate::cli::Failure;
 
 /// The options of a simulated Motive.
 #[derive(Debug, Args)]
@@ -85,27 +83,8 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         NatNetServeError::Open { .. } => Failure::usage(error),
         _ => Failure::from(error),
     })?;
-    let mut options = NatNetOptions { once: args.once, log: None };
-    if let Some(path) = &args.log {
-        // Recordings are checked against a log: never overwrite one.
-        options.log = Some(Box::new(BufWriter::new(files::create(path)?)));
-    }
-    let hz = f64::from(device.rate_millihertz()) / 1000.0;
-    notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
-    let uri = listener.uri();
-    if args.json {
-        print_json_line(&LineReport { path: &uri })?;
-    } else {
-        print(&format!("{uri}\n"))?;
-    }
-    let sent = listener.serve(&mut device, options, &stop)?;
-    let report = SentReport::new(&sent, true);
-    if args.json {
-        print_json_line(&report)?;
-    } else {
-        report.text(args.protocol).lines().for_each(notify);
-    }
-    Ok(())
+    let (uri, motion) = (listener.uri(), (n_markers, device.rate_millihertz()));
+    serve_at(args, &uri, motion, |options| listener.serve(&mut device, options, &stop))
 }
 
 /// Refuses options that a Motive does not have.

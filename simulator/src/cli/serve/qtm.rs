@@ -1,16 +1,11 @@
 //! `mocapd-sim serve --protocol qtm`: a simulated QTM on the network.
 
-use std::io::BufWriter;
+use mocapd_cli::stop::stop_on_signal;
+use mocapd_simulator::qtm::{QtmDevice, QtmError, QtmListener, QtmSettings, ServeError};
 
-use mocapd_cli::{numbers::count, stop::stop_on_signal};
-use mocapd_simulator::qtm::{
-    NetworkOptions, QtmDevice, QtmError, QtmListener, QtmSettings, ServeError,
-};
-
-use super::report::{LineReport, SentReport};
-use super::{DeviceProtocol, ServeArgs, input, refused};
-use crate::cli::output::{notify, print, print_json_line};
-use crate::cli::{Failure, files};
+use super::{DeviceProtocol, ServeArgs, input, refused, serve_at};
+use crate::cli::Failure;
+use crate::cli::output::notify;
 
 /// Serves a QTM until it is stopped.
 pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
@@ -33,30 +28,11 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         ServeError::Listen { .. } => Failure::usage(error),
         _ => Failure::from(error),
     })?;
-    let mut options = NetworkOptions { once: args.once, log: None };
-    if let Some(path) = &args.log {
-        // Recordings are checked against a log: never overwrite one.
-        options.log = Some(Box::new(BufWriter::new(files::create(path)?)));
-    }
-    let hz = f64::from(device.rate_millihertz()) / 1000.0;
-    notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
     if !listener.answer_searches() {
         notify("`mocapd devices` does not find it: another program uses UDP port 22226 alone");
     }
-    let uri = listener.uri();
-    if args.json {
-        print_json_line(&LineReport { path: &uri })?;
-    } else {
-        print(&format!("{uri}\n"))?;
-    }
-    let sent = listener.serve(&mut device, options, &stop)?;
-    let report = SentReport::new(&sent, true);
-    if args.json {
-        print_json_line(&report)?;
-    } else {
-        report.text(args.protocol).lines().for_each(notify);
-    }
-    Ok(())
+    let (uri, motion) = (listener.uri(), (n_markers, device.rate_millihertz()));
+    serve_at(args, &uri, motion, |options| listener.serve(&mut device, options, &stop))
 }
 
 /// Refuses options that a QTM does not have. Returns the port; 0 for any.

@@ -1,14 +1,10 @@
 //! `mocapd-sim serve --protocol lsl`: a motion, its events and sampled channels as streams of the Lab Streaming Layer.
 
-use std::io::BufWriter;
+use mocapd_cli::stop::stop_on_signal;
+use mocapd_simulator::lsl::{LslDevice, LslError, LslOutlets, LslSettings};
 
-use mocapd_cli::{numbers::count, stop::stop_on_signal};
-use mocapd_simulator::lsl::{LslDevice, LslError, LslOptions, LslOutlets, LslSettings};
-
-use super::report::{LineReport, SentReport};
-use super::{ServeArgs, input, refused};
-use crate::cli::output::{notify, print, print_json_line};
-use crate::cli::{Failure, files};
+use super::{ServeArgs, input, refused, serve_at};
+use crate::cli::Failure;
 
 /// Serves the streams until it is stopped.
 pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
@@ -29,27 +25,8 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     })?;
     let stop = stop_on_signal()?;
     let outlets = LslOutlets::open(&device)?;
-    let mut options = LslOptions { once: args.once, log: None };
-    if let Some(path) = &args.log {
-        // Recordings are checked against a log: never overwrite one.
-        options.log = Some(Box::new(BufWriter::new(files::create(path)?)));
-    }
-    let hz = f64::from(device.rate_millihertz()) / 1000.0;
-    notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
-    let uri = outlets.uri();
-    if args.json {
-        print_json_line(&LineReport { path: &uri })?;
-    } else {
-        print(&format!("{uri}\n"))?;
-    }
-    let sent = outlets.serve(&mut device, options, &stop)?;
-    let report = SentReport::new(&sent, true);
-    if args.json {
-        print_json_line(&report)?;
-    } else {
-        report.text(args.protocol).lines().for_each(notify);
-    }
-    Ok(())
+    let (uri, motion) = (outlets.uri(), (n_markers, device.rate_millihertz()));
+    serve_at(args, &uri, motion, |options| outlets.serve(&mut device, options, &stop))
 }
 
 /// Refuses options that streams do not have.
