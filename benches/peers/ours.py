@@ -22,9 +22,12 @@ def find(path):
     return program
 
 
-def run(program, path, resamplers=()):
+def run(program, path, resamplers=(), effort=1):
     """The parsed output for one take, with all resamplers or those given."""
-    command = [str(program), "bench", "codec", str(path), "--json"]
+    command = [str(program), "bench", "codec", str(path), "--json", "--effort", str(effort)]
+    if effort > 1:
+        # An exhaustive search takes minutes for a long take, and its speed is no claim.
+        command += ["--repeats", "1"]
     for resampler in resamplers:
         command += ["--resampler", resampler]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -34,6 +34,7 @@ def arguments():
     parser.add_argument("--mocapd", metavar="PATH", help="default: target/release/mocapd")
     parser.add_argument("--peers-only", action="store_true", help="do not run mocapd")
     parser.add_argument("--codecs", metavar="NAMES", help="only these peers, separated by commas; size claims need all")
+    parser.add_argument("--effort", type=int, choices=range(1, 10), default=1, help="of dense; sizes only beyond 1")
     parser.add_argument("--no-speed", action="store_true", help="sizes only")
     parser.add_argument("--cache", metavar="DIR", help="cache the sizes of the peers in this folder")
     parser.add_argument("--json", metavar="OUT", type=Path)
@@ -61,18 +62,18 @@ def main():
     speeds, ours = [], []
     for path, take in zip(paths, takes):
         log(f"mocapd and speeds: {take.name}")
-        timed = not (options.no_speed or take.raw_bytes < bars_.SPEED_RAW_BYTES_MIN or take.filtered)
+        timed = not (options.no_speed or options.effort > 1 or take.raw_bytes < bars_.SPEED_RAW_BYTES_MIN or take.filtered)
         theirs, answers = [], []
         # Speeds come last, in one process: for each take, peers and mocapd alternate, so that a slow phase of the
         # machine does not affect only one of them.
         for n in range(ROUNDS if timed else 1):
             theirs.append(timings.speed_rows(take, peers) if timed else [])
             if program:
-                answers.append(ours_.run(program, path, (ours_.DENSE, ours_.FAST) if n else ()))
+                answers.append(ours_.run(program, path, (ours_.DENSE, ours_.FAST) if n else (), options.effort))
         speeds += timings.fastest(theirs, ("take", "tolerance_mm", "codec"))
         found = [ours_.rows_of(answer, take) for answer in answers]
         ours += timings.fastest(found, ("take", "tolerance_mm", "resampler"))
-    bars = bars_.all_bars(ours, peers, speeds, names) if ours else []
+    bars = bars_.all_bars(ours, peers, speeds, names, options.effort) if ours else []
 
     versions = sorted({codec.versions for codec in all_codecs()})
     text = table.everything(peers, ours, speeds, versions)

@@ -251,6 +251,36 @@ fn another_file_or_setting_is_another_take_and_the_same_is_the_same() {
     assert_mentions(&printed, &[concat!("mocapd ", env!("CARGO_PKG_VERSION"))]);
 }
 
+/// An encoder that tries other orders of the markers writes takes whose channel table is not in the order of the file.
+#[test]
+fn the_benchmark_compares_markers_that_were_coded_in_another_order() {
+    let folder = Folder::new();
+    // Markers of four limbs, those of a limb far apart.
+    let mut motion = jump(12, 60.0, 2.5);
+    for (place, position) in motion.positions_mm.iter_mut().enumerate() {
+        let (row, marker) = (place / 12, place % 12);
+        let (limb, radius, time) = (marker % 4, marker % 4 + marker / 4, row as f32 / 20.0);
+        let swing =
+            [time.sin(), (1.3 * time + limb as f32).cos(), (0.7 * time * limb as f32).sin()];
+        *position = swing.map(|swing| swing * 90.0 * radius as f32);
+    }
+    folder.write_motion("jump.csv", &motion);
+    let setting = ["--resampler", "dense", "--tolerance", "0.5mm", "--effort", "9"];
+    folder.run(&[&["import", "jump.csv", "-o", "9.take"][..], &setting].concat()).with_code(0);
+    let mut is_reordered = false;
+    let read = read_events(&folder.read("9.take")[..], |event| {
+        is_reordered |= matches!(event, TakeEvent::Order(order) if !order.is_identity());
+        Ok(())
+    });
+    read.unwrap();
+    assert!(is_reordered);
+    let bench =
+        [&["bench", "codec", "jump.csv", "--repeats", "1", "--json"][..], &setting].concat();
+    let result = folder.run(&bench).with_code(0).json()["files"][0]["results"][0].clone();
+    let error_mm = result["max_error_mm"].as_f64().unwrap();
+    assert!((0.1..=0.5).contains(&error_mm), "{error_mm}");
+}
+
 #[test]
 fn every_format_comes_back_to_the_bit() {
     let folder = Folder::new();

@@ -14,7 +14,7 @@ use mocapd_acquire::{
 };
 use mocapd_codec::{Effort, ResamplerKind, Settings, SplineVariant, Tolerance};
 use mocapd_take::{
-    TakeEvent,
+    ChannelOrder, TakeEvent,
     motion::{Motion, is_gap},
     reader::read_events,
     stretch::StretchDecoder,
@@ -175,8 +175,8 @@ fn measure(
     }
     let mut worst_mm = 0.0_f64;
     let mut samples = 0;
-    decode(&take, |decoder, first_row| {
-        let (found, error_mm) = compare(decoder, input.motion, first_row);
+    decode(&take, |decoder, order, first_row| {
+        let (found, error_mm) = compare(decoder, order, input.motion, first_row);
         samples += found;
         worst_mm = worst_mm.max(error_mm);
     })?;
@@ -185,21 +185,25 @@ fn measure(
         "{samples} of {} samples were decoded: please report this bug",
         input.samples()
     );
-    let decode = median_time(repeats, || decode(&take, |_, _| ()))?;
+    let decode = median_time(repeats, || decode(&take, |_, _, _| ()))?;
     let measured = Measured::new(codec, &summary, take.len() as u64, worst_mm, (encode, decode));
     Ok(Measured { effort: effort.level(), ..measured })
 }
 
-/// Decodes a take from its bytes to float32; `found` gets each decoded stretch and its first row.
-fn decode(take: &[u8], mut found: impl FnMut(&StretchDecoder, usize)) -> anyhow::Result<()> {
-    let mut decoder = None;
+/// Decodes a take from its bytes to float32; `found` gets each decoded stretch, the order of its channels and its first row.
+fn decode(
+    take: &[u8],
+    mut found: impl FnMut(&StretchDecoder, &ChannelOrder, usize),
+) -> anyhow::Result<()> {
+    let (mut decoder, mut order) = (None, ChannelOrder::default());
     read_events(take, |event| {
         match event {
             TakeEvent::Header(header) => decoder = Some(StretchDecoder::new(header.codec()?)),
+            TakeEvent::Order(stated) => order = stated,
             TakeEvent::Stretch(stretch) => {
                 if let Some(decoder) = &mut decoder {
                     decoder.decode(&stretch)?;
-                    found(decoder, stretch.span.first_row as usize);
+                    found(decoder, &order, stretch.span.first_row as usize);
                 }
             }
             _ => {}
@@ -210,13 +214,19 @@ fn decode(take: &[u8], mut found: impl FnMut(&StretchDecoder, usize)) -> anyhow:
 }
 
 /// The number of samples of a decoded stretch, and the largest error, mm.
-fn compare(decoder: &StretchDecoder, motion: &Motion, first_row: usize) -> (usize, f64) {
+fn compare(
+    decoder: &StretchDecoder,
+    order: &ChannelOrder,
+    motion: &Motion,
+    first_row: usize,
+) -> (usize, f64) {
     let n_markers = motion.info.markers.len();
     let (mut samples, mut worst_mm) = (0, 0.0_f64);
     for (channel, rows) in decoder.rows().enumerate().take(n_markers) {
         let Some(rows) = rows else { continue };
+        let column = order.column_of(channel);
         for (row, &decoded) in rows.positions.iter().enumerate() {
-            let original = motion.positions_mm[(first_row + row) * n_markers + channel];
+            let original = motion.positions_mm[(first_row + row) * n_markers + column];
             if rows.present[row] && !is_gap(original) {
                 samples += 1;
                 let square =
