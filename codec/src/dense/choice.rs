@@ -1,16 +1,22 @@
-//! The samples of the rows of a level, and the greedy choice of a row's lattice point: rate-distortion optimisation
-//! over the points around the sample.
+//! The choice of lattice points: greedily, row by row, by rate-distortion optimisation over the points around a
+//! sample; and trials, which price the rows of a span with points that are decided in advance.
+
+use std::ops::RangeInclusive;
 
 use super::{
-    candidates::{AXES, CELL_POINTS, LatticeCell, Reach},
+    SPAN,
     contexts::KINDS,
-    distance_correction::BATCH_ROWS,
-    level::ResidualInputs,
-    level_prediction::{Batch, LevelLayout, PADDED_ROWS, PAST_ROWS},
-    points::{Grid, Lattice, Point, Points, lanes},
+    cross_channel::SpanResiduals,
+    distance_correction::{BATCH_ROWS, KindShares},
+    lattice::{AXES, CELL_POINTS, Grid, Lattice, LatticeCell, Point, Points, Reach, lanes},
+    level::{Channels, ResidualInputs, RowCodec},
+    level_prediction::{AnchorErrors, Batch, LevelLayout, PADDED_ROWS, PADDED_SPAN, PAST_ROWS},
+    model::CostCounter,
+    segment_lengths::PartnerDistances,
+    track::Steps,
 };
 use crate::{
-    Position,
+    Position, Rows,
     bound::{squared_distance, widen},
 };
 
@@ -152,7 +158,7 @@ impl LevelSamples {
     }
 
     /// All lattice points inside the tolerance ball.
-    pub(super) fn ball_points(&self, inputs: &ResidualInputs) -> BallPoints {
+    fn ball_points(&self, inputs: &ResidualInputs) -> BallPoints {
         let cell = self.cell(inputs);
         let mut found = BallPoints::NONE;
         let mut take = |steps: [f64; 3]| {
@@ -181,4 +187,173 @@ fn largest_square(tolerance_mm: f64) -> f64 {
         squares = squares.next_up();
     }
     squares
+}
+
+/// The decided rows of one channel in a span, by slot, and their steps from the prediction.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SpanPlan {
+    decided: u64,
+    steps: [Point; SPAN],
+}
+
+const _: () = assert!(SPAN == u64::BITS as usize);
+
+impl SpanPlan {
+    pub(super) const NONE: Self = Self { decided: 0, steps: [[0; 3]; SPAN] };
+
+    /// The steps of a row; `None` where they are not decided.
+    #[inline(always)]
+    pub(super) fn steps(&self, slot: usize) -> Option<Point> {
+        let is_decided = self.decided >> (slot % SPAN) & 1 == 1;
+        is_decided.then(|| self.steps[slot % SPAN])
+    }
+
+    /// One bit per slot from `slot` on: whether it is decided.
+    #[inline(always)]
+    pub(super) fn decided_from(&self, slot: usize) -> u64 {
+        self.decided >> (slot % SPAN)
+    }
+
+    pub(super) fn decide(&mut self, slot: usize, steps: Point) {
+        self.decided |= 1 << (slot % SPAN);
+        self.steps[slot % SPAN] = steps;
+    }
+}
+
+/// Prices the rows of a span: the points of a plan, greedy choices elsewhere.
+#[derive(Debug)]
+pub(super) struct Trial<'a> {
+    channels: &'a [Rows<'a>],
+    samples: LevelSamples,
+    pub(super) coder: CostCounter,
+    /// The cost at which a trial is abandoned.
+    pub(super) limit: u64,
+    pub(super) plan: SpanPlan,
+    /// The slot of the row whose points are all collected; [`SPAN`] for none.
+    pub(super) wanted: usize,
+    /// The points of that row, and the greedy choice.
+    pub(super) points: BallPoints,
+    pub(super) greedy: Point,
+    /// The slot of the first row of the current level.
+    slot: usize,
+}
+
+impl<'a> Trial<'a> {
+    pub(super) fn new(channels: &'a [Rows<'a>], grid: Grid) -> Self {
+        Self {
+            channels,
+            samples: LevelSamples::new(grid),
+            coder: CostCounter::default(),
+            limit: u64::MAX,
+            plan: SpanPlan::NONE,
+            wanted: SPAN,
+            points: BallPoints::NONE,
+            greedy: [0; 3],
+            slot: 0,
+        }
+    }
+}
+
+impl RowCodec for Trial<'_> {
+    type Coder = CostCounter;
+
+    fn coder(&mut self) -> &mut CostCounter {
+        &mut self.coder
+    }
+
+    #[inline(always)]
+    fn choose(&mut self, inputs: ResidualInputs) -> Point {
+        let slot = self.slot + inputs.place;
+        if let Some(steps) = self.plan.steps(slot) {
+            return steps;
+        }
+        if slot != self.wanted {
+            return self.samples.choose(&inputs);
+        }
+        self.points = self.samples.ball_points(&inputs);
+        let stays = self.samples.is_inside(&inputs, [0.0; 3]);
+        self.greedy = if stays { [0; 3] } else { self.samples.choose(&inputs) };
+        self.greedy
+    }
+
+    fn position(&self, channel: usize, row: usize) -> Option<Position> {
+        Some(self.channels[channel].positions()[row])
+    }
+
+    #[inline(always)]
+    fn begin(&mut self, layout: &LevelLayout) {
+        self.slot = layout.slot;
+        self.samples.begin(self.channels[layout.run.channel].positions(), layout);
+    }
+
+    #[inline(always)]
+    fn outside<const N: usize>(&mut self, batch: Batch, predictions: &Points<N>) -> u32 {
+        let wanted = if self.wanted < SPAN { 1 << self.wanted >> batch.slot } else { 0_u64 };
+        let asked = self.plan.decided_from(batch.slot) | wanted;
+        self.samples.outside(batch, predictions) | asked as u32
+    }
+
+    #[inline(always)]
+    fn gives_up(&self) -> bool {
+        self.coder.cost >= self.limit
+    }
+
+    #[inline(always)]
+    fn finish_rows<const N: usize>(&mut self, _: Batch, _: &Points<N>, _: u32) {}
+}
+
+/// The state of one channel in a span.
+#[derive(Debug, Clone)]
+pub(super) struct ChannelState {
+    points: [[f64; 3]; SPAN],
+    steps: [Steps; SPAN],
+    span: [[f64; PADDED_SPAN]; 3],
+    packed_steps: [u64; PADDED_SPAN],
+    activity: [[i32; 4]; KINDS],
+    anchor_errors: AnchorErrors,
+    shares: KindShares,
+    distances: PartnerDistances,
+    residuals: SpanResiduals,
+}
+
+impl ChannelState {
+    /// The state of a channel with the rows `rows` of its span.
+    pub(super) fn of(channels: &Channels, channel: usize, rows: RangeInclusive<usize>) -> Self {
+        let track = &channels.tracks[channel];
+        let (mut points, mut steps) = ([[f64::NAN; 3]; SPAN], [Steps::default(); SPAN]);
+        for (i, row) in rows.take(SPAN).enumerate() {
+            (points[i], steps[i]) = (track.points[row], track.steps[row]);
+        }
+        Self {
+            points,
+            steps,
+            span: track.span,
+            packed_steps: track.packed_steps,
+            activity: track.activity,
+            anchor_errors: track.anchor_errors.clone(),
+            shares: *channels.correction.shares(channel),
+            distances: *channels.segments.partner_distances(channel),
+            residuals: *channels.cross_channel.residuals(channel),
+        }
+    }
+
+    /// Restores the state.
+    pub(super) fn restore(
+        &self,
+        channels: &mut Channels,
+        channel: usize,
+        rows: RangeInclusive<usize>,
+    ) {
+        let track = &mut channels.tracks[channel];
+        for (i, row) in rows.take(SPAN).enumerate() {
+            (track.points[row], track.steps[row]) = (self.points[i], self.steps[i]);
+        }
+        track.span = self.span;
+        track.packed_steps = self.packed_steps;
+        track.activity = self.activity;
+        track.anchor_errors.clone_from(&self.anchor_errors);
+        *channels.correction.shares_mut(channel) = self.shares;
+        *channels.segments.partner_distances_mut(channel) = self.distances;
+        *channels.cross_channel.residuals_mut(channel) = self.residuals;
+    }
 }
