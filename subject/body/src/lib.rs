@@ -28,13 +28,11 @@ pub mod repair;
 pub mod skeleton;
 #[cfg(test)]
 mod tests;
-mod unit;
 
 pub use crate::joint::Plausibility;
 pub use analysis::ScanAnalysis;
 pub use diagnosis::{Note, Refusal};
 pub use joint::{Estimate, Joint, Joints, Side};
-pub use mesh::Mesh;
+pub use mesh::{Mesh, Unit, UnitError};
 pub use reeb::Levels;
 pub use repair::Repaired;
-pub use unit::{Unit, UnitError};
