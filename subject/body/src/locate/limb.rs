@@ -3,11 +3,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::model::GIRTHS;
+use super::{STEP, model::GIRTHS};
 use crate::{Mesh, mesh::Point};
 
-/// Distance between two levels, in body scales.
-pub(super) const STEP: f64 = 0.006;
 /// Number of levels: up to 1.08 body scales from the end, past the far end of the trunk.
 pub(super) const LEVELS: usize = 180;
 

@@ -32,6 +32,9 @@ pub use landmark::{ARM_LANDMARKS, HEAD_LANDMARKS, Half, LEG_LANDMARKS, Landmarks
 pub use limb::Sections;
 pub use scan_faults::{Neck, Touching};
 
+/// Distance between two levels of a field, in body scales.
+const STEP: f64 = 0.006;
+
 /// Index of the head among the five extremities.
 pub const HEAD: usize = 0;
 /// Indices of the hands.

@@ -5,8 +5,8 @@
 //! the body, and by the shape of its end.
 
 use super::{
-    FOOT, Fields, HAND, HEAD,
-    limb::{STEP, Sections, between, level},
+    FOOT, Fields, HAND, HEAD, STEP,
+    limb::{Sections, between, level},
 };
 use crate::mesh::Point;
 
