@@ -268,7 +268,7 @@ impl Mapping {
 
 #[cfg(test)]
 mod tests {
-    use mocapd_testkit::photograph::PictureRng;
+    use mocapd_testkit::random::Random;
 
     use super::*;
     use crate::model::{Camera, Model};
@@ -320,7 +320,7 @@ mod tests {
         let model = Model::generic().unwrap();
         let mapping = singing_face();
         let there = moved(&model.vertices);
-        let mut random = PictureRng::new(11);
+        let mut random = Random::new(11);
         let noisy: BTreeMap<String, [f64; 3]> = mapping
             .markers
             .iter()
@@ -441,11 +441,11 @@ mod tests {
     #[test]
     fn changed_bytes_give_an_error_or_a_valid_mapping() {
         let good = singing_face().to_json().unwrap().into_bytes();
-        let mut random = PictureRng::new(5);
+        let mut random = Random::new(5);
         let mut read = 0;
         for _ in 0..400 {
             let mut bytes = good.clone();
-            let at = (random.uniform() * bytes.len() as f64) as usize;
+            let at = (random.unit() * bytes.len() as f64) as usize;
             bytes[at] = random.one_of(b"0123456789-.e,[]{}\"ax ");
             if let Ok(mapping) = Mapping::from_json(&bytes) {
                 let again = Mapping::from_json(mapping.to_json().unwrap().as_bytes()).unwrap();

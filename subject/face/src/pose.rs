@@ -103,7 +103,7 @@ impl EyeLine {
 
 #[cfg(test)]
 mod tests {
-    use mocapd_testkit::photograph::PictureRng;
+    use mocapd_testkit::random::Random;
 
     use super::*;
     use crate::model::{Camera, Model};
@@ -180,7 +180,7 @@ mod tests {
     /// Mean errors of both rules on random heads turned by up to 35 degrees, for outlines given by the caller.
     fn errors_deg(outline: impl Fn(&Model, &Camera, &[[f64; 3]]) -> Vec<[f64; 2]>) -> [f64; 2] {
         let model = Model::generic().unwrap();
-        let mut random = PictureRng::new(21);
+        let mut random = Random::new(21);
         let mut errors = [0.0; 2];
         let rounds = 100;
         for _ in 0..rounds {

@@ -255,16 +255,12 @@ impl Upright {
 
 #[cfg(test)]
 mod tests {
-    use mocapd_testkit::photograph::PictureRng;
+    use mocapd_testkit::random::Random;
 
     use super::*;
 
     /// A face of the model in a given pose, with an annotator's noise.
-    fn example(
-        random: &mut PictureRng,
-        yaw_deg: f64,
-        pitch_deg: f64,
-    ) -> [[f64; 2]; FeatureId::COUNT] {
+    fn example(random: &mut Random, yaw_deg: f64, pitch_deg: f64) -> [[f64; 2]; FeatureId::COUNT] {
         let model = Model::generic().unwrap();
         let options = FitOptions::default();
         let coefficients: Vec<f64> = model.modes.iter().map(|_| random.normal()).collect();
@@ -311,7 +307,7 @@ mod tests {
     #[test]
     fn faces_of_the_model_contradict_nothing() {
         let proportions = ProportionModel::of(Model::generic().unwrap());
-        let mut random = PictureRng::new(11);
+        let mut random = Random::new(11);
         let (mut warned, mut n) = (0, 0);
         for [yaw_deg, pitch_deg] in POSES {
             for _ in 0..40 {
@@ -327,7 +323,7 @@ mod tests {
     #[test]
     fn displaced_features_are_named() {
         let proportions = ProportionModel::of(Model::generic().unwrap());
-        let mut random = PictureRng::new(12);
+        let mut random = Random::new(12);
         let mouth = 39..53;
         for [yaw_deg, pitch_deg] in POSES {
             let good = example(&mut random, yaw_deg, pitch_deg);

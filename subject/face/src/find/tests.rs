@@ -178,8 +178,7 @@ fn the_second_stage_locates_eyes_and_mouth_and_estimates_the_turn() {
         let (frame, features) = second_stage(&Pyramid::new(photo.grey()), &photo, &first).unwrap();
         assert_eq!(features.len(), SECOND_STAGE_COUNT);
         let [to_left, to_right] = frame.eyes();
-        let pairs =
-            [(to_left, left), (to_right, right), (frame.at(0.0, super::Frame::MOUTH), mouth)];
+        let pairs = [(to_left, left), (to_right, right), (frame.at(0.0, Frame::MOUTH), mouth)];
         for (seen, truth) in pairs {
             let off = (f64::from(seen[0]) - truth[0]).hypot(f64::from(seen[1]) - truth[1]);
             let off = off / interocular_px;
