@@ -8,17 +8,12 @@ mod backend;
 #[cfg(feature = "full")]
 mod cloud;
 mod error;
-mod local;
 mod location;
 mod reader;
 mod store;
-mod upload;
-mod window;
 
 pub use backend::{Backend, ByteRange, ListedObject, ObjectPiece};
 pub use error::StoreError;
 pub use location::{ObjectUrl, is_url, without_secrets};
-pub use reader::ObjectReader;
-pub use store::{Store, Traffic, TrafficCount};
-pub use upload::{PART_BYTES, Pace};
-pub use window::StoredTake;
+pub use reader::{ObjectReader, StoredTake};
+pub use store::{PART_BYTES, Pace, Store, Traffic, TrafficCount};
