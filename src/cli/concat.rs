@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::{
     batch::{FileKinds, inputs},
-    edited::{notify_left_out, open, read_sources, write},
+    cut::{notify_left_out, open, read_sources, write},
     output::{notify, plain_path, print, print_json},
     paths,
     values::{bytes, count, thousands},

@@ -24,7 +24,7 @@ use super::{
         self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Job,
         outputs::{self, SeekWrite},
     },
-    edited::open,
+    cut::open,
     output::plain_path,
     remote,
     values::{bytes, default_effort, key_distance, resampler, thousands, tolerance},

@@ -22,9 +22,8 @@ use mocapd_take::{
 use serde::Serialize;
 
 use super::{
-    edited::open,
-    motion_files::read_options,
-    original::{MotionSource, open_motion},
+    cut::open,
+    motion_files::{MotionSource, open_motion, read_options},
     output::{Progress, notify, print, print_json},
     paths, remote,
 };

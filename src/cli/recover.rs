@@ -21,7 +21,7 @@ use super::{
     remote,
 };
 use crate::cli::{
-    damage::{self, DamageReport},
+    ledger::{self, DamageReport},
     output::plain,
     values::{bytes, count, thousands},
 };
@@ -203,11 +203,11 @@ impl RecoverReport {
         let (recovered, damaged) =
             (thousands(self.frames_recovered), thousands(self.frames_damaged));
         writeln!(out, "  {:<13} {recovered:>10} {damaged:>10}", "frames").ok();
-        for line in damage::lines(&self.damage) {
+        for line in ledger::damage_lines(&self.damage) {
             writeln!(out, "lost {line}").ok();
         }
         let damaged = self.markers.iter().map(|m| (m.label.as_str(), m.frames_damaged));
-        out += &damage::by_marker(&damaged.collect::<Vec<_>>());
+        out += &ledger::damage_by_marker(&damaged.collect::<Vec<_>>());
         out
     }
 }
