@@ -77,11 +77,11 @@ impl Landmarks {
     /// distances are contradictory, or a limb has no centre line.
     #[must_use]
     pub fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
-        let from_distances = scan_faults::from_distances(fields);
+        let from_distances = scan_faults::missing_by_distances(fields);
         let curves = Curves::new(mesh, &Fields { missing: from_distances, ..*fields })?;
         let toes = FOOT.map(|foot| mesh.point(fields.ends[foot]) / curves.scale.length);
         let (arms, legs) = (curves.arms.each_ref(), curves.legs.each_ref());
-        let missing = scan_faults::from_shape(fields, from_distances, arms, legs, toes);
+        let missing = scan_faults::missing_by_shape(fields, from_distances, arms, legs, toes);
         let fields = Fields { missing, ..*fields };
         let curves = if missing == from_distances { curves } else { Curves::new(mesh, &fields)? };
         Self::from_curves(curves, &fields)

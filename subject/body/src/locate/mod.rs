@@ -234,7 +234,7 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
     let legs = limbs(landmarks, 1, [&of.hip, &of.knee, &of.ankle], limb::knee_sigma);
     let legs = equalise_bones(legs, THIGH_PRIOR, of.thigh);
     let toes = [0, 1].map(|side| landmarks.halves[side].leg.get(TOES).copied().unwrap_or_default());
-    let left = left(legs, toes);
+    let left = index_of_left(legs, toes);
     let Touching { arms: arms_touch, legs: legs_touch, scale } = landmarks.touching;
     let doubt = if scale { SCALE_IN_DOUBT } else { 0.0 };
     let mut estimates = BTreeMap::new();
@@ -359,7 +359,7 @@ const AGREEMENT_OF_ONE_MIN: f64 = 0.5;
 ///
 /// Toes point forwards. Hip, knee and ankle bend about axes that run from right to left, so in every pose the cross
 /// product of shank (upwards) and foot (forwards) points to the left.
-fn left(legs: [Limb; 2], toes: [Point; 2]) -> Option<usize> {
+fn index_of_left(legs: [Limb; 2], toes: [Point; 2]) -> Option<usize> {
     let with_feet = legs.iter().zip(toes).filter(|(leg, _)| leg.missing <= 0.0);
     let to_left =
         |(leg, toes): (&Limb, Point)| (leg.hinge - leg.end).cross(&(toes - leg.end)).normalize();

@@ -154,7 +154,7 @@ const HAND_AT: [f64; 2] = [0.03, 0.13];
 const WRIST_REACH: f64 = 0.09;
 
 /// Missing length at each extremity, in the mesh's unit, by distances alone.
-pub(super) fn from_distances(fields: &Fields<'_>) -> [f64; 5] {
+pub(super) fn missing_by_distances(fields: &Fields<'_>) -> [f64; 5] {
     let mut missing = [0.0; 5];
     let Some(scale) = scale(fields) else { return missing };
     for (pair, others, most) in [(HAND, FOOT, ARM_SHORTER), (FOOT, HAND, LEG_SHORTER)] {
@@ -168,7 +168,7 @@ pub(super) fn from_distances(fields: &Fields<'_>) -> [f64; 5] {
 
 /// Missing length at each extremity with the shapes of the ends. `arms` and `legs` are their curves; the first leg is
 /// on the side of the first arm.
-pub(super) fn from_shape(
+pub(super) fn missing_by_shape(
     fields: &Fields<'_>,
     from_distances: [f64; 5],
     arms: [&Sections; 2],

@@ -52,7 +52,7 @@ pub fn read(bytes: &[u8], name: &str) -> Result<Scan, ReadError> {
     let surface = match format {
         Format::Obj => obj_off_stl::read_obj(bytes)?,
         Format::Ply => ply::read(bytes)?,
-        Format::Stl => obj_off_stl::read(bytes)?,
+        Format::Stl => obj_off_stl::read_stl(bytes)?,
         Format::Off => obj_off_stl::read_off(bytes)?,
     };
     let mut scan = surface.finish()?;
@@ -132,7 +132,7 @@ fn format(bytes: &[u8], name: &str) -> Result<Format, ReadError> {
         return Ok(Format::Ply);
     }
     // Before the other formats: a binary STL may begin with any text.
-    if obj_off_stl::binary_fits(bytes) {
+    if obj_off_stl::fits_binary_stl(bytes) {
         return Ok(Format::Stl);
     }
     let mut lines = obj_off_stl::lines(bytes)

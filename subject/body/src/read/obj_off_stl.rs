@@ -195,19 +195,19 @@ const HEAD: usize = TITLE + 4;
 const RECORD: usize = 50;
 
 /// Whether the length is exactly that of a binary file with the announced number of triangles.
-pub(super) fn binary_fits(bytes: &[u8]) -> bool {
+pub(super) fn fits_binary_stl(bytes: &[u8]) -> bool {
     announced(bytes)
         .is_some_and(|n| n > 0 && bytes.len() as u64 == HEAD as u64 + RECORD as u64 * u64::from(n))
 }
 
 /// Reads an STL file.
-pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
+pub(super) fn read_stl(bytes: &[u8]) -> Result<Surface, ReadError> {
     let mut triangles = Triangles { surface: Surface::new(Format::Stl), vertices: HashMap::new() };
     let is_text = tokens(bytes.get(..HEAD).unwrap_or(bytes)).next() == Some(b"solid");
-    if is_text && !binary_fits(bytes) {
-        read_text(bytes, &mut triangles)?;
+    if is_text && !fits_binary_stl(bytes) {
+        read_text_stl(bytes, &mut triangles)?;
     } else {
-        read_binary(bytes, &mut triangles)?;
+        read_binary_stl(bytes, &mut triangles)?;
     }
     Ok(triangles.surface)
 }
@@ -216,7 +216,7 @@ fn announced(bytes: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes(*bytes.get(TITLE..)?.first_chunk()?))
 }
 
-fn read_binary(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
+fn read_binary_stl(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
     let records = bytes.get(HEAD..).unwrap_or_default();
     let whole = records.len() / RECORD;
     let n = announced(bytes).unwrap_or(0) as usize;
@@ -237,7 +237,7 @@ fn read_binary(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError>
     Ok(())
 }
 
-fn read_text(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
+fn read_text_stl(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
     let mut corners = Vec::with_capacity(4);
     let (mut in_facet, mut ended) = (false, false);
     for (number, line) in lines(bytes) {

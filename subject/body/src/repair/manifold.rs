@@ -249,7 +249,7 @@ const AREA_MAX: f64 = 0.03;
 const RINGS_MAX: usize = 24;
 
 /// Closes every hole with rings of triangles around its centroid.
-pub(super) fn close(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
+pub(super) fn close_holes(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
     let borders = borders(mesh);
     if borders.is_empty() {
         return Ok(());

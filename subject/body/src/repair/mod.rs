@@ -123,7 +123,7 @@ fn repair_surface(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairEr
     decimate(mesh, FACES_KEPT_MAX, notes)?;
     manifold::make_manifold(mesh, notes);
     keep_largest(mesh, notes)?;
-    manifold::close(mesh, notes)?;
+    manifold::close_holes(mesh, notes)?;
     if manifold::is_clean(mesh) { Ok(()) } else { Err(RepairError::Tangled) }
 }
 

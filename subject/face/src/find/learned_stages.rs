@@ -52,7 +52,7 @@ const TURN_MAX: f32 = 0.6;
 pub type FeatureVector = Vec<u8>;
 
 /// Extracts the first-stage features of a frame on the photograph.
-pub(super) fn extract(pyramid: &Pyramid, frame: &Frame) -> FeatureVector {
+pub(super) fn first_stage_features(pyramid: &Pyramid, frame: &Frame) -> FeatureVector {
     let Some((plane, done)) = pyramid.at(length(frame.down) * STEP) else { return Vec::new() };
     let by = 1.0 / done;
     let mut roots = Plane::filled(SAMPLES, SAMPLES, 0.0);
@@ -86,7 +86,7 @@ pub(super) fn mirrored(features: &FeatureVector) -> FeatureVector {
 }
 
 /// The landmark regressor's frame and its second-stage features; none if the frame is degenerate.
-pub(super) fn second_stage(
+pub(super) fn second_stage_features(
     pyramid: &Pyramid,
     photo: &Photo,
     found: &DetectedFace,
@@ -94,7 +94,7 @@ pub(super) fn second_stage(
     let regressor = LandmarkRegressor::new(photo, &RoughFace::from(found));
     let landmarks = regressor.predict();
     let frame = frame(&regressor, &landmarks);
-    let mut bytes = extract(pyramid, &frame);
+    let mut bytes = first_stage_features(pyramid, &frame);
     bytes.extend(regressor.patch_features(&landmarks));
     bytes.push((255.0 * found.score).round().clamp(0.0, 255.0) as u8);
     (bytes.len() == SECOND_STAGE_COUNT).then_some((frame, bytes))
@@ -187,7 +187,7 @@ static SECOND_STAGE: BoostedTrees<{ Tree::count(SECOND_TABLE) }> = BoostedTrees:
 
 /// First-stage score, 0 to 1: the fraction of such feature vectors that are faces. The mean over the face and its
 /// mirror image, which is a face too.
-pub(super) fn score(features: &FeatureVector) -> f64 {
+pub(super) fn first_stage_score(features: &FeatureVector) -> f64 {
     let sum = FIRST_STAGE.sum(features) + FIRST_STAGE.sum(&mirrored(features));
     logistic(FIRST_STAGE.bias + sum / 2)
 }

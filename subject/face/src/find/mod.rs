@@ -24,7 +24,7 @@ mod template;
 #[cfg(test)]
 mod tests;
 
-use learned_stages::{STEPS, extract, second_stage};
+use learned_stages::{STEPS, first_stage_features, second_stage_features};
 
 use self::{
     learned_stages::length,
@@ -101,7 +101,7 @@ pub fn second_stage_hypotheses(photo: &Photo) -> Vec<Hypothesis> {
     suppress_overlaps(all.filter(|found| found.score >= FIRST_STAGE_MIN).collect())
         .iter()
         .filter_map(|found| {
-            let (frame, features) = second_stage(&pyramid, photo, found)?;
+            let (frame, features) = second_stage_features(&pyramid, photo, found)?;
             let found = on_photo(&frame, learned_stages::second_stage_score(&features));
             Some(Hypothesis { found, features })
         })
@@ -125,7 +125,7 @@ fn propose(photo: &Photo, pyramid: &Pyramid, steps: usize) -> Vec<Hypothesis> {
         .filter_map(|candidate| {
             let mut frame = candidate.frame()?;
             for step in STEPS.iter().take(steps) {
-                frame = step.aligned(&frame, &extract(pyramid, &frame));
+                frame = step.aligned(&frame, &first_stage_features(pyramid, &frame));
             }
             Some(hypothesis(pyramid, &frame))
         })
@@ -151,8 +151,8 @@ fn overlap(a: &DetectedFace, b: &DetectedFace) -> bool {
 }
 
 fn hypothesis(pyramid: &Pyramid, frame: &Frame) -> Hypothesis {
-    let features = extract(pyramid, frame);
-    Hypothesis { found: on_photo(frame, learned_stages::score(&features)), features }
+    let features = first_stage_features(pyramid, frame);
+    Hypothesis { found: on_photo(frame, learned_stages::first_stage_score(&features)), features }
 }
 
 fn on_photo(frame: &Frame, score: f64) -> DetectedFace {

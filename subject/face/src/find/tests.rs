@@ -1,7 +1,7 @@
 use mocapd_testkit::photograph::Scene;
 use mocapd_testkit::random::Random;
 
-use super::learned_stages::{STEPS, extract, mirrored, second_stage};
+use super::learned_stages::{STEPS, first_stage_features, mirrored, second_stage_features};
 use super::{
     DetectedFace, FEATURE_COUNT, Frame, SCORE_MIN, SECOND_STAGE_COUNT, faces, hypotheses,
     second_stage_hypotheses,
@@ -114,8 +114,8 @@ fn features_of_a_mirrored_photograph_are_the_mirrored_features() {
         down: [5.0, 50.0],
         turn: -0.1,
     };
-    let own = extract(&Pyramid::new(photo.grey()), &frame);
-    let of_other = extract(&Pyramid::new(other.grey()), &back);
+    let own = first_stage_features(&Pyramid::new(photo.grey()), &frame);
+    let of_other = first_stage_features(&Pyramid::new(other.grey()), &back);
     assert_eq!(own.len(), FEATURE_COUNT);
     assert_eq!(mirrored(&mirrored(&own)), own);
     let off = mirrored(&own).iter().zip(&of_other).map(|(a, b)| a.abs_diff(*b)).max();
@@ -144,8 +144,9 @@ fn alignment_moves_eyes_and_mouth_nearer_to_the_truth() {
             turn: 0.0,
         };
         before += far(&rough);
-        let aligned =
-            STEPS.iter().fold(rough, |at, step| step.aligned(&at, &extract(&pyramid, &at)));
+        let aligned = STEPS
+            .iter()
+            .fold(rough, |at, step| step.aligned(&at, &first_stage_features(&pyramid, &at)));
         after += far(&aligned);
     }
     assert!(after < 0.7 * before, "{after} of {before}");
@@ -175,7 +176,8 @@ fn the_second_stage_locates_eyes_and_mouth_and_estimates_the_turn() {
         // As far off as the first stage may be.
         let beside = |[x, y]: [f64; 2]| [x + 0.05 * interocular_px, y - 0.05 * interocular_px];
         let first = found([beside(left), beside(right)], beside(mouth));
-        let (frame, features) = second_stage(&Pyramid::new(photo.grey()), &photo, &first).unwrap();
+        let (frame, features) =
+            second_stage_features(&Pyramid::new(photo.grey()), &photo, &first).unwrap();
         assert_eq!(features.len(), SECOND_STAGE_COUNT);
         let [to_left, to_right] = frame.eyes();
         let pairs = [(to_left, left), (to_right, right), (frame.at(0.0, Frame::MOUTH), mouth)];
@@ -205,7 +207,7 @@ fn degenerate_faces_are_skipped_or_have_all_features() {
     ];
     for place in &places {
         for (pyramid, photo) in [(&pyramid, &photo), (&of_small, &small)] {
-            let seen = second_stage(pyramid, photo, place);
+            let seen = second_stage_features(pyramid, photo, place);
             let is_whole = seen.is_none_or(|(_, features)| features.len() == SECOND_STAGE_COUNT);
             assert!(is_whole, "{place:?}");
         }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::locate::{
     ARM_LANDMARKS, Fields, HEAD_LANDMARKS, LEG_LANDMARKS, Limb, THIGH_PRIOR, UPPER_ARM_PRIOR,
-    equalise_bones, left,
+    equalise_bones, index_of_left,
     limb::{LEVELS, Sections, level},
     model::{JOINTS, JointModels, LandmarkGroup, Model},
     scan_faults::{BodyScale, Touching},
@@ -186,7 +186,7 @@ fn toes(leg: &Limb) -> Vector3<f64> {
 }
 
 fn left_by_toes(legs: [Limb; 2]) -> Option<usize> {
-    left(legs, legs.each_ref().map(toes))
+    index_of_left(legs, legs.each_ref().map(toes))
 }
 
 #[test]
@@ -210,13 +210,13 @@ fn contradicting_feet_leave_the_sides_undetermined() {
     let legs = [bent_leg(-0.1, 0.0), bent_leg(0.1, 0.0)];
     let [forwards, other] = legs.each_ref().map(toes);
     let toes = [forwards, legs[1].end - (other - legs[1].end)];
-    assert_eq!(left(legs, toes), None);
+    assert_eq!(index_of_left(legs, toes), None);
     // Toes at the ankle are not a foot.
-    assert_eq!(left(legs, legs.map(|leg| leg.end)), None);
+    assert_eq!(index_of_left(legs, legs.map(|leg| leg.end)), None);
     // One foot is sufficient; none is not.
     let stump = |leg| Limb { missing: 0.1, ..leg };
-    assert_eq!(left([legs[0], stump(legs[1])], toes), Some(0));
-    assert_eq!(left(legs.map(stump), toes), None);
+    assert_eq!(index_of_left([legs[0], stump(legs[1])], toes), Some(0));
+    assert_eq!(index_of_left(legs.map(stump), toes), None);
 }
 
 #[test]

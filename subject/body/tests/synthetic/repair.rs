@@ -1,12 +1,66 @@
-//! Repairable damage, and the notes on it.
+//! Clean bodies, repairable damage of the kinds that scans have with the notes on it, and surfaces that are refused, with
+//! the reason.
 
-use super::{clean, codes, euler, repaired, volume};
-use mocapd_body::repair::FACES_KEPT_MAX;
+use std::collections::HashMap;
+
+use mocapd_body::read::{Format, Scan};
+use mocapd_body::repair::{FACES_KEPT_MAX, RepairError, Repaired, repair};
 use mocapd_body::skeleton::Method;
 use mocapd_body::{Mesh, ScanAnalysis, Unit};
 use mocapd_testkit::random::Random;
 use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 use nalgebra::Vector3;
+
+fn clean() -> Mesh {
+    body(1, Pose::A, BodyOptions { n_faces: 3000, turned: true }).0
+}
+
+fn repaired(mesh: Mesh) -> Result<Repaired, RepairError> {
+    repair(Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() }, None)
+}
+
+fn volume(mesh: &Mesh) -> f64 {
+    let determinant = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
+        a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
+            + a[2] * (b[0] * c[1] - b[1] * c[0])
+    };
+    mesh.triangles.iter().map(determinant).sum::<f64>() / 6.0
+}
+
+/// Asserts that the surface is closed, connected and oriented outward; returns V - E + F.
+fn euler(mesh: &Mesh) -> i64 {
+    let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
+    for (index, &[a, b, c]) in mesh.triangles.iter().enumerate() {
+        for edge in [(a, b), (b, c), (c, a)] {
+            assert_eq!(edges.insert(edge, index as u32), None, "an edge twice in one direction");
+        }
+    }
+    assert!(edges.keys().all(|&(a, b)| edges.contains_key(&(b, a))), "a hole");
+    let (mut reached, mut next) = (vec![false; mesh.triangles.len()], vec![0]);
+    while let Some(at) = next.pop() {
+        if !std::mem::replace(&mut reached[at as usize], true) {
+            let [a, b, c] = mesh.triangles[at as usize];
+            next.extend([(b, a), (c, b), (a, c)].map(|edge| edges[&edge]));
+        }
+    }
+    assert!(reached.iter().all(|&r| r), "several pieces");
+    assert!(volume(mesh) > 0.0);
+    mesh.positions.len() as i64 - edges.len() as i64 / 2 + mesh.triangles.len() as i64
+}
+
+fn codes(repaired: &Repaired) -> Vec<&'static str> {
+    repaired.notes.iter().map(|note| note.code).collect()
+}
+
+#[test]
+fn a_clean_surface_is_unchanged() {
+    let mesh = clean();
+    let found = repaired(mesh.clone()).unwrap();
+    assert_eq!(found.mesh, mesh);
+    assert_eq!(found.genus, 0);
+    assert_eq!(codes(&found), ["unit-inferred"]);
+}
 
 #[test]
 fn shared_corners_are_merged() {
@@ -111,7 +165,7 @@ fn parts_that_do_not_belong_to_the_body_are_removed() {
 /// Splits every triangle into four.
 fn finer(mesh: &Mesh) -> Mesh {
     let mut fine = Mesh { positions: mesh.positions.clone(), triangles: Vec::new() };
-    let mut between = std::collections::HashMap::new();
+    let mut between = HashMap::new();
     for &[a, b, c] in &mesh.triangles {
         let [ab, bc, ca] = [(a, b), (b, c), (c, a)].map(|(a, b)| {
             *between.entry((a.min(b), a.max(b))).or_insert_with(|| {
@@ -230,4 +284,79 @@ fn repaired_surfaces_are_closed_after_any_damage() {
         }
     }
     assert!(accepted > 90, "{accepted} of 120");
+}
+
+/// The part below a plane.
+fn below(mesh: &Mesh, axis: usize, height: f64) -> Mesh {
+    let mut half = mesh.clone();
+    let low = |triangle: &[u32; 3]| {
+        triangle.iter().all(|&corner| mesh.positions[corner as usize][axis] < height)
+    };
+    half.triangles.retain(low);
+    half
+}
+
+fn upright() -> Mesh {
+    body(1, Pose::Down, BodyOptions { n_faces: 3000, turned: false }).0
+}
+
+#[test]
+fn half_a_body_is_refused() {
+    // Only the front, as from one camera. The cut at the waist detaches the hands.
+    for half in [below(&upright(), 2, 0.01), below(&upright(), 1, 0.9)] {
+        let error = repaired(half).unwrap_err();
+        assert!(matches!(error, RepairError::Hole { .. }), "{error}");
+    }
+    // A body without soles is accepted.
+    let mut mesh = upright();
+    mesh.positions.iter_mut().for_each(|p| p[1] = -p[1]);
+    mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
+    let lowest = mesh.positions.iter().map(|p| p[1]).fold(f64::NEG_INFINITY, f64::max);
+    assert!(repaired(below(&mesh, 1, lowest - 0.02)).is_ok());
+}
+
+#[test]
+fn two_bodies_are_refused() {
+    let mesh = clean();
+    let mut both = mesh.clone();
+    both.positions.extend(mesh.positions.iter().map(|p| [p[0] + 3.0, p[1], p[2]]));
+    let n = mesh.positions.len() as u32;
+    both.triangles.extend(mesh.triangles.iter().map(|t| t.map(|corner| corner + n)));
+    let error = repaired(both).unwrap_err();
+    assert!(matches!(error, RepairError::Pieces { pieces: 2, .. }), "{error}");
+}
+
+#[test]
+fn surfaces_without_volume_are_refused() {
+    assert_eq!(repaired(Mesh::default()), Err(RepairError::NoSurface));
+    let point = Mesh { positions: vec![[1.0; 3]; 9], triangles: vec![[0, 1, 2], [4, 5, 6]] };
+    assert_eq!(repaired(point), Err(RepairError::NoSurface));
+    let mut flat = clean();
+    flat.positions.iter_mut().for_each(|p| p[2] = 0.0);
+    let error = repaired(flat).unwrap_err();
+    assert!(matches!(error, RepairError::Flat | RepairError::Tangled), "{error}");
+    // A sheet of paper: its boundary surrounds it.
+    let mut sheet = Mesh::default();
+    for i in 0..30_u32 {
+        for j in 0..30_u32 {
+            sheet.positions.push([f64::from(i) * 0.05, f64::from(j) * 0.05, 0.0]);
+            if i > 0 && j > 0 {
+                let at = 30 * i + j;
+                sheet.triangles.extend([[at - 31, at - 1, at], [at - 31, at, at - 30]]);
+            }
+        }
+    }
+    assert!(matches!(repaired(sheet), Err(RepairError::Hole { .. })));
+}
+
+#[test]
+fn a_size_that_fits_no_body_is_refused() {
+    let mut large = clean();
+    large.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= 12.0);
+    let error = repaired(large.clone()).unwrap_err();
+    assert!(matches!(error, RepairError::Unit(_)), "{error}");
+    // A stated unit is used in spite of an unlikely size, with a note.
+    let scan = Scan { mesh: large, format: Format::Obj, unit: None, notes: Vec::new() };
+    let found = repair(scan, Some(Unit::Centimetre)).unwrap();
+    assert!(!found.unit_inferred && found.notes.iter().any(|note| note.code == "odd-size"));
 }
