@@ -120,12 +120,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.whole_stretches {
         let reading = || format!("cannot read {name}");
         rows = source
-            .whole_stretches(open(&args.take, &counted)?, &requested)
+            .whole_stretches(open_counted(&args.take, &counted)?, &requested)
             .with_context(reading)?;
     }
-    let input = open(&args.take, &counted)?;
+    let input = open_counted(&args.take, &counted)?;
     let n_rows = rows.end - rows.start;
-    let written = write(&args.output, "cutting", n_rows, |out, context| {
+    let written = write_take(&args.output, "cutting", n_rows, |out, context| {
         cut(source, input, rows.clone(), out, context)
     })?;
     let more = n_rows - (requested.end - requested.start);
@@ -206,7 +206,10 @@ impl CutPartReport {
 }
 
 /// Opens a take. `read` counts its bytes.
-pub(super) fn open(path: &Path, read: &Arc<AtomicU64>) -> anyhow::Result<BufReader<CountingFile>> {
+pub(super) fn open_counted(
+    path: &Path,
+    read: &Arc<AtomicU64>,
+) -> anyhow::Result<BufReader<CountingFile>> {
     Ok(BufReader::new(CountingFile::new(remote::open(path)?, read)))
 }
 
@@ -224,7 +227,7 @@ pub(super) fn read_sources(paths: &[impl AsRef<Path>]) -> anyhow::Result<Vec<Sou
     let _progress = Progress::follow("reading", &read, bytes);
     let source = |path: &Path| {
         let reading = || format!("cannot read {}", path.display());
-        SourceTake::read(&mut open(path, &read)?).with_context(reading)
+        SourceTake::read(&mut open_counted(path, &read)?).with_context(reading)
     };
     paths.iter().map(|path| source(path.as_ref())).collect()
 }
@@ -233,7 +236,7 @@ pub(super) fn read_sources(paths: &[impl AsRef<Path>]) -> anyhow::Result<Vec<Sou
 ///
 /// # Errors
 /// If it exists or cannot be written, and the errors of `edit`.
-pub(super) fn write<T>(
+pub(super) fn write_take<T>(
     to: &Path,
     what: &'static str,
     rows: u64,

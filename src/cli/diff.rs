@@ -22,7 +22,7 @@ use mocapd_take::{
 use serde::Serialize;
 
 use super::{
-    cut::open,
+    cut::open_counted,
     motion_files::{MotionSource, open_motion, read_options},
     output::{Progress, notify, print, print_json},
     paths, remote,
@@ -84,7 +84,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 /// Opens a take and reads the content of its foreign parts, if they are `wanted`.
 fn open_frames(path: &Path, read: &Arc<AtomicU64>, wanted: bool) -> anyhow::Result<Frames> {
     let reading = || format!("cannot read {}", path.display());
-    let input = open(path, read)?;
+    let input = open_counted(path, read)?;
     TakeFrames::open_with(input, |_| wanted, files::scratch).with_context(reading)
 }
 
@@ -165,7 +165,7 @@ fn times(
     if a.map().header.device.is_none() || b.map().header.device.is_none() {
         return Ok(None);
     }
-    let inputs = (open(&args.a, read)?, open(&args.b, read)?);
+    let inputs = (open_counted(&args.a, read)?, open_counted(&args.b, read)?);
     Ok(Some(compare_times((inputs.0, a.map()), (inputs.1, b.map()))?))
 }
 

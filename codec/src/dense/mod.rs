@@ -51,7 +51,7 @@
 //! - [`level`]: the rows of one level of one run; [`walk`]: the order of all rows of a group, and the decoder
 //! - [`choice`]: the greedy choice of lattice points, and trials of other choices
 //! - [`planner`]: choices by their later cost, and how far it looks ahead
-//! - [`encoder`]: blocks
+//! - [`encoder`] makes blocks
 
 mod choice;
 mod contexts;

@@ -223,7 +223,7 @@ pub(crate) fn plan(
             }
         }
     }
-    Ok(write(&keys))
+    Ok(write_key_times(&keys))
 }
 
 /// Adds rows of worst samples until the run's spline through K keeps the tolerance; returns whether any was added.
@@ -255,7 +255,7 @@ pub(super) fn kept_rows(run_keys: &[bool]) -> impl Iterator<Item = usize> {
         .map(|(row, _)| row)
 }
 
-fn write(keys: &[bool]) -> Vec<u8> {
+fn write_key_times(keys: &[bool]) -> Vec<u8> {
     let mut out = Vec::new();
     let mut next = 0;
     for (row, _) in keys.iter().enumerate().filter(|(_, key)| **key) {
@@ -276,7 +276,7 @@ pub(super) fn read_row(
 }
 
 /// Decodes K into `keys`, one flag per row.
-pub(super) fn read(shared: &[u8], n_rows: usize, keys: &mut Vec<bool>) -> Result<()> {
+pub(super) fn read_key_times(shared: &[u8], n_rows: usize, keys: &mut Vec<bool>) -> Result<()> {
     keys.clear();
     keys.resize(n_rows, false);
     let mut input = Bytes::new(shared);
@@ -393,10 +393,13 @@ mod tests {
         for pattern in 0..1 << 9_u32 {
             let keys: Vec<bool> = (0..9).map(|i| pattern >> i & 1 == 1).collect();
             let mut back = Vec::new();
-            read(&write(&keys), 9, &mut back).unwrap();
+            read_key_times(&write_key_times(&keys), 9, &mut back).unwrap();
             assert_eq!(back, keys);
         }
-        assert!(matches!(read(&[9], 9, &mut Vec::new()), Err(CodecError::Corrupt(_))));
-        assert!(matches!(read(&[0x80], 9, &mut Vec::new()), Err(CodecError::Truncated(_))));
+        assert!(matches!(read_key_times(&[9], 9, &mut Vec::new()), Err(CodecError::Corrupt(_))));
+        assert!(matches!(
+            read_key_times(&[0x80], 9, &mut Vec::new()),
+            Err(CodecError::Truncated(_))
+        ));
     }
 }

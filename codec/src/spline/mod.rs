@@ -187,7 +187,7 @@ impl Payload for Spline {
     fn begin(&mut self, shared: &[u8], n_rows: usize) -> Result<()> {
         match &mut self.times {
             Times::Own(_) => Ok(()),
-            Times::Shared(keys) => knots::read(shared, n_rows, keys),
+            Times::Shared(keys) => knots::read_key_times(shared, n_rows, keys),
         }
     }
 }

@@ -234,7 +234,7 @@ fn every_changed_byte_in_a_stream() {
             for i in 0..blocks[at].bytes.len() {
                 for flip in [0x01, 0x10, 0x80, 0xff] {
                     recovers_among((settings, &stretches, &blocks), at, |bytes, _| {
-                        bytes[i] ^= flip
+                        bytes[i] ^= flip;
                     });
                 }
             }

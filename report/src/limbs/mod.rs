@@ -95,12 +95,12 @@ pub struct LimbCheck {
 #[must_use]
 pub fn check(motion: &Motion, limbs: &[Limb], columns: &[usize]) -> LimbCheck {
     let mut body = SubjectMotion::new(motion, limbs, columns);
-    let lengths: Vec<LimbStats> = (0..limbs.len()).map(|limb| of(&body, limb)).collect();
+    let lengths: Vec<LimbStats> = (0..limbs.len()).map(|limb| stats_of(&body, limb)).collect();
     body.set_bands(&lengths);
     let mut found = swaps::all(&mut body);
     found.sort_by_key(|swap| (swap.rows.start, swap.markers));
     // Measured with the swaps undone.
-    let outside = outside(&body);
+    let outside = excursions(&body);
     LimbCheck { lengths, swaps: found, outside }
 }
 
@@ -160,7 +160,7 @@ fn spread(values: &[f64], about: f64) -> f64 {
 }
 
 /// The statistics of a limb over the take.
-fn of(body: &SubjectMotion<'_>, limb: usize) -> LimbStats {
+fn stats_of(body: &SubjectMotion<'_>, limb: usize) -> LimbStats {
     let mut all: Vec<f64> =
         (0..body.n_rows()).filter_map(|row| body.length_mm(row, limb)).collect();
     let Some(median_mm) = median(&mut all) else { return LimbStats::default() };
@@ -185,7 +185,7 @@ fn of(body: &SubjectMotion<'_>, limb: usize) -> LimbStats {
 }
 
 /// The ranges in which limbs are outside their bands, in the order of the frames.
-fn outside(body: &SubjectMotion<'_>) -> Vec<Excursion> {
+fn excursions(body: &SubjectMotion<'_>) -> Vec<Excursion> {
     let mut found: Vec<Excursion> = Vec::new();
     let near = body.rows_in(NEAR_S);
     for limb in 0..body.limbs.len() {

@@ -87,7 +87,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             about.sampled = measure_samples(&header, &foreign, args.repeats)?;
         }
         if !args.json {
-            print(&table(&about.sampled))?;
+            print(&samples_table(&about.sampled))?;
             print(&about.head())?;
         }
         for (codec, effort) in &settings {
@@ -422,7 +422,7 @@ impl MeasuredSamples {
 }
 
 /// One line per part.
-fn table(measured: &[MeasuredSamples]) -> String {
+fn samples_table(measured: &[MeasuredSamples]) -> String {
     let mut out = String::new();
     for part in measured {
         let MeasuredSamples { channels, samples, raw_bytes, bytes, .. } = part;

@@ -81,7 +81,7 @@ impl SampledGroupReport {
 
 /// The text after the size of a part: its number of channels and their rate, and its size in the take; empty for a part
 /// without channels.
-pub(super) fn shape(groups: &[&SampledGroupReport]) -> String {
+pub(super) fn channels_text(groups: &[&SampledGroupReport]) -> String {
     let Some(first) = groups.first() else { return String::new() };
     let n_channels = groups.iter().map(|group| group.channels.len() as u64).sum();
     let stored = groups.iter().map(|group| group.stored_bytes).sum();
@@ -100,7 +100,7 @@ pub(super) fn shape(groups: &[&SampledGroupReport]) -> String {
 }
 
 /// Appends a table of all sampled channels.
-pub(super) fn table(groups: &[SampledGroupReport], out: &mut String) {
+pub(super) fn channel_table(groups: &[SampledGroupReport], out: &mut String) {
     let all = || groups.iter().flat_map(|group| group.channels.iter().map(move |of| (group, of)));
     if all().next().is_none() {
         return;

@@ -82,7 +82,7 @@ pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
     out.push_str(&clock.unwrap_or_default());
     if all_markers {
         marker_table(report, &mut out);
-        contents::table(&report.sampled_groups, &mut out);
+        contents::channel_table(&report.sampled_groups, &mut out);
     }
     let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
     out.push_str(&ledger::damage_by_marker(&damaged.collect::<Vec<_>>()));
@@ -132,7 +132,7 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
         }
     }
     for group in report.sampled_groups.iter().filter(|group| group.kind.is_empty()) {
-        let shape = contents::shape(&[group]);
+        let shape = contents::channels_text(&[group]);
         line("sampled", shape.trim_start_matches(": "));
     }
     if let Some(poses) = &report.poses {
@@ -140,7 +140,7 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     }
     for part in &report.foreign_parts {
         let groups = report.sampled_groups.iter().filter(|group| group.kind == part.kind);
-        let shape = contents::shape(&groups.collect::<Vec<_>>());
+        let shape = contents::channels_text(&groups.collect::<Vec<_>>());
         line("kept", &format!("{}, {}{shape}", part.kind, bytes(part.bytes)));
     }
 }

@@ -180,7 +180,7 @@ pub(super) struct SplitValue {
 ///
 /// # Errors
 /// What is wrong, and what to type instead.
-pub(super) fn split(text: &str) -> Result<SplitValue, String> {
+pub(super) fn parse_split(text: &str) -> Result<SplitValue, String> {
     let text = text.trim();
     let value = |length| Ok(SplitValue { length, text: text.to_owned() });
     if text.ends_with('B') {
@@ -303,7 +303,7 @@ impl RawLogReport {
 ///
 /// # Errors
 /// Those of the recording, or if the log cannot be created. A log that ends early is not an error.
-pub(super) fn with_log<T>(
+pub(super) fn with_raw_log<T>(
     path: Option<&Path>,
     has_take: impl FnOnce() -> bool,
     sync_every: Duration,
@@ -343,10 +343,10 @@ mod tests {
             ("500MB", TakeLength::Bytes(500_000_000)),
             ("2 GiB", TakeLength::Bytes(2 << 30)),
         ] {
-            assert_eq!(split(text).unwrap().length, length, "{text}");
+            assert_eq!(parse_split(text).unwrap().length, length, "{text}");
         }
         for text in ["10", "", "0s", "999ms", "999kB", "-1s", "-5MB", "1 floppy", "MB", "s"] {
-            assert!(split(text).is_err(), "{text}");
+            assert!(parse_split(text).is_err(), "{text}");
         }
     }
 
@@ -355,7 +355,7 @@ mod tests {
         let options = |split_text: &str, length| {
             let length = Some(Duration::from_secs(length));
             let stretch = Duration::from_secs(2);
-            split(split_text).unwrap().options(Path::new("a.take"), length, stretch)
+            parse_split(split_text).unwrap().options(Path::new("a.take"), length, stretch)
         };
         let first = |options: SeriesOptions| options.names.path(1);
         assert_eq!(first(options("10s", 9990).unwrap()), Path::new("a-001.take"));
