@@ -341,7 +341,7 @@ fn speed(of: &[Vector], rate_hz: f64) -> Vec<f64> {
     by_axis(of, |values| derivative(values, rate_hz)).into_iter().map(norm).collect()
 }
 
-/// Labels of the pelvis, in the form of [`super::labels::site_key`] and in order of preference.
+/// Labels of the pelvis, in the form of [`crate::labels::site_key`] and in order of preference.
 const PELVIS: &[&str] = &["pelvis", "hips", "root", "sacrum", "sacr", "midhip", "vsacral", "vsac"];
 /// Without a pelvis marker it is the mean of these: all markers of the first set that is complete.
 const AROUND_PELVIS: &[&[&str]] =

@@ -187,7 +187,7 @@ impl StoredTake {
     /// Opens a take.
     ///
     /// # Errors
-    /// `Io` with a [`StoreError`](super::StoreError) inside; those of [`TakeMap::open`].
+    /// `Io` with a [`StoreError`](crate::StoreError) inside; those of [`TakeMap::open`].
     pub fn open(store: &Store, url: &ObjectUrl) -> Result<Self, TakeError> {
         Self::of(store.open(url).map_err(|error| TakeError::Io(error.into()))?)
     }
