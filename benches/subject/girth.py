@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 
-STEP = 0.006  # section.rs
+STEP = 0.006  # limb.rs
 EVERY = 2 * STEP  # model.rs
 # Standard deviations of height and slope of a profile: larger than between people, so that they carry no information.
 HEIGHT, SLOPE = 0.5, 0.3

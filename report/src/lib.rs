@@ -9,11 +9,9 @@ pub mod decoded;
 pub mod derivative;
 pub mod labels;
 pub mod limbs;
-pub mod measures;
 pub mod noise;
 pub mod phases;
 pub mod plot;
-pub mod sites;
 pub mod study;
 pub mod up;
 

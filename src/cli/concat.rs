@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::{
     batch::{FileKinds, inputs},
-    edited::{notify_left_out, open, read_sources, write},
+    cut::{notify_left_out, open_counted, read_sources, write_take},
     output::{notify, plain_path, print, print_json},
     paths,
     values::{bytes, count, thousands},
@@ -81,12 +81,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let counted = Arc::default();
     let open = |i: usize| match takes.get(i) {
-        Some(path) => open(path, &counted).map_err(io::Error::other),
+        Some(path) => open_counted(path, &counted).map_err(io::Error::other),
         None => Err(io::ErrorKind::NotFound.into()),
     };
     let rows = sources.iter().map(|source| source.map().n_rows).fold(0, u64::saturating_add);
-    let written =
-        write(&args.output, "joining", rows, |out, context| concat(&sources, open, out, context))?;
+    let written = write_take(&args.output, "joining", rows, |out, context| {
+        concat(&sources, open, out, context)
+    })?;
     notify_left_out(&args.output, &written.left_out);
     let report = JoinedReport::new(args, &takes, &sources, written);
     for JoinedTake { take, frames_missing_before, .. } in

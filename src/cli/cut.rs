@@ -1,27 +1,37 @@
-//! `cut`: copies a part of a take into a new take.
+//! `cut`: copies a part of a take into a new take; and what it shares with other commands on whole takes: reading
+//! takes, and writing a new one.
 
 use std::{
+    io::{BufReader, BufWriter},
     ops::Range,
     path::{Path, PathBuf},
     str::FromStr,
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
     time::Duration,
 };
 
 use anyhow::{Context, bail, ensure};
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::ledger::LedgerDocument;
+use mocapd_acquire::{
+    files::{self, CountingFile},
+    header::SOFTWARE,
+    ledger::LedgerDocument,
+};
 use mocapd_service::units;
 use mocapd_take::{
-    edit::{CutReport, SourceTake, cut},
+    TakeError,
+    edit::{CutReport, EditContext, SourceTake, cut},
     motion::frame_at,
 };
 use serde::Serialize;
 
 use super::{
-    edited::{notify_left_out, open, read_sources, write},
-    output::{notify, plain_path, print, print_json},
-    paths,
+    batch::outputs::{self, SeekWrite},
+    output::{Progress, notify, plain_path, print, print_json},
+    paths, remote,
     values::{bytes, count, thousands},
 };
 
@@ -110,12 +120,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.whole_stretches {
         let reading = || format!("cannot read {name}");
         rows = source
-            .whole_stretches(open(&args.take, &counted)?, &requested)
+            .whole_stretches(open_counted(&args.take, &counted)?, &requested)
             .with_context(reading)?;
     }
-    let input = open(&args.take, &counted)?;
+    let input = open_counted(&args.take, &counted)?;
     let n_rows = rows.end - rows.start;
-    let written = write(&args.output, "cutting", n_rows, |out, context| {
+    let written = write_take(&args.output, "cutting", n_rows, |out, context| {
         cut(source, input, rows.clone(), out, context)
     })?;
     let more = n_rows - (requested.end - requested.start);
@@ -192,6 +202,64 @@ impl CutPartReport {
             bytes(self.file_bytes),
             thousands(self.frames_copied),
         )
+    }
+}
+
+/// Opens a take. `read` counts its bytes.
+pub(super) fn open_counted(
+    path: &Path,
+    read: &Arc<AtomicU64>,
+) -> anyhow::Result<BufReader<CountingFile>> {
+    Ok(BufReader::new(CountingFile::new(remote::open(path)?, read)))
+}
+
+/// Reads everything of the takes at `paths` but their samples, and checks every checksum.
+///
+/// # Errors
+/// If one cannot be read, is damaged or was cut off.
+pub(super) fn read_sources(paths: &[impl AsRef<Path>]) -> anyhow::Result<Vec<SourceTake>> {
+    remote::fetch(paths)?;
+    let mut bytes = 0;
+    for path in paths {
+        bytes += remote::len_bytes(path.as_ref())?;
+    }
+    let read = Arc::new(AtomicU64::new(0));
+    let _progress = Progress::follow("reading", &read, bytes);
+    let source = |path: &Path| {
+        let reading = || format!("cannot read {}", path.display());
+        SourceTake::read(&mut open_counted(path, &read)?).with_context(reading)
+    };
+    paths.iter().map(|path| source(path.as_ref())).collect()
+}
+
+/// Writes a new take of `rows` rows atomically: under its name there is the whole take or none.
+///
+/// # Errors
+/// If it exists or cannot be written, and the errors of `edit`.
+pub(super) fn write_take<T>(
+    to: &Path,
+    what: &'static str,
+    rows: u64,
+    edit: impl FnOnce(&mut BufWriter<&mut dyn SeekWrite>, &EditContext<'_>) -> Result<T, TakeError>,
+) -> anyhow::Result<T> {
+    let counter = Arc::new(AtomicU64::new(0));
+    let progress = Progress::follow(what, &counter, rows);
+    let on_rows = |rows| counter.store(rows, Ordering::Relaxed);
+    let context =
+        EditContext { software: SOFTWARE, new_scratch: &files::scratch, on_rows: &on_rows };
+    let (written, _) = outputs::write_whole(to, false, |out| {
+        let mut out = BufWriter::new(out);
+        let written = edit(&mut out, &context);
+        drop(progress);
+        written.with_context(|| format!("cannot write {}", to.display()))
+    })?;
+    Ok(written)
+}
+
+/// Reports what the new take lacks.
+pub(super) fn notify_left_out(output: &Path, left_out: &[String]) {
+    if !left_out.is_empty() {
+        notify(&format!("{}: left out: {}", output.display(), left_out.join(", ")));
     }
 }
 

@@ -29,7 +29,7 @@ use super::{
         self, Batch, Destination, Figures, FileKinds, FileReport, Input, InputArgs, Job,
         outputs::{self, SeekWrite},
     },
-    original::Import,
+    motion_files::Import,
     output::{plain, plain_path},
     paths::{self, InputFormatName},
     remote,

@@ -1,11 +1,20 @@
-//! Reading takes and motion files whole into memory, for commands that analyse a motion, and writing their output.
+//! Reads takes and motion files of other tools, whole into memory for commands that analyse a motion, or piece by
+//! piece to import them as takes; and writes the output of such commands.
 
-use std::{io::BufReader, path::Path, sync::atomic::AtomicU64};
+use std::{
+    io::{BufReader, Write},
+    path::Path,
+    sync::{Arc, atomic::AtomicU64},
+};
 
 use anyhow::Context;
 use mocapd_acquire::{
     files::{self, CountingFile},
-    pipeline::offline,
+    header::SOFTWARE,
+    pipeline::{
+        TakeAccount,
+        offline::{self, SourceFailed},
+    },
     threads,
 };
 use mocapd_body::skeleton::Skeleton;
@@ -18,17 +27,180 @@ use mocapd_service::subject;
 use mocapd_take::{
     TakeFrames,
     foreign::analog::{AnalogSamples, is_needed},
-    interchange::{MotionReader, ReadOptions},
+    import::{self, ImportSettings},
+    interchange::{Format, MotionReader, ReadOptions, ReaderSettings},
     motion::{FrameSource, Motion, MotionInfo},
+    record::Header,
 };
 
 use super::{
-    batch::Job,
-    original::{MotionSource, header_of, open_motion, read_motion, read_motion_with},
+    batch::{Input, Job},
     output::notify,
     paths::{self, InputFormat},
     remote::{self, OutputFile},
 };
+
+/// Reads a motion file.
+///
+/// # Errors
+/// If it cannot be read, has no markers or frames, or an implausible frame rate.
+pub(super) fn read_motion(path: &Path) -> anyhow::Result<Motion> {
+    read_motion_with(path, &ReadOptions::default())
+}
+
+/// Reads a motion file with a given unit and up axis.
+///
+/// # Errors
+/// As [`read_motion`].
+fn read_motion_with(path: &Path, options: &ReadOptions) -> anyhow::Result<Motion> {
+    let source = MotionSource::file(path)?;
+    let reader = open_motion(&source, options, true, &Arc::default())?;
+    reader.into_motion().with_context(|| reading(path))
+}
+
+/// A motion file, its format, and its name in messages.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MotionSource<'a> {
+    path: &'a Path,
+    name: &'a Path,
+    format: Format,
+}
+
+impl<'a> MotionSource<'a> {
+    /// The file at a path, in the format of its extension.
+    ///
+    /// # Errors
+    /// If it is a folder; a usage error for an unknown extension.
+    pub(super) fn file(path: &'a Path) -> anyhow::Result<Self> {
+        Ok(Self { path, name: path, format: paths::input_format(path)? })
+    }
+
+    /// A file that a command was given.
+    ///
+    /// # Errors
+    /// A usage error for an unknown extension, or a take.
+    pub(super) fn of(input: &'a Input) -> anyhow::Result<Self> {
+        match input.format()? {
+            InputFormat::MotionFile(format) => {
+                Ok(Self { path: &input.path, name: &input.name, format })
+            }
+            InputFormat::Take => {
+                Err(paths::unknown_ending(&input.name, ".c3d, .trc, .tsv or .csv"))
+            }
+        }
+    }
+}
+
+/// Opens a motion file with a given unit and up axis, to read its frames one after another. The content of foreign
+/// parts is kept if `keeps_foreign`. `bytes_read` counts the bytes of all passes over the file.
+///
+/// # Errors
+/// As [`read_motion`].
+pub(super) fn open_motion(
+    source: &MotionSource<'_>,
+    options: &ReadOptions,
+    keeps_foreign: bool,
+    bytes_read: &Arc<AtomicU64>,
+) -> anyhow::Result<MotionReader<'static>> {
+    let settings = ReaderSettings {
+        options: *options,
+        keeps_foreign,
+        new_scratch: &files::scratch,
+        bytes_read: Arc::clone(bytes_read),
+    };
+    let reader = MotionReader::open(source.format, remote::open(source.path)?, &settings)
+        .with_context(|| reading(source.name))?;
+    import::check(reader.info(), &source.name.display().to_string())?;
+    Ok(reader)
+}
+
+fn reading(path: &Path) -> String {
+    format!("cannot read {}", path.display())
+}
+
+/// The header of a take made from a file, without its id.
+pub(super) fn header_of(motion: &MotionInfo, file: &Path, codec: &Settings) -> Header {
+    import::header_of(motion, codec, SOFTWARE, file_name(file))
+}
+
+/// A file that was opened for import.
+#[derive(Debug)]
+pub(super) struct Import<'a> {
+    settings: &'a ImportSettings,
+    input: &'a Input,
+    reader: MotionReader<'static>,
+    /// Kinds of the foreign parts that are left out.
+    pub(super) foreign_dropped: Vec<String>,
+}
+
+impl<'a> Import<'a> {
+    /// Opens a file, and reads everything but its frames. `bytes_read` counts the bytes of all passes over it: for its
+    /// description, its hash and its frames.
+    ///
+    /// # Errors
+    /// As [`read_motion`].
+    pub(super) fn open(
+        input: &'a Input,
+        settings: &'a ImportSettings,
+        bytes_read: &Arc<AtomicU64>,
+    ) -> anyhow::Result<Self> {
+        let source = MotionSource::of(input)?;
+        let keeps_foreign = !settings.drops_foreign;
+        let mut reader = open_motion(&source, &settings.options, keeps_foreign, bytes_read)?;
+        let foreign_dropped = settings
+            .apply(reader.info_mut(), files::scratch)
+            .with_context(|| reading(&input.name))?;
+        Ok(Self { settings, input, reader, foreign_dropped })
+    }
+
+    /// The description of the file.
+    pub(super) fn info(&self) -> &MotionInfo {
+        self.reader.info()
+    }
+
+    /// The description, when there is nothing to write.
+    pub(super) fn into_info(mut self) -> MotionInfo {
+        std::mem::take(self.reader.info_mut())
+    }
+
+    /// The header of the take, with its id, which depends on every byte of the file.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub(super) fn header(&mut self) -> anyhow::Result<Header> {
+        let (settings, name) = (self.settings, &self.input.name);
+        let mut header = settings.header(self.reader.info(), SOFTWARE, file_name(name));
+        header.set_source_bytes(remote::len_bytes(&self.input.path)?);
+        header
+            .set_import_id(self.reader.bytes(), settings.subject.as_ref())
+            .with_context(|| reading(name))?;
+        Ok(header)
+    }
+
+    /// Writes the take to `out`, whose name is `output`. `samples` counts the samples encoded, missing ones included.
+    ///
+    /// # Errors
+    /// If the file cannot be read or has changed, the codec refuses, or the take cannot be written.
+    pub(super) fn write(
+        mut self,
+        header: &Header,
+        n_workers: usize,
+        samples: &AtomicU64,
+        out: impl Write,
+        output: &Path,
+    ) -> anyhow::Result<(MotionInfo, TakeAccount)> {
+        let written = offline::write_frames(&mut self.reader, header, n_workers, samples, out);
+        let (account, _) = written.map_err(|error| {
+            let is_of_source = error.is::<SourceFailed>();
+            error.context(if is_of_source {
+                reading(&self.input.name)
+            } else {
+                format!("cannot write {}", output.display())
+            })
+        })?;
+        Ok((self.into_info(), account))
+    }
+}
 
 /// Decodes a take. Damage is reported on stderr, and the lost samples are gaps.
 ///
@@ -180,8 +352,7 @@ pub(super) fn file_name(path: &Path) -> String {
 /// If it exists or cannot be written.
 pub(super) fn write_new(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let mut file = OutputFile::create(path)?;
-    std::io::Write::write_all(&mut file, bytes)
-        .with_context(|| format!("cannot write {}", path.display()))?;
+    file.write_all(bytes).with_context(|| format!("cannot write {}", path.display()))?;
     file.keep()
 }
 

@@ -24,7 +24,7 @@ use super::{
         self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Job,
         outputs::{self, SeekWrite},
     },
-    edited::open,
+    cut::open_counted,
     output::plain_path,
     remote,
     values::{bytes, default_effort, key_distance, resampler, thousands, tolerance},
@@ -150,7 +150,7 @@ fn repack_one(
     job.input.check_is_no_motion_file()?;
     let path = &job.input.path;
     let read = Arc::default();
-    let source = SourceTake::read(&mut open(path, &read)?).with_context(reading)?;
+    let source = SourceTake::read(&mut open_counted(path, &read)?).with_context(reading)?;
     let header = &source.map().header;
     let is_lossless = header.codec().with_context(reading)?.kind.is_lossless();
     let settings = (is_lossless || args.asks_for_settings()).then_some(settings);
@@ -158,7 +158,7 @@ fn repack_one(
     let written = {
         let phase = job.phase("repacking", source.map().n_rows);
         let on_rows = |rows| phase.counter.store(rows, Ordering::Relaxed);
-        let input = open(path, &read)?;
+        let input = open_counted(path, &read)?;
         repack(&source, input, settings, BufWriter::new(&new), &context(&on_rows))
             .with_context(|| format!("cannot repack {}", job.input.name.display()))?
     };
@@ -203,7 +203,7 @@ fn check(
 ) -> anyhow::Result<()> {
     let _phase = job.phase("comparing", 1);
     (&mut &*new).rewind()?;
-    let old = open(&job.input.path, &Arc::default())?;
+    let old = open_counted(&job.input.path, &Arc::default())?;
     let new = BufReader::new(new);
     let found = check_repacked(source, old, new, settings, &context(&|_| {}))?;
     if let Some(difference) = found {

@@ -32,7 +32,7 @@ use tempfile::TempDir;
 
 use super::{
     batch::{FileKinds, Input, Inputs, inputs},
-    original::{MotionSource, header_of, open_motion},
+    motion_files::{MotionSource, header_of, open_motion},
     output::{Progress, notify, plain_path, print},
     paths::InputFormat,
     remote,

@@ -1,10 +1,15 @@
-//! The requests that a store answers.
+//! The requests that a store answers, and their answers from files as objects, for `file://`: a mounted archive
+//! behaves as a bucket does.
 
 use std::{
     collections::hash_map::RandomState,
     fmt,
+    fs::{self, File, OpenOptions},
     hash::{BuildHasher, Hasher},
+    io::{self, Read, Seek, SeekFrom, Write},
     ops::Range,
+    os::unix::fs::MetadataExt,
+    path::{Path, PathBuf},
     time::SystemTime,
 };
 
@@ -97,4 +102,131 @@ pub trait Backend: fmt::Debug + Send + Sync {
 pub(crate) fn incomplete_name() -> String {
     // Randomly keyed, so that no two uploads share a name.
     format!(".mocapd-upload-{:016x}", RandomState::new().build_hasher().finish())
+}
+
+/// The files of this machine.
+#[derive(Debug)]
+pub(crate) struct Folders;
+
+fn path_of(url: &ObjectUrl) -> PathBuf {
+    url.local_path().unwrap_or_default()
+}
+
+fn failed(url: &ObjectUrl, error: &io::Error) -> StoreError {
+    let text = url.to_string();
+    match error.kind() {
+        io::ErrorKind::NotFound => StoreError::NotFound(text),
+        io::ErrorKind::AlreadyExists => StoreError::Exists(text),
+        io::ErrorKind::PermissionDenied => {
+            StoreError::Forbidden { url: text, detail: error.to_string() }
+        }
+        _ => StoreError::Unavailable { url: text, detail: error.to_string() },
+    }
+}
+
+/// What changes when another file gets the name.
+fn tag(metadata: &fs::Metadata) -> String {
+    let (s, ns) = (metadata.mtime(), metadata.mtime_nsec());
+    format!("{}-{}-{s}-{ns}-{}", metadata.dev(), metadata.ino(), metadata.len())
+}
+
+impl Backend for Folders {
+    fn read(
+        &self,
+        url: &ObjectUrl,
+        range: &ByteRange,
+        e_tag: Option<&str>,
+    ) -> Result<ObjectPiece, StoreError> {
+        let read = || -> io::Result<ObjectPiece> {
+            let mut file = File::open(path_of(url))?;
+            let metadata = file.metadata()?;
+            if metadata.is_dir() {
+                return Err(io::ErrorKind::IsADirectory.into());
+            }
+            let len = metadata.len();
+            let range = match range {
+                ByteRange::Of(range) => range.start.min(len)..range.end.min(len),
+                ByteRange::Last(n) => len.saturating_sub(*n)..len,
+            };
+            let mut bytes = Vec::new();
+            file.seek(SeekFrom::Start(range.start))?;
+            file.take(range.end.saturating_sub(range.start)).read_to_end(&mut bytes)?;
+            Ok(ObjectPiece { at: range.start, bytes, len, e_tag: Some(tag(&metadata)) })
+        };
+        let piece = read().map_err(|error| failed(url, &error))?;
+        if e_tag.is_some() && e_tag != piece.e_tag.as_deref() {
+            return Err(StoreError::Changed(url.to_string()));
+        }
+        Ok(piece)
+    }
+
+    fn len(&self, url: &ObjectUrl) -> Result<u64, StoreError> {
+        let metadata = fs::metadata(path_of(url)).map_err(|error| failed(url, &error))?;
+        Ok(metadata.len())
+    }
+
+    fn create(&self, url: &ObjectUrl, bytes: Vec<u8>) -> Result<(), StoreError> {
+        let mut bytes = Some(bytes);
+        self.create_from_parts(url, &mut || Ok(bytes.take()))
+    }
+
+    fn create_from_parts(
+        &self,
+        url: &ObjectUrl,
+        next_part: &mut dyn FnMut() -> Result<Option<Vec<u8>>, StoreError>,
+    ) -> Result<(), StoreError> {
+        let path = path_of(url);
+        if path.symlink_metadata().is_ok() {
+            return Err(StoreError::Exists(url.to_string()));
+        }
+        let folder = path.parent().unwrap_or(Path::new("/"));
+        let hidden = folder.join(incomplete_name());
+        let file = || -> io::Result<File> {
+            fs::create_dir_all(folder)?;
+            OpenOptions::new().write(true).create_new(true).open(&hidden)
+        };
+        let mut file = file().map_err(|error| failed(url, &error))?;
+        let written = (|| {
+            while let Some(part) = next_part()? {
+                file.write_all(&part).map_err(|error| failed(url, &error))?;
+            }
+            // A link never replaces a file.
+            let named = file.sync_all().and_then(|()| fs::hard_link(&hidden, &path));
+            named.map_err(|error| failed(url, &error))
+        })();
+        fs::remove_file(&hidden).ok();
+        if let Ok(folder) = File::open(folder) {
+            folder.sync_all().ok();
+        }
+        written
+    }
+
+    fn list(&self, folder: &ObjectUrl, recursive: bool) -> Result<Vec<ListedObject>, StoreError> {
+        let mut found = Vec::new();
+        let mut folders = vec![folder.clone()];
+        while let Some(at) = folders.pop() {
+            let entries = fs::read_dir(path_of(&at)).map_err(|error| failed(&at, &error))?;
+            for entry in entries {
+                let entry = entry.map_err(|error| failed(&at, &error))?;
+                let name = entry.file_name();
+                let Some(name) = name.to_str().filter(|name| !name.starts_with('.')) else {
+                    continue;
+                };
+                let Ok(metadata) = fs::metadata(entry.path()) else { continue };
+                let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
+                if metadata.is_file() {
+                    let (url, modified) = (at.join(name), metadata.modified().ok());
+                    found.push(ListedObject { url, len: metadata.len(), modified });
+                } else if metadata.is_dir() && recursive && !is_link {
+                    folders.push(at.join(name));
+                }
+            }
+        }
+        found.sort_by(|a, b| a.url.key().cmp(b.url.key()));
+        Ok(found)
+    }
+
+    fn remove(&self, url: &ObjectUrl) -> Result<(), StoreError> {
+        fs::remove_file(path_of(url)).map_err(|error| failed(url, &error))
+    }
 }

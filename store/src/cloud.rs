@@ -1,7 +1,6 @@
 //! The clients of S3, Google Cloud Storage, Azure and web servers. They are asynchronous, and run on one thread.
 
 mod connect;
-mod explain;
 
 #[cfg(test)]
 mod tests;

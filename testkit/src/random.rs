@@ -53,6 +53,17 @@ impl Random {
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
+
+    /// Nearly standard normal: the sum of twelve uniform numbers minus 6, so always between -6 and 6.
+    pub fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.unit()).sum::<f64>() - 6.0
+    }
+
+    /// One of the choices; the default if there are none.
+    pub fn one_of<T: Copy + Default>(&mut self, choices: &[T]) -> T {
+        let index = (self.unit() * choices.len() as f64) as usize;
+        choices.get(index).copied().unwrap_or_default()
+    }
 }
 
 #[cfg(test)]

@@ -13,8 +13,8 @@ use std::hint::select_unpredictable;
 
 use super::{
     SPAN,
+    lattice::{LANES, Points, copy, lanes, put, round},
     level_prediction::{Batch, LevelLayout, LevelPrediction, PADDED_SPAN},
-    points::{LANES, Points, copy, lanes, put, round},
 };
 use crate::{
     GROUP_CHANNELS,

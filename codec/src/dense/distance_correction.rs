@@ -5,8 +5,8 @@
 
 use super::{
     contexts::{INTERPOLATED, KINDS},
+    lattice::{LANES, Points, UNITS_PER_TOLERANCE, lanes, put, round},
     level_prediction::LevelPrediction,
-    points::{LANES, Points, UNITS_PER_TOLERANCE, lanes, put, round},
     segment_lengths::{MAX_DIFFERENCE, PARTNERS, SegmentLengths, offsets_from},
     track::Track,
 };

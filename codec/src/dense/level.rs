@@ -8,10 +8,10 @@ use super::{
     contexts::{INTERPOLATED, ORIGIN},
     cross_channel::{CrossChannel, class_of},
     distance_correction::{BATCH_ROWS, DistanceCorrection},
+    lattice::{Fineness, LANES, Lattice, Point, Points, in_range, lanes},
     level_prediction::{Batch, LevelLayout, LevelPrediction},
     model::{Model, ModelCoder},
-    points::{Fineness, LANES, Lattice, Point, Points, in_range, lanes},
-    residual::{self, Neighbourhood, Residual},
+    row_syntax::{self, Neighbourhood, Residual},
     segment_lengths::SegmentLengths,
     track::{Steps, Track, update_activity},
 };
@@ -246,7 +246,7 @@ impl Channels {
                 });
             }
             let moved = steps != [0; 3];
-            if !residual::moving(codec.coder(), model, &near, level.bends[from + i], moved) {
+            if !row_syntax::moving(codec.coder(), model, &near, level.bends[from + i], moved) {
                 update_activity(&mut activity, [0; 4]);
                 continue;
             }

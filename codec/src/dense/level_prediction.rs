@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use super::{
     SPAN,
-    points::{LANES, Point, floor, integers, lanes, put},
+    lattice::{LANES, Point, floor, integers, lanes, put},
 };
 
 /// Rows before the block from which predictions are made: a whole span.

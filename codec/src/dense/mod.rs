@@ -34,54 +34,45 @@
 //!
 //! # Constants
 //!
-//! All constants but the encoder's prices in [`candidates`] belong to the frozen format. docs/codec.md lists what was
+//! All constants but the encoder's prices in [`lattice`] belong to the frozen format. docs/codec.md lists what was
 //! tried, measured on 18 recorded public takes (15 to 83 markers, 60 to 400 Hz) at six tolerances from 0.1 to 20 mm.
 //! "Gain" in these modules is the change of the geometric mean of the ratio over all of them. A constant documented
 //! without a derivation or a measurement has none on record.
 //!
 //! # Modules, each built on those before it
 //!
-//! - [`points`]: fixed-point positions and the lattices of the residuals
-//! - [`contexts`]: the numbers of contexts and mixers; [`model`]: their probabilities and weights
+//! - [`lattice`]: fixed-point positions, and the lattices of the residuals with the points around a sample
+//! - [`contexts`]: the numbers of contexts and mixers; [`model`]: their probabilities and weights, and the cost of
+//!   decisions
 //! - [`level_prediction`]: prediction in time of anchors and levels; [`track`]: the state of one channel
 //! - [`cross_channel`]: prediction from the residuals of reference channels; [`segment_lengths`] and
 //!   [`distance_correction`]: prediction from the distances to partner channels
-//! - [`first_row`] and [`residual`]: the syntax of a row
-//! - [`level`]: the rows of one level of one run; [`walk`]: the order of all rows of a group
-//! - [`candidates`] and [`level_samples`]: the greedy choice of lattice points
-//! - [`planner`]: choices by their later cost, with [`run_search`] for one run, over [`trial`]s that are priced with
-//!   [`cost`]; [`effort`]: how far
-//! - [`row_encoder`], [`encoder`] and [`decoder`]: blocks
+//! - [`row_syntax`]: the syntax of a row
+//! - [`level`]: the rows of one level of one run; [`walk`]: the order of all rows of a group, and the decoder
+//! - [`choice`]: the greedy choice of lattice points, and trials of other choices
+//! - [`planner`]: choices by their later cost, and how far it looks ahead
+//! - [`encoder`] makes blocks
 
-mod candidates;
-mod channel_state;
+mod choice;
 mod contexts;
-mod cost;
 mod cross_channel;
-mod decoder;
 mod distance_correction;
-mod effort;
 mod encoder;
-mod first_row;
+mod lattice;
 mod level;
 mod level_prediction;
-mod level_samples;
 mod model;
 mod planner;
-mod points;
-mod residual;
-mod row_encoder;
-mod run_search;
+mod row_syntax;
 mod segment_lengths;
 #[cfg(feature = "training")]
 mod tally;
 #[cfg(test)]
 mod tests;
 mod track;
-mod trial;
 mod walk;
 
-pub use self::effort::Effort;
+pub use self::planner::Effort;
 pub(crate) use self::{encoder::PlanningEncoder, walk::Dense};
 
 /// Rows of a span. The last row of a span is coded before its first, so this is the latency of the decoder in rows.

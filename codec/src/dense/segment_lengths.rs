@@ -8,8 +8,8 @@ use std::ops::Range;
 
 use super::{
     SPAN,
+    lattice::{LANES, Points, UNITS_PER_TOLERANCE, lanes, put},
     level_prediction::{DecodedRun, LevelLayout, PADDED_ROWS, PerRow},
-    points::{LANES, Points, UNITS_PER_TOLERANCE, lanes, put},
     track::Track,
 };
 use crate::{GROUP_CHANNELS, bound::squared_distance};

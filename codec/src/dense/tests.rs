@@ -1,9 +1,9 @@
 //! Recovery after an error in the middle of a block, and equality of both instruction sets.
 
 use super::{
+    lattice::{Point, Points},
     level::{ResidualInputs, RowCodec},
     level_prediction::{Batch, LevelLayout, PAST_ROWS},
-    points::{Point, Points},
     walk::{Dense, SpanCodec},
 };
 use crate::{

@@ -4,8 +4,8 @@ use std::ops::RangeInclusive;
 
 use super::{
     contexts::KINDS,
+    lattice::{Fineness, Point, Points, copy, integers},
     level_prediction::{AnchorErrors, Batch, PADDED_SPAN, PAST_ROWS},
-    points::{Fineness, Point, Points, copy, integers},
 };
 
 /// Neighbours' magnitudes are clamped to this: three rows' sums of three axes then fit 16 bits.

@@ -3,9 +3,8 @@
 use super::{
     MAX_STEPS,
     model::{ANCHOR, Activity, GOLOMB, LOW_BITS, QUIET, QUIET_ROWS, WAKE},
-    planes::{LANES, PaddedPoint, Planes, scatter, split},
     tans::{Field, Op, Ops},
-    walk::{self, LevelRows, RunCodec, SPAN},
+    walk::{self, LANES, LevelRows, PaddedPoint, Planes, RunCodec, SPAN, scatter, split},
 };
 use crate::{
     Position, Result,

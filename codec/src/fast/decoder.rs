@@ -6,15 +6,15 @@ use super::{
         Activity, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS, ScaledActivity, WAKE_PLACE, axis_code,
         clamp_magnitude,
     },
-    planes::{PaddedPoint, Planes, gather},
     tans::{MAGNITUDE, MORE, PAD, Reader, SYMBOLS_FILLED, Tables},
-    walk::{self, Channel, LEAD, LevelRows, RunCodec, RunPoints},
+    walk::{self, Channel, LEAD, LevelRows, PaddedPoint, Planes, RunCodec, RunPoints, gather},
 };
 use crate::{
     CodecError, DecodedRows, Result, block,
-    coding::{bytes::Bytes, columns::Histories, isa::Kernel},
+    coding::{Bytes, isa::Kernel},
     ensure,
     frame::PayloadDecoder,
+    lossless::Histories,
 };
 
 /// Scratch memory: the padded payload of a block, and the residuals of a level.

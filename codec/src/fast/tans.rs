@@ -10,7 +10,7 @@ use super::{
         Axes, GOLOMB, LOW_BITS, PLACES, STATE_BITS, STATES, SYMBOLS, TABLES, axes, axis_code,
         frequency, table_at,
     },
-    planes::PaddedPoint,
+    walk::PaddedPoint,
 };
 use crate::{CodecError, Result, ensure};
 

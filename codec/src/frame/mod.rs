@@ -10,9 +10,9 @@ use std::fmt;
 use self::presence::Presence;
 use crate::{
     BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Result, Rows,
-    Tolerance, bound,
-    bound::STATED_STEPS,
-    coding::bytes::{Bytes, write_varint},
+    Tolerance,
+    bound::{self, STATED_STEPS},
+    coding::{Bytes, write_varint},
     ensure,
 };
 

@@ -11,8 +11,9 @@ use std::ops::Range;
 use crate::{
     DecodedRows, GROUP_CHANNELS, Result, Rows,
     coding::{
-        bytes::{Bytes, MAX_VARINT_BYTES, write_varint},
+        Bytes, MAX_VARINT_BYTES,
         range::{BinaryCoder, Bit, RangeDecoder, RangeEncoder},
+        write_varint,
     },
     ensure,
 };

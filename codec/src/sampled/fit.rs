@@ -1,9 +1,10 @@
 //! The encoder's choice of a representation and of events for a channel.
 
 use super::{
-    cells::{CellForm, Cells, LATTICE_MAX, PALETTE_MAX, from_ordered, ordered},
-    head::{Head, Past},
-    predictor::REFERENCES,
+    prediction::REFERENCES,
+    representation::{
+        CellForm, Cells, Head, LATTICE_MAX, PALETTE_MAX, Past, from_ordered, ordered,
+    },
     walk::SampledChannelState,
 };
 

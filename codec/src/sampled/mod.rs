@@ -10,12 +10,10 @@
 //! `docs/sampled-channels.md` specifies every byte. Takes hold such blocks, so that the format is frozen.
 
 mod bounded;
-mod cells;
-mod distribution;
 mod fit;
-mod head;
 mod positions;
-mod predictor;
+mod prediction;
+mod representation;
 #[cfg(test)]
 mod tests;
 mod walk;
@@ -24,10 +22,9 @@ pub use self::bounded::{ChannelProfile, SampleBound};
 pub(crate) use positions::Predictive;
 
 use self::{
-    cells::{Cells, PALETTE_MAX},
     fit::EarlierChannels,
-    head::{Head, HeadModel},
-    predictor::REFERENCES,
+    prediction::REFERENCES,
+    representation::{Cells, Head, HeadModel, PALETTE_MAX},
     walk::{ChannelWalk, ReferenceChannel, SampleModel, SampledChannelState},
 };
 use crate::{

@@ -6,21 +6,20 @@
 
 use super::{
     Group,
-    cells::Cells,
     fit::{EarlierChannels, Fit},
-    head::Head,
-    predictor::REFERENCES,
+    prediction::REFERENCES,
+    representation::{Cells, Head},
     walk::{ChannelWalk, ReferenceChannel},
 };
 use crate::{
     BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Result, Rows,
     coding::{
-        bytes::Bytes,
-        columns::{Histories, Raw},
+        Bytes,
         range::{BinaryCoder, RangeDecoder, RangeEncoder},
     },
     ensure,
     frame::{Payload, PayloadDecoder, PayloadEncoder},
+    lossless::{Histories, Raw},
 };
 
 /// Coordinates of a position.

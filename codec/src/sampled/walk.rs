@@ -1,10 +1,8 @@
 //! The syntax of a channel's samples: exact events first, then the cell by halving.
 
 use super::{
-    cells::{CellForm, Cells, from_ordered, ordered},
-    distribution::Distribution,
-    head::{Head, Past},
-    predictor::{Predictor, REFERENCES},
+    prediction::{Distribution, Predictor, REFERENCES},
+    representation::{CellForm, Cells, Head, Past, from_ordered, ordered},
 };
 use crate::{
     Result,

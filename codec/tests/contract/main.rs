@@ -2,20 +2,14 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-mod damage;
 mod effort;
 mod embedding;
 mod exact;
 mod groups;
-mod hard;
 mod hostile;
-mod mixtures;
 mod motions;
-mod order;
 mod portable;
 mod predictive;
-mod presence;
-mod rates;
 mod round_trips;
 mod state;
 mod takes;

@@ -3,20 +3,20 @@
 //! The length of a limb is constant however fast it moves, so a changing length reveals swapped labels ([`swaps`]) or a
 //! marker that slid.
 
-pub mod lengths;
 pub mod swaps;
+#[cfg(test)]
+mod tests;
 
-use std::collections::HashMap;
+use std::{collections::HashMap, ops::Range};
 
 use mocapd_body::skeleton::Bone;
-use mocapd_take::motion::Motion;
+use mocapd_take::motion::{Motion, Position};
 
-use self::lengths::SubjectMotion;
-pub use self::{
-    lengths::{Excursion, LimbStats},
-    swaps::Swap,
+pub use self::swaps::Swap;
+use crate::{
+    column::{Vector, distance, median, runs, sample},
+    labels::{SubjectMarkers, subjects},
 };
-use crate::labels::{SubjectMarkers, subjects};
 
 /// Smallest deviation from the scan's length that is reported, as a fraction of it: markers are on the skin, not at the
 /// joint centres.
@@ -95,14 +95,230 @@ pub struct LimbCheck {
 #[must_use]
 pub fn check(motion: &Motion, limbs: &[Limb], columns: &[usize]) -> LimbCheck {
     let mut body = SubjectMotion::new(motion, limbs, columns);
-    let lengths: Vec<LimbStats> = (0..limbs.len()).map(|limb| lengths::of(&body, limb)).collect();
+    let lengths: Vec<LimbStats> = (0..limbs.len()).map(|limb| stats_of(&body, limb)).collect();
     body.set_bands(&lengths);
     let mut found = swaps::all(&mut body);
     found.sort_by_key(|swap| (swap.rows.start, swap.markers));
     // Measured with the swaps undone.
-    let outside = lengths::outside(&body);
+    let outside = excursions(&body);
     LimbCheck { lengths, swaps: found, outside }
 }
 
-#[cfg(test)]
-mod tests;
+/// Half-width of a limb's band as a fraction of its length; it is at least [`BAND_MIN_MM`] and at least
+/// [`BAND_SPREADS`] times the limb's spread.
+const BAND_FRACTION: f64 = 0.10;
+/// Smallest half-width of a band, mm: markers slide this far on the skin.
+const BAND_MIN_MM: f64 = 20.0;
+/// Smallest half-width of a band in standard deviations: of normally distributed lengths 6 in 100 000 lie outside.
+const BAND_SPREADS: f64 = 4.0;
+
+/// Largest distance of a length from the scan's, as a fraction of it, for its frame to determine the middle of the
+/// band. With markers at the joints all lengths are within it, and labels exchanged for most of a take do not define
+/// the band.
+const NEAR_SCAN_FRACTION: f64 = 0.25;
+/// The smallest fraction of such frames that determines the middle; with fewer, all frames determine it.
+const NEAR_SCAN_FRAMES_FRACTION: f64 = 0.1;
+
+/// Ratio of the standard deviation to the median absolute deviation (MAD) of a normal distribution.
+const MAD_TO_SIGMA: f64 = 1.4826;
+
+/// Excursions closer together than this are reported as one, s.
+const NEAR_S: f64 = 0.1;
+
+/// Statistics of the length of a limb over a take.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct LimbStats {
+    /// Frames in which both of its markers are present.
+    pub frames: u64,
+    /// The median length, mm; 0 without frames.
+    pub median_mm: f64,
+    /// A robust standard deviation: 1.4826 times the median absolute deviation, mm.
+    pub spread_mm: f64,
+    /// The middle of the band of plausible lengths, mm.
+    pub band_middle_mm: f64,
+    /// The half-width of the band, mm.
+    pub band_half_mm: f64,
+    /// Frames in which the length is outside the band.
+    pub frames_outside: u64,
+}
+
+/// A range of frames in which a limb is outside its band.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Excursion {
+    /// Index of the limb.
+    pub limb: usize,
+    /// The rows of these frames.
+    pub rows: Range<usize>,
+    /// The length farthest from the band, mm.
+    pub extreme_mm: f64,
+}
+
+/// A robust standard deviation about a given middle.
+fn spread(values: &[f64], about: f64) -> f64 {
+    let mut off: Vec<f64> = values.iter().map(|value| (value - about).abs()).collect();
+    MAD_TO_SIGMA * median(&mut off).unwrap_or_default()
+}
+
+/// The statistics of a limb over the take.
+fn stats_of(body: &SubjectMotion<'_>, limb: usize) -> LimbStats {
+    let mut all: Vec<f64> =
+        (0..body.n_rows()).filter_map(|row| body.length_mm(row, limb)).collect();
+    let Some(median_mm) = median(&mut all) else { return LimbStats::default() };
+    let scan_mm = body.limbs.get(limb).map_or(median_mm, |limb| limb.bone.length_mm);
+    let is_like_scan = |length: &&f64| (**length - scan_mm).abs() <= NEAR_SCAN_FRACTION * scan_mm;
+    let mut like_scan: Vec<f64> = all.iter().filter(is_like_scan).copied().collect();
+    let is_enough = like_scan.len() as f64 >= NEAR_SCAN_FRAMES_FRACTION * all.len() as f64;
+    let of_band = if is_enough { &mut like_scan } else { &mut all };
+    let band_middle_mm = median(of_band).unwrap_or(median_mm);
+    let band_half_mm = (BAND_FRACTION * band_middle_mm)
+        .max(BAND_MIN_MM)
+        .max(BAND_SPREADS * spread(of_band, band_middle_mm));
+    let is_outside = |length: &&f64| (**length - band_middle_mm).abs() > band_half_mm;
+    LimbStats {
+        frames: all.len() as u64,
+        median_mm,
+        spread_mm: spread(&all, median_mm),
+        band_middle_mm,
+        band_half_mm,
+        frames_outside: all.iter().filter(is_outside).count() as u64,
+    }
+}
+
+/// The ranges in which limbs are outside their bands, in the order of the frames.
+fn excursions(body: &SubjectMotion<'_>) -> Vec<Excursion> {
+    let mut found: Vec<Excursion> = Vec::new();
+    let near = body.rows_in(NEAR_S);
+    for limb in 0..body.limbs.len() {
+        let excess = |row: usize| body.excess_mm(row, limb, None).unwrap_or_default();
+        for rows in merge_near(runs((0..body.n_rows()).map(|row| excess(row) > 0.0)), near) {
+            let worst = rows.clone().max_by(|&a, &b| excess(a).total_cmp(&excess(b)));
+            let extreme_mm = worst.and_then(|row| body.length_mm(row, limb)).unwrap_or_default();
+            found.push(Excursion { limb, rows, extreme_mm });
+        }
+    }
+    found.sort_by_key(|outside| (outside.rows.start, outside.limb));
+    found
+}
+
+/// Merges runs that are at most `near` rows apart.
+fn merge_near(runs: impl Iterator<Item = Range<usize>>, near: usize) -> Vec<Range<usize>> {
+    let mut all: Vec<Range<usize>> = Vec::new();
+    for run in runs {
+        match all.last_mut() {
+            Some(last) if run.start - last.end <= near => last.end = run.end,
+            _ => all.push(run),
+        }
+    }
+    all
+}
+
+/// The range of plausible lengths of a limb.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Band {
+    middle_mm: f64,
+    half_mm: f64,
+}
+
+/// The markers of one subject over a take, with its limbs and their bands; labels can be exchanged.
+#[derive(Debug)]
+struct SubjectMotion<'a> {
+    positions_mm: Vec<Position>,
+    n_markers: usize,
+    rate_hz: f64,
+    limbs: &'a [Limb],
+    columns: &'a [usize],
+    bands: Vec<Band>,
+}
+
+/// The columns of two markers whose labels may be exchanged.
+type Pair = [usize; 2];
+
+impl<'a> SubjectMotion<'a> {
+    fn new(motion: &Motion, limbs: &'a [Limb], columns: &'a [usize]) -> Self {
+        let n_markers = motion.info.markers.len();
+        Self {
+            positions_mm: motion.positions_mm.clone(),
+            n_markers,
+            rate_hz: motion.info.rate_hz,
+            limbs,
+            columns,
+            bands: vec![Band::default(); limbs.len()],
+        }
+    }
+
+    fn set_bands(&mut self, lengths: &[LimbStats]) {
+        let band = |of: &LimbStats| Band { middle_mm: of.band_middle_mm, half_mm: of.band_half_mm };
+        self.bands = lengths.iter().map(band).collect();
+    }
+
+    fn n_rows(&self) -> usize {
+        self.positions_mm.len() / self.n_markers.max(1)
+    }
+
+    /// The number of rows in a time, at least one.
+    fn rows_in(&self, seconds: f64) -> usize {
+        ((seconds * self.rate_hz) as usize).max(1)
+    }
+
+    /// The position of a marker; `None` in a gap.
+    fn at(&self, row: usize, column: usize) -> Option<Vector> {
+        if column >= self.n_markers {
+            return None;
+        }
+        sample(*self.positions_mm.get(row * self.n_markers + column)?)
+    }
+
+    /// The length of a limb, mm, with the labels of `pair` exchanged.
+    fn length_of(&self, row: usize, limb: usize, pair: Option<Pair>) -> Option<f64> {
+        let ends = self.limbs.get(limb)?.ends.map(|end| match pair {
+            Some([a, b]) if end == a => b,
+            Some([a, b]) if end == b => a,
+            _ => end,
+        });
+        Some(distance(self.at(row, ends[0])?, self.at(row, ends[1])?))
+    }
+
+    fn length_mm(&self, row: usize, limb: usize) -> Option<f64> {
+        self.length_of(row, limb, None)
+    }
+
+    /// The distance of a limb's length from its band, mm; 0 within it.
+    fn excess_mm(&self, row: usize, limb: usize, pair: Option<Pair>) -> Option<f64> {
+        let band = self.bands.get(limb)?;
+        let length_mm = self.length_of(row, limb, pair)?;
+        Some(((length_mm - band.middle_mm).abs() - band.half_mm).max(0.0))
+    }
+
+    /// The limbs with an end at one of the two markers.
+    fn limbs_at(&self, pair: Pair) -> Vec<usize> {
+        let ends = |limb: &Limb| pair.iter().any(|column| limb.ends.contains(column));
+        let limbs = self.limbs.iter().enumerate().filter(|(_, limb)| ends(limb));
+        limbs.map(|(i, _)| i).collect()
+    }
+
+    /// The summed distance of these limbs from their bands, mm; `None` if none of them is present.
+    fn excess_of(&self, row: usize, limbs: &[usize], pair: Option<Pair>) -> Option<f64> {
+        let excess = |limb: &usize| self.excess_mm(row, *limb, pair);
+        limbs.iter().filter_map(excess).reduce(|sum, more| sum + more)
+    }
+
+    /// The sum of squared distances of these limbs from the middles of their bands, in half-widths.
+    fn strain(&self, row: usize, limbs: &[usize], pair: Option<Pair>) -> f64 {
+        let strain = |limb: &usize| {
+            let band = self.bands.get(*limb)?;
+            let off_mm = self.length_of(row, *limb, pair)? - band.middle_mm;
+            Some((off_mm / band.half_mm).powi(2))
+        };
+        limbs.iter().filter_map(strain).sum()
+    }
+
+    /// Exchanges the labels of a pair over these rows.
+    fn exchange(&mut self, [a, b]: Pair, rows: Range<usize>) {
+        for row in rows {
+            let from = row * self.n_markers;
+            if let Some(frame) = self.positions_mm.get_mut(from..from + self.n_markers) {
+                frame.swap(a, b);
+            }
+        }
+    }
+}

@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use super::lengths::{Pair, SubjectMotion};
+use super::{Pair, SubjectMotion};
 use crate::column::distance;
 
 /// Longest time that a swap may last without any limb leaving its band, s, at its beginning and its end: close markers

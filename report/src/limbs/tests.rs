@@ -68,7 +68,7 @@ fn motion(n_rows: usize, slide_mm: f64) -> Motion {
     Motion { info, positions_mm }
 }
 
-fn swap(motion: &mut Motion, [a, b]: [usize; 2], rows: std::ops::Range<usize>) {
+fn swap(motion: &mut Motion, [a, b]: [usize; 2], rows: Range<usize>) {
     for row in rows {
         motion.positions_mm.swap(row * LABELS.len() + a, row * LABELS.len() + b);
     }

@@ -2,7 +2,6 @@
 
 mod codec;
 mod pipeline;
-mod sampled;
 
 use std::{
     sync::atomic::Ordering,

@@ -2,22 +2,25 @@
 
 mod client;
 mod events;
-mod finished;
 mod text;
 
 use std::{path::PathBuf, sync::atomic::Ordering, time::Duration};
 
 use anyhow::Context;
-use mocapd::outcome::Outcome;
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{files::FileState, listing::ListedDevice};
 use mocapd_service::{
     control::{Marked, Start, Started, Stopped},
+    finished::{MovedTake, TakeNotes, TrashedTake},
     status::{PendingStart, Status, TakeSummary},
 };
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use self::client::{Client, Target};
+use self::{
+    client::{Client, Target},
+    events::encoded,
+};
 use crate::cli::{
     devices, ledger,
     output::{notify, plain, print, print_json, print_json_text},
@@ -88,7 +91,7 @@ enum CtlCommand {
     /// Print events as they happen, until Ctrl-C
     Events,
     /// Rate a finished take, or change its notes
-    Rate(finished::RateArgs),
+    Rate(RateArgs),
     /// Rename a finished take and its notes
     Rename {
         /// Name of the take, as listed by `takes`
@@ -197,13 +200,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         CtlCommand::Takes { limit } => takes(&client, *limit, args.json),
         CtlCommand::Devices => devices(&client, args.json),
         CtlCommand::Events => events::follow(&client, args.json),
-        CtlCommand::Rate(rate) => finished::rate(&client, rate, args.json),
-        CtlCommand::Rename { name, to } => finished::rename(&client, (name, to), args.json),
-        CtlCommand::Trash { name } => finished::trash(&client, name, args.json),
-        CtlCommand::Trashed { limit } => finished::trashed(&client, *limit, args.json),
-        CtlCommand::Restore { name, to } => {
-            finished::restore(&client, name, to.as_deref(), args.json)
-        }
+        CtlCommand::Rate(rate) => self::rate(&client, rate, args.json),
+        CtlCommand::Rename { name, to } => rename(&client, (name, to), args.json),
+        CtlCommand::Trash { name } => trash(&client, name, args.json),
+        CtlCommand::Trashed { limit } => trashed(&client, *limit, args.json),
+        CtlCommand::Restore { name, to } => restore(&client, name, to.as_deref(), args.json),
         CtlCommand::Download { name, output } => {
             let report = events::download(&client, name, output.as_deref())?;
             if args.json {
@@ -335,4 +336,81 @@ fn watch(client: &Client, json: bool) -> anyhow::Result<Outcome> {
             std::thread::sleep(POLL_INTERVAL);
         }
     }
+}
+
+#[derive(Debug, clap::Args)]
+struct RateArgs {
+    /// Name of the take, as listed by `takes`
+    name: String,
+    /// The rating [default: unchanged]
+    rating: Option<Rating>,
+    /// New notes, in place of those that the take has; "" for none [default: unchanged]
+    #[arg(long)]
+    notes: Option<String>,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Rating {
+    /// To be used
+    Good,
+    /// Not to be used
+    Bad,
+    /// Not rated
+    None,
+}
+
+impl Rating {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Bad => "bad",
+            Self::None => "none",
+        }
+    }
+}
+
+fn rate(client: &Client, args: &RateArgs, json: bool) -> anyhow::Result<Outcome> {
+    if args.rating.is_none() && args.notes.is_none() {
+        let message = "nothing to change: give a rating (good, bad or none), --notes TEXT, or both";
+        return Err(UsageError(message.to_owned()).into());
+    }
+    let path = format!("/v1/takes/{}/notes", encoded(&args.name));
+    let body = json!({"rating": args.rating.map(Rating::name), "text": args.notes});
+    let document = client.post(&path, body)?;
+    show::<TakeNotes>(&document, json, |notes| text::notes(&args.name, notes))?;
+    Ok(Outcome::Done)
+}
+
+fn rename(client: &Client, (name, to): (&str, &str), json: bool) -> anyhow::Result<Outcome> {
+    let path = format!("/v1/takes/{}/rename", encoded(name));
+    moved(&client.post(&path, json!({"to": to}))?, json)
+}
+
+fn trash(client: &Client, name: &str, json: bool) -> anyhow::Result<Outcome> {
+    let path = format!("/v1/takes/{}/trash", encoded(name));
+    let document = client.post(&path, json!({}))?;
+    show::<TrashedTake>(&document, json, |take| {
+        let (name, until) = (plain(&take.name), text::time(take.removed_unix_ms));
+        format!("{name} is in the trash until {until}\n")
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn trashed(client: &Client, limit: u16, json: bool) -> anyhow::Result<Outcome> {
+    let document = client.get(&format!("/v1/trash?limit={limit}"))?;
+    show::<Vec<TrashedTake>>(&document, json, |takes| text::trashed(takes))?;
+    Ok(Outcome::Done)
+}
+
+fn restore(client: &Client, name: &str, to: Option<&str>, json: bool) -> anyhow::Result<Outcome> {
+    let path = format!("/v1/trash/{}/restore", encoded(name));
+    moved(&client.post(&path, json!({"to": to}))?, json)
+}
+
+fn moved(document: &Value, json: bool) -> anyhow::Result<Outcome> {
+    let moved: MovedTake = show(document, json, |take: &MovedTake| {
+        format!("{}\n", plain(&take.path.display().to_string()))
+    })?;
+    moved.remarks.iter().for_each(|remark| notify(remark));
+    Ok(Outcome::Done)
 }

@@ -1,8 +1,6 @@
 //! `info`: shows what is in takes and motion files.
 
-mod poses;
-mod sampled;
-mod subject;
+mod contents;
 mod text;
 
 use std::{
@@ -32,18 +30,19 @@ use mocapd_take::{
 use serde::Serialize;
 
 use self::{
-    poses::PosesReport,
-    sampled::SampledGroupReport,
-    subject::SubjectReport,
+    contents::{PosesReport, SampledGroupReport, SubjectReport},
     text::{line, text},
 };
 use super::{
     batch::{self, Batch, Figures, FileKinds, FileReport, InputArgs, Job},
-    damage, motion_file_reports,
+    ledger, motion_file_reports,
     paths::{InputFormat, InputFormatName},
     remote,
 };
-use crate::cli::{clock::ClockReport, damage::DamageReport, ledger::OutagesReport};
+use crate::cli::{
+    clock::ClockReport,
+    ledger::{DamageReport, OutagesReport},
+};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -90,7 +89,7 @@ fn take_info(job: &Job<'_>, all_markers: bool) -> anyhow::Result<FileReport> {
     if !job.is_json {
         report.problems.iter().for_each(|problem| job.notify(problem));
     }
-    for message in damage::losses(&job.input.name, &summary, !job.is_json) {
+    for message in ledger::missing_messages(&job.input.name, &summary, !job.is_json) {
         job.notify(&message);
     }
     Ok(FileReport {

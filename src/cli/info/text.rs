@@ -5,10 +5,10 @@ use std::fmt::Write;
 use mocapd_service::units;
 use mocapd_take::record::CODEC_VERSION;
 
-use super::{ForeignReport, InfoReport, sampled};
+use super::{ForeignReport, InfoReport, contents};
 use crate::cli::{
     clock::ClockReport,
-    damage, ledger,
+    ledger,
     output::{plain, plain_path},
     values::{LABEL_COLUMNS_MAX, bytes, count, frames_of, length_of_time, rate, thousands},
 };
@@ -56,7 +56,7 @@ pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
         let window = count(store.window_requests, "request");
         line("store", &format!("{received} in {requests}; a second of it needs {window}"));
     }
-    for lost in damage::lines(&report.damage) {
+    for lost in ledger::damage_lines(&report.damage) {
         line("lost", &lost);
     }
     // Frames are numbered as in the imported file, and as in exports.
@@ -82,10 +82,10 @@ pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
     out.push_str(&clock.unwrap_or_default());
     if all_markers {
         marker_table(report, &mut out);
-        sampled::table(&report.sampled_groups, &mut out);
+        contents::channel_table(&report.sampled_groups, &mut out);
     }
     let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
-    out.push_str(&damage::by_marker(&damaged.collect::<Vec<_>>()));
+    out.push_str(&ledger::damage_by_marker(&damaged.collect::<Vec<_>>()));
     out
 }
 
@@ -132,7 +132,7 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
         }
     }
     for group in report.sampled_groups.iter().filter(|group| group.kind.is_empty()) {
-        let shape = sampled::shape(&[group]);
+        let shape = contents::channels_text(&[group]);
         line("sampled", shape.trim_start_matches(": "));
     }
     if let Some(poses) = &report.poses {
@@ -140,7 +140,7 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     }
     for part in &report.foreign_parts {
         let groups = report.sampled_groups.iter().filter(|group| group.kind == part.kind);
-        let shape = sampled::shape(&groups.collect::<Vec<_>>());
+        let shape = contents::channels_text(&groups.collect::<Vec<_>>());
         line("kept", &format!("{}, {}{shape}", part.kind, bytes(part.bytes)));
     }
 }

@@ -16,8 +16,7 @@ use mocapd_take::motion::{Motion, is_gap};
 
 use crate::cli::{
     batch::{self, FileKinds},
-    motion_files::{AnalogSize, file_name, measure_analog, read_samples},
-    original::header_of,
+    motion_files::{AnalogSize, file_name, header_of, measure_analog, read_samples},
     output::Progress,
     plot,
     values::{self, count, rate},

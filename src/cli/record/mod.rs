@@ -1,8 +1,6 @@
 //! `record`: records a device to a take.
 
-mod raw;
 mod report;
-mod split;
 mod watch;
 
 use std::{path::PathBuf, time::Duration};
@@ -24,7 +22,10 @@ use mocapd_service::units;
 use mocapd_take::record::EndingKind;
 use serde::Serialize;
 
-use self::{report::SeriesReport, split::SplitValue, watch::record_series_and_watch};
+use self::{
+    report::SeriesReport,
+    watch::{SplitValue, record_series_and_watch},
+};
 pub(crate) use self::{
     report::{LatencyReport, ProcessReport, RecordReport},
     watch::{Limits, record_and_watch},
@@ -53,7 +54,7 @@ pub(crate) struct Args {
     seconds: Option<Duration>,
     /// Begin a new take whenever the current one has this length or size, without losing a frame: 10s, 30min, 500MB,
     /// 2GiB, at least 1s or 1MB; -o run.take writes run-001.take, run-002.take and so on
-    #[arg(long, value_name = "TIME|SIZE", value_parser = split::split, allow_hyphen_values = true)]
+    #[arg(long, value_name = "TIME|SIZE", value_parser = watch::parse_split, allow_hyphen_values = true)]
     split: Option<SplitValue>,
     /// Set the device to this frame rate: 240, 240Hz, 1kHz; it keeps the rate afterwards
     #[arg(long, value_name = "HZ", value_parser = units::rate_hz, allow_hyphen_values = true)]
@@ -140,7 +141,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let raw = args.raw.as_deref();
     let has_take =
         || series.as_ref().map_or_else(|| first.exists(), |series| series.names.any_exists());
-    let ((recorded, takes), log) = raw::with_log(raw, has_take, args.sync, |log| {
+    let ((recorded, takes), log) = watch::with_raw_log(raw, has_take, args.sync, |log| {
         let opened = Rig::open_logged(&uri, log.map(RawLog::tap));
         let mut rig = opened.map_err(|error| match error.downcast_ref() {
             Some(OpenError::UnknownDriver { .. }) => UsageError(error.to_string()).into(),

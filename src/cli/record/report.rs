@@ -13,7 +13,7 @@ use mocapd_service::process;
 use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Serialize};
 
-use super::raw::RawLogReport;
+use super::watch::RawLogReport;
 use crate::cli::{
     clock::ClockReport,
     ledger::{self, OutagesReport},

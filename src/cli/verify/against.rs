@@ -23,8 +23,7 @@ use mocapd_take::{
 use serde::Serialize;
 
 use crate::cli::{
-    motion_files::{read_options, read_original, read_take},
-    original::{MotionSource, open_motion},
+    motion_files::{MotionSource, open_motion, read_options, read_original, read_take},
     output::plain,
     paths, remote,
     values::{count, thousands},

@@ -28,7 +28,7 @@ use self::{
 };
 use super::{
     batch::{self, Batch, Figures, FileKinds, FileReport, InputArgs, Job},
-    damage::{self, DamageReport},
+    ledger::{self, DamageReport},
     motion_file_reports,
     output::{plain, plain_path},
     paths::{self, InputFormat, InputFormatName},
@@ -142,7 +142,7 @@ fn verify(args: &Args, job: &Job<'_>) -> anyhow::Result<FileReport> {
     if !job.is_json {
         printed.iter().for_each(|problem| job.notify(problem));
     }
-    for message in damage::losses(&job.input.name, &summary, !job.is_json) {
+    for message in ledger::missing_messages(&job.input.name, &summary, !job.is_json) {
         job.notify(&message);
     }
     // With swapped labels or bones that do not fit, every sample is there, but some have the wrong label, or a wrong
@@ -276,11 +276,11 @@ impl VerifyReport {
                 "clock line refitted to the stored observations: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"
             );
         }
-        for line in damage::lines(&self.damage) {
+        for line in ledger::damage_lines(&self.damage) {
             out += &format!("lost {line}\n");
         }
         let damaged = self.markers.iter().map(|m| (m.label.as_str(), m.frames_damaged));
-        out += &damage::by_marker(&damaged.collect::<Vec<_>>());
+        out += &ledger::damage_by_marker(&damaged.collect::<Vec<_>>());
         for contradiction in &self.contradictions {
             out += &format!("CONTRADICTION: {}\n", plain(contradiction));
         }

@@ -2,12 +2,10 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod synthetic {
-    mod contact;
     mod extremity;
-    mod neck;
     mod paper;
     mod picture;
-    mod plausible;
     mod repair;
+    mod scan_faults;
     mod skeleton;
 }

@@ -5,7 +5,7 @@ use image::Rgb;
 use mocapd_face::DocumentError;
 use mocapd_face::fitted::{FittedFace, Method, Overlay, Part, Source};
 use mocapd_face::model::{FeatureId, Landmark, Model};
-use mocapd_testkit::photograph::{PictureRng, Scene};
+use mocapd_testkit::{photograph::Scene, random::Random};
 
 fn example() -> (image::RgbImage, FittedFace) {
     let model = Model::generic().unwrap();
@@ -298,12 +298,12 @@ fn an_error_is_a_short_line_for_any_file() {
 fn changed_bytes_give_an_error_or_a_valid_face() {
     let (_, face) = example();
     let good = face.to_json().unwrap().into_bytes();
-    let mut random = PictureRng::new(9);
+    let mut random = Random::new(9);
     let mut read = 0;
     for _ in 0..400 {
         let mut bytes = good.clone();
-        for _ in 0..1 + (3.0 * random.uniform()) as usize {
-            let at = (random.uniform() * bytes.len() as f64) as usize;
+        for _ in 0..1 + (3.0 * random.unit()) as usize {
+            let at = (random.unit() * bytes.len() as f64) as usize;
             bytes[at] = random.one_of(b"0123456789-.e,[]{}\"ax ");
         }
         if let Ok(again) = FittedFace::from_json(&bytes) {

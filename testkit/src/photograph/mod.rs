@@ -4,11 +4,8 @@
 //! irises, nostrils and hair, in front of clutter in the colours of skin and wood. The same [`Scene`] gives the same
 //! pixels.
 
-mod clutter;
-mod extras;
 mod head;
 mod paint;
-mod random;
 mod raster;
 #[cfg(test)]
 mod tests;
@@ -17,8 +14,9 @@ use image::RgbImage;
 use mocapd_face::model::{Camera, FeatureId, Model, ModelError, OUTER_EYES_MM};
 use thiserror::Error;
 
-pub use extras::Occlusions;
-pub use random::PictureRng;
+use self::raster::{Canvas, Colour};
+use crate::random::Random;
+pub use paint::Occlusions;
 
 /// A picture to draw.
 #[derive(Debug, Clone, PartialEq)]
@@ -125,8 +123,8 @@ impl Scene {
             return Err(RenderError::Size(self.width_px, self.height_px));
         }
         let model = Model::generic()?;
-        let mut canvas = raster::Canvas::new(self.width_px, self.height_px);
-        clutter::fill(&mut canvas, &mut PictureRng::new(self.seed ^ 0xb0c4));
+        let mut canvas = Canvas::new(self.width_px, self.height_px);
+        fill_with_clutter(&mut canvas, &mut Random::new(self.seed ^ 0xb0c4));
         let mut faces = Vec::new();
         for (number, sitter) in self.faces.iter().enumerate() {
             if !sitter.is_valid() {
@@ -135,7 +133,7 @@ impl Scene {
             canvas.clear_depth();
             faces.push(sitter.draw(model, &mut canvas));
         }
-        let image = canvas.to_image(self.noise, &mut PictureRng::new(self.seed ^ 0x5e45));
+        let image = canvas.to_image(self.noise, &mut Random::new(self.seed ^ 0x5e45));
         Ok(Picture { image, faces })
     }
 }
@@ -156,8 +154,8 @@ impl Sitter {
             && (1.0..=most).contains(&self.interocular_px)
     }
 
-    fn draw(&self, model: &Model, canvas: &mut raster::Canvas) -> GroundTruth {
-        let mut random = PictureRng::new(self.seed);
+    fn draw(&self, model: &Model, canvas: &mut Canvas) -> GroundTruth {
+        let mut random = Random::new(self.seed);
         // Clipped, because shapes beyond a few standard deviations are unnatural.
         let mut amount = || self.variety * random.normal().clamp(-2.0, 2.0);
         let coefficients: Vec<f64> = model.modes.iter().map(|_| amount()).collect();
@@ -187,4 +185,55 @@ impl GroundTruth {
         let [x, y, _] = self.points_px[id.index()];
         [x, y]
     }
+}
+
+const CLUTTER_SHAPES: usize = 22;
+/// Linear colours of wood, plaster, brick, cloth, leaves, shade.
+const CLUTTER_COLOURS: [Colour; 8] = [
+    [0.42, 0.23, 0.11],
+    [0.62, 0.52, 0.41],
+    [0.40, 0.16, 0.10],
+    [0.68, 0.42, 0.28],
+    [0.10, 0.16, 0.30],
+    [0.12, 0.22, 0.08],
+    [0.05, 0.05, 0.06],
+    [0.55, 0.56, 0.55],
+];
+
+/// Fills the canvas with clutter.
+fn fill_with_clutter(canvas: &mut Canvas, random: &mut Random) {
+    let size = canvas.size_px();
+    let base: Colour = random.one_of(&CLUTTER_COLOURS);
+    let tilt = [random.between(-0.3, 0.3), random.between(-0.3, 0.3)];
+    canvas.paint(|at, _| {
+        let light = 1.0 + tilt[0] * (at[0] / size[0] - 0.5) + tilt[1] * (at[1] / size[1] - 0.5);
+        base.map(|c| c * light)
+    });
+    for _ in 0..CLUTTER_SHAPES {
+        clutter_shape(canvas, random, size);
+    }
+}
+
+/// Draws a slanted box or ellipse with a grain.
+fn clutter_shape(canvas: &mut Canvas, random: &mut Random, size: [f64; 2]) {
+    let colour: Colour = random.one_of(&CLUTTER_COLOURS);
+    let light = random.between(0.5, 1.3);
+    let middle = size.map(|s| random.between(-0.1, 1.1) * s);
+    let half = size.map(|s| random.between(0.03, 0.25) * s);
+    let (sin, cos) = random.between(-1.0, 1.0).sin_cos();
+    let round = random.unit() < 0.5;
+    let (grain, pitch) = (random.between(0.0, 0.25), random.between(0.2, 1.5));
+    canvas.paint(|at, under| {
+        let d = [at[0] - middle[0], at[1] - middle[1]];
+        let local = [(cos * d[0] + sin * d[1]) / half[0], (cos * d[1] - sin * d[0]) / half[1]];
+        let reach =
+            if round { local[0].hypot(local[1]) } else { local[0].abs().max(local[1].abs()) };
+        if reach > 1.0 {
+            return under;
+        }
+        let shade = light
+            * (1.0 - 0.25 * reach * reach)
+            * (1.0 + grain * (pitch * d[1] + 0.05 * d[0]).sin());
+        colour.map(|c| (c * shade).max(0.0))
+    });
 }

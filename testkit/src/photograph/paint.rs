@@ -1,10 +1,64 @@
-//! Colours and shading of a face: skin, lips, brows, eyes.
+//! Colours and shading of a face (skin, lips, brows, eyes), and what covers parts of it: glasses, a beard, hair over
+//! the forehead.
 
 use mocapd_face::model::Model;
 
-use super::extras::Occlusions;
-use super::random::PictureRng;
 use super::raster::{Colour, Fragment, unit};
+use crate::random::Random;
+
+/// Glasses, beard, fringe and light of a sitter; none by default.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Occlusions {
+    /// Thickness of the rims of glasses; 0 for none.
+    pub rims_mm: f64,
+    /// Density of a beard: 0 is none, 1 covers the skin.
+    pub beard: f64,
+    /// Length of the fringe below the hairline; the brows are 50 mm below it.
+    pub fringe_mm: f64,
+    /// Direction to the light in the camera's frame (right, up, towards the camera); random if `None`.
+    pub light: Option<[f64; 3]>,
+}
+
+/// Centre and semi-axes of the rim around an eye, mm.
+const RIM_AROUND_EYE: ([f64; 2], [f64; 2]) = ([33.0, -3.0], [24.0, 19.0]);
+/// Position of the bridge and half its width, mm.
+const BRIDGE: ([f64; 2], f64) = ([0.0, 4.0], 9.0);
+const HAIRLINE_MM: f64 = 66.0;
+/// Upper edge of a beard in the middle, and x and y of it at the ears, mm.
+const MOUSTACHE_MM: f64 = -47.0;
+const CHEEKS: (f64, f64) = (45.0, -30.0);
+
+impl Occlusions {
+    /// Whether all values can be drawn.
+    pub(super) fn is_finite(&self) -> bool {
+        let lengths = [self.rims_mm, self.beard, self.fringe_mm];
+        lengths.iter().chain(self.light.iter().flatten()).all(|v| v.abs() < 1e3)
+    }
+
+    /// Coverage of a point on the average face by the rims, 0 to 1.
+    pub(super) fn rim(&self, [x, y]: [f64; 2]) -> f64 {
+        if self.rims_mm <= 0.0 {
+            return 0.0;
+        }
+        let (middle, radii) = RIM_AROUND_EYE;
+        let reach = ((x.abs() - middle[0]) / radii[0]).hypot((y - middle[1]) / radii[1]);
+        let ring = (reach - 1.0).abs() * radii[1];
+        let bridge = if x.abs() < BRIDGE.1 { (y - BRIDGE.0[1]).abs() } else { f64::INFINITY };
+        (self.rims_mm / 2.0 - ring.min(bridge) + 0.5).clamp(0.0, 1.0)
+    }
+
+    /// Coverage of a point on the average face by hair, 0 to 1; the caller keeps the lips free.
+    pub(super) fn hair(&self, [x, y]: [f64; 2]) -> f64 {
+        // A beard's upper edge drops from the ears to the corners of the mouth, with a moustache under the nose.
+        let aside = (x.abs() / CHEEKS.0).min(1.5);
+        let edge =
+            if aside < 0.6 { MOUSTACHE_MM } else { CHEEKS.1 - 60.0 * (1.2 - aside).max(0.0) };
+        let beard = self.beard * ((edge - y) / 6.0).clamp(0.0, 1.0);
+        let ragged = HAIRLINE_MM - self.fringe_mm + 3.0 * (0.35 * x).sin() + 0.0015 * x * x;
+        let fringe = if self.fringe_mm > 0.0 { ((y - ragged) / 3.0).clamp(0.0, 1.0) } else { 0.0 };
+        beard.max(fringe).clamp(0.0, 1.0)
+    }
+}
 
 /// Linear albedo of skin, from very light to very dark.
 const SKINS: [Colour; 5] = [
@@ -26,7 +80,7 @@ const IRISES: [Colour; 4] =
 const CLOTHES: [Colour; 4] =
     [[0.03, 0.04, 0.12], [0.5, 0.5, 0.5], [0.2, 0.03, 0.03], [0.04, 0.10, 0.06]];
 const SCLERA: Colour = [0.72, 0.69, 0.66];
-const RIM: Colour = [0.03, 0.03, 0.03];
+const RIM_COLOUR: Colour = [0.03, 0.03, 0.03];
 /// Radius of an iris: its horizontal diameter is 11.7 mm in adults of any size.
 const IRIS_MM: f64 = 5.85;
 const PUPIL_MM: f64 = 2.0;
@@ -56,7 +110,7 @@ pub(super) struct FaceLayout {
 }
 
 impl Palette {
-    pub(super) fn new(random: &mut PictureRng) -> Self {
+    pub(super) fn new(random: &mut Random) -> Self {
         let shade = random.between(0.85, 1.1);
         let skin = random.one_of(&SKINS).map(|c| c * shade);
         // Lips are redder than skin: darker, most of all in green and blue.
@@ -103,7 +157,7 @@ impl Palette {
         }
         let skin = 1.0 - (2.0 * inside(&layout.lips, at) + 1.0).clamp(0.0, 1.0);
         colour = mix(colour, self.hair, self.extras.hair(at) * skin);
-        self.lit(mix(colour, RIM, self.extras.rim(at)), point.normal)
+        self.lit(mix(colour, RIM_COLOUR, self.extras.rim(at)), point.normal)
     }
 
     /// Colour of the eyeball at a fragment.

@@ -2,7 +2,7 @@
 
 use image::{Rgb, RgbImage};
 
-use super::random::PictureRng;
+use crate::random::Random;
 
 /// Samples per pixel along each axis, averaged.
 pub(super) const OVERSAMPLING: u32 = 2;
@@ -105,7 +105,7 @@ impl Canvas {
     }
 
     /// The picture: samples averaged, gamma-encoded (1 / 2.2), with noise added.
-    pub(super) fn to_image(&self, noise: f64, random: &mut PictureRng) -> RgbImage {
+    pub(super) fn to_image(&self, noise: f64, random: &mut Random) -> RgbImage {
         let n = OVERSAMPLING as usize;
         RgbImage::from_fn((self.width / n) as u32, (self.height / n) as u32, |x, y| {
             let mut sum = [0.0; 3];

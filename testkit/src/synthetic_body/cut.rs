@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 
 use mocapd_body::{Joint, Joints, Mesh, Side};
 
-use super::random::BodyRng;
 use super::{Point, unit};
+use crate::random::Random;
 
 /// The part of a limb that is cut off, up to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -97,7 +97,7 @@ const TRIES: usize = 16;
 /// Removes a part of a limb, selected by the seed; `None` when every plane tried removes more than the limb.
 #[must_use]
 pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, LimbCut)> {
-    let mut random = BodyRng::new(seed ^ 0x6375_7421);
+    let mut random = Random::new(seed ^ 0x6375_7421);
     // Consecutive seeds select the parts in turn.
     let part = LimbPart::ALL[(seed % LimbPart::ALL.len() as u64) as usize];
     let side = if random.between(0.0, 1.0) < 0.5 { Side::Left } else { Side::Right };
@@ -109,7 +109,7 @@ pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, LimbCu
     let bone = far - near;
     for _ in 0..TRIES {
         let tilt_deg = random.between(0.0, TILT_MAX_DEG);
-        let across = random.direction();
+        let across = super::direction(&mut random);
         let across = unit(across - unit(bone) * across.dot(&unit(bone)));
         let tilt = tilt_deg.to_radians();
         let normal = unit(bone) * tilt.cos() + across * tilt.sin();

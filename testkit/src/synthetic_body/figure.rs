@@ -1,13 +1,78 @@
-//! A figure: joints in a pose, and the capsules around them.
+//! A figure: joints in a pose, given as joint angles of the limbs, and the capsules around them.
 
 use std::collections::BTreeMap;
 
 use mocapd_body::{Estimate, Joint, Side};
 
-use super::Point;
-use super::field::{Capsule, Field};
-use super::pose::{Limb, Pose};
-use super::random::BodyRng;
+use super::{
+    Point,
+    surface::{Capsule, Field},
+};
+use crate::random::Random;
+
+/// Pose of a synthetic body. No limb touches another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pose {
+    /// Arms and legs spread halfway.
+    A,
+    /// Arms out to the sides.
+    T,
+    /// Arms at the sides, a hand's breadth from the trunk.
+    Down,
+    /// In stride: one arm and the other leg forward.
+    Walk,
+    /// Knees deeply bent, arms forward.
+    Squat,
+    /// Seated, as on a chair, with the forearms forward.
+    Sit,
+    /// Arms overhead.
+    Up,
+}
+
+/// Joint angles of one limb, degrees.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Limb {
+    /// Flexion of the upper segment, from down towards forward.
+    swing: f64,
+    /// Abduction of the upper segment, from down to the side.
+    spread: f64,
+    /// Flexion of elbow (forward) or knee (backward).
+    bend: f64,
+}
+
+const fn limb(swing: f64, spread: f64, bend: f64) -> Limb {
+    Limb { swing, spread, bend }
+}
+
+impl Pose {
+    /// All poses.
+    pub const ALL: [Self; 7] =
+        [Self::A, Self::T, Self::Down, Self::Walk, Self::Squat, Self::Sit, Self::Up];
+
+    /// Angles of the left and right arm.
+    fn arms(self) -> [Limb; 2] {
+        match self {
+            Self::A => [limb(0.0, 45.0, 12.0); 2],
+            Self::T => [limb(0.0, 88.0, 6.0); 2],
+            Self::Down => [limb(2.0, 20.0, 8.0); 2],
+            Self::Walk => [limb(32.0, 22.0, 35.0), limb(-28.0, 22.0, 18.0)],
+            Self::Squat => [limb(80.0, 18.0, 15.0); 2],
+            Self::Sit => [limb(12.0, 28.0, 85.0); 2],
+            Self::Up => [limb(0.0, 150.0, 12.0); 2],
+        }
+    }
+
+    /// Angles of the left and right leg.
+    fn legs(self) -> [Limb; 2] {
+        match self {
+            Self::A => [limb(0.0, 12.0, 4.0); 2],
+            Self::T | Self::Down | Self::Up => [limb(2.0, 8.0, 5.0); 2],
+            Self::Walk => [limb(-18.0, 6.0, 22.0), limb(26.0, 6.0, 10.0)],
+            Self::Squat => [limb(88.0, 28.0, 100.0); 2],
+            Self::Sit => [limb(85.0, 12.0, 85.0); 2],
+        }
+    }
+}
 
 /// The joints of a pose and the solid around them, in metres; x is the subject's left, y is up, z is forward.
 pub(super) struct Figure {
@@ -17,7 +82,7 @@ pub(super) struct Figure {
 
 impl Figure {
     /// Draws a figure. Lengths are fractions of stature after Drillis and Contini 1966, varied by a few per cent.
-    pub(super) fn new(random: &mut BodyRng, pose: Pose) -> Self {
+    pub(super) fn new(random: &mut Random, pose: Pose) -> Self {
         let stature = random.between(1.5, 1.95);
         let mut share = |of: f64, by: f64| of * random.between(1.0 - by, 1.0 + by);
         let girth = share(1.05, 0.1);

@@ -3,19 +3,16 @@
 //! They replace scans in tests and benchmarks, and unlike scans they have exactly known joints.
 
 mod cut;
-mod field;
 mod figure;
-mod polygonise;
-mod pose;
-mod random;
+mod surface;
 #[cfg(test)]
 mod tests;
 
 pub use cut::{LimbCut, LimbPart, cut_limb};
-pub use pose::Pose;
+pub use figure::Pose;
 
 use self::figure::Figure;
-use self::random::BodyRng;
+use crate::random::Random;
 use mocapd_body::{Estimate, Joints, Mesh};
 
 /// A position or a direction.
@@ -24,6 +21,16 @@ type Point = nalgebra::Vector3<f64>;
 /// Scales to unit length.
 fn unit(direction: Point) -> Point {
     direction * (1.0 / direction.norm())
+}
+
+/// A uniformly distributed direction, by rejection: a point of the cube that lies in the unit sphere.
+fn direction(random: &mut Random) -> Point {
+    loop {
+        let p = Point::from([0; 3].map(|_| random.between(-1.0, 1.0)));
+        if (0.01..1.0).contains(&p.norm()) {
+            return unit(p);
+        }
+    }
 }
 
 /// Resolution and orientation of a body.
@@ -50,11 +57,11 @@ impl Default for BodyOptions {
 /// orientation.
 #[must_use]
 pub fn body(seed: u64, pose: Pose, options: BodyOptions) -> (Mesh, Joints) {
-    let figure = Figure::new(&mut BodyRng::new(seed), pose);
-    let mut mesh = polygonise::surface(&figure.field, options.n_faces);
+    let figure = Figure::new(&mut Random::new(seed), pose);
+    let mut mesh = surface::surface(&figure.field, options.n_faces);
     let mut joints = Joints { estimates: figure.joints, sides_told: true, size_sigma: 0.0 };
     if options.turned {
-        let motion = RigidMotion::random(&mut BodyRng::new(seed ^ 0x7475_726e));
+        let motion = RigidMotion::random(&mut Random::new(seed ^ 0x7475_726e));
         mesh.positions.iter_mut().for_each(|at| *at = motion.apply(*at));
         let estimates = joints.estimates.values_mut();
         estimates.for_each(|e: &mut Estimate| e.position = motion.apply(e.position));
@@ -70,10 +77,10 @@ struct RigidMotion {
 
 impl RigidMotion {
     /// A uniformly distributed rotation, from two random directions made orthogonal, and a translation.
-    fn random(random: &mut BodyRng) -> Self {
-        let x = random.direction();
-        let z = unit(x.cross(&random.direction()));
-        Self { axes: [x, z.cross(&x), z], step: random.direction() * 3.0 }
+    fn random(random: &mut Random) -> Self {
+        let x = direction(random);
+        let z = unit(x.cross(&direction(random)));
+        Self { axes: [x, z.cross(&x), z], step: direction(random) * 3.0 }
     }
 
     fn apply(&self, at: [f64; 3]) -> [f64; 3] {

@@ -117,7 +117,7 @@ const RULES: &[Rule] = &[
             "simulator/src/natnet/serve.rs",
             "simulator/src/qtm/serve.rs",
             "store/src/cloud/connect.rs",
-            "store/src/local.rs",
+            "store/src/backend.rs",
             // Addresses, which are plain data.
             "drivers/src/natnet/",
             "simulator/src/natnet/mod.rs",
@@ -134,7 +134,7 @@ const RULES: &[Rule] = &[
             "acquire/src/files",
             "cli/src/manual.rs",
             "simulator/src/cli/files.rs",
-            "store/src/local.rs",
+            "store/src/backend.rs",
         ],
     },
     Rule {

@@ -119,7 +119,7 @@ fn caps(findings: &Findings, columns: &[Piece]) -> String {
             // A phase of one frame has one end.
             ends += 2 * counts.rows.min(2) * counts.samples / counts.rows;
         }
-        Some(format!("{} {:.1}", piece.name(), crate::measures::ratio(all, ends)?))
+        Some(format!("{} {:.1}", piece.name(), crate::decoded::ratio(all, ends)?))
     };
     columns.iter().filter_map(cap).collect::<Vec<_>>().join(", ")
 }

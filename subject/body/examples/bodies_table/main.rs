@@ -9,9 +9,7 @@ use std::error::Error;
 use std::path::Path;
 
 mod case;
-mod group;
 mod invariance;
-mod limbs;
 mod paper;
 #[path = "../bodies/read.rs"]
 mod read;
@@ -21,7 +19,7 @@ mod table;
 mod timing;
 
 use case::Case;
-use group::{Group, is_development, pose_class};
+use table::{Group, is_development, pose_class};
 
 /// Title of the section on test bodies.
 const REPORTED: &str = "Not learned from";
@@ -44,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             println!("## {title}\n");
             report(&cases);
             if title == REPORTED {
-                limbs::within(&cases);
+                table::lengths_within(&cases);
             }
             println!();
         }
@@ -60,7 +58,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 fn report(cases: &[&Case]) {
     let by_pose = Group::by(cases, |case| pose_class(&case.name));
-    let by_shape = Group::by(cases, |case| group::shape(&case.name));
+    let by_shape = Group::by(cases, |case| table::shape(&case.name));
     table::joints("pose", &by_pose);
     table::joints("shape", &by_shape);
     paper::print_comparison("pose", &by_pose);

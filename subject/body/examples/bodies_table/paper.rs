@@ -6,10 +6,10 @@ use mocapd_body::skeleton::Method;
 use mocapd_body::{Joints, Mesh, ScanAnalysis, paper};
 
 use crate::case::KINDS;
-use crate::group::Group;
 use crate::read::Truth;
-use crate::score::{self, Limit};
-use crate::table::{mean, quantile};
+use crate::score;
+use crate::score::Limit;
+use crate::table::{Group, mean, quantile};
 
 /// Number of joints to find.
 const JOINT_COUNT: usize = 2 * KINDS.len();

@@ -14,11 +14,9 @@ use mocapd_body::{Mesh, Refusal};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-mod bones;
 mod build;
 #[path = "../bodies/read.rs"]
 mod read;
-mod surface;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::var("MOCAPD_BODIES")

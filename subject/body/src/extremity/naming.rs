@@ -1,6 +1,6 @@
 //! Assignment of head, hands and feet: the five protrusions whose geodesic distances fit a body best.
 
-use super::peaks::{Candidate, Protrusions};
+use super::{Candidate, Protrusions};
 use crate::Refusal;
 
 /// A protrusion whose persistence exceeds this fraction of the longest distance is a limb or a head, not an elbow or an

@@ -1,8 +1,7 @@
 //! Shapes whose extremities are known, and shapes that are not bodies.
 
 use super::naming::misfit;
-use super::peaks::peaks;
-use super::*;
+use super::{peaks, *};
 use crate::Mesh;
 use crate::geodesic::{Adjacency, Graph, Workspace};
 use crate::tests::sphere;

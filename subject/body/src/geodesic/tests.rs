@@ -39,18 +39,7 @@ fn sphere(rows: u32, seed: u64) -> Mesh {
             positions.push([down.sin() * turn.cos(), down.sin() * turn.sin(), down.cos()]);
         }
     }
-    let at = |row: u32, column: u32| 2 + (row - 1) * around + column % around;
-    let mut triangles = Vec::new();
-    for column in 0..around {
-        triangles.push([0, at(1, column), at(1, column + 1)]);
-        triangles.push([1, at(rows - 1, column + 1), at(rows - 1, column)]);
-        for row in 1..rows - 1 {
-            let [a, b] = [at(row, column), at(row, column + 1)];
-            let [c, d] = [at(row + 1, column), at(row + 1, column + 1)];
-            triangles.extend([[a, c, d], [a, d, b]]);
-        }
-    }
-    Mesh { positions, triangles }
+    Mesh { positions, ..crate::tests::sphere(rows) }
 }
 
 /// Mean and maximum of `found / exact` over the vertices that are not near the source.

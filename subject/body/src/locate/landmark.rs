@@ -1,11 +1,9 @@
 //! Landmarks: points inside the body, at places that exist on every body.
 
-use super::limb::{Marks, arm, leg};
-use super::missing::{self, Neck};
+use super::limb::{Marks, Sections, arm, leg};
 use super::model::{LandmarkGroup, Model};
-use super::scale::{BodyScale, Touching};
-use super::section::Sections;
-use super::{FOOT, Fields, HAND, HEAD};
+use super::scan_faults::{BodyScale, Neck, Touching};
+use super::{FOOT, Fields, HAND, HEAD, scan_faults};
 use crate::Mesh;
 use crate::mesh::Point;
 
@@ -79,11 +77,11 @@ impl Landmarks {
     /// distances are contradictory, or a limb has no centre line.
     #[must_use]
     pub fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
-        let from_distances = missing::from_distances(fields);
+        let from_distances = scan_faults::missing_by_distances(fields);
         let curves = Curves::new(mesh, &Fields { missing: from_distances, ..*fields })?;
         let toes = FOOT.map(|foot| mesh.point(fields.ends[foot]) / curves.scale.length);
         let (arms, legs) = (curves.arms.each_ref(), curves.legs.each_ref());
-        let missing = missing::from_shape(fields, from_distances, arms, legs, toes);
+        let missing = scan_faults::missing_by_shape(fields, from_distances, arms, legs, toes);
         let fields = Fields { missing, ..*fields };
         let curves = if missing == from_distances { curves } else { Curves::new(mesh, &fields)? };
         Self::from_curves(curves, &fields)
@@ -149,7 +147,7 @@ impl Landmarks {
     #[must_use]
     pub fn ends_may_be_right(&self) -> bool {
         let hands =
-            self.halves.iter().all(|half| missing::may_be_a_hand(&half.sections[0].perimeter));
+            self.halves.iter().all(|half| scan_faults::may_be_a_hand(&half.sections[0].perimeter));
         hands && self.neck.may_be_a_head()
     }
 

@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, de::DeserializeOwned};
 
-use super::section::STEP;
+use super::STEP;
 
 /// Weights of landmarks for each joint.
 pub(super) static JOINTS: LazyLock<JointModels> =

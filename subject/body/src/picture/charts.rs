@@ -1,9 +1,8 @@
 //! The parts of the page outside the views: charts of circularity along each part, the Reeb graph, the table of
 //! left and right limb lengths, and the footnotes.
 
-use super::sheet::{Anchor, DIM, GRID, INK, Sheet};
 use super::views::{Upright, bounds};
-use super::{BodyPart, Curve, Drawing, Mark, ReebEdge, colour};
+use super::{Anchor, BodyPart, Curve, DIM, Drawing, GRID, INK, Mark, ReebEdge, Sheet, colour};
 use crate::mesh::{Point, distance};
 use crate::skeleton::BONES;
 use crate::{Joint, Side};

@@ -6,14 +6,18 @@
 
 mod charts;
 mod shade;
-mod sheet;
-mod trace;
 mod views;
 
-use self::sheet::{Anchor, DIM, Sheet};
+use std::fmt::Write as _;
+
 use self::views::Upright;
-use super::skeleton::Skeleton;
-use super::{Joints, Mesh, Side, Unit};
+use crate::{
+    Joint, Joints, Mesh, Side, Unit,
+    level::{Ring, Rings},
+    mesh::{Point, distance},
+    reeb::Levels,
+    skeleton::{Skeleton, joint_name},
+};
 
 /// A part of the body with its own level sets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -110,7 +114,7 @@ pub fn svg(drawing: &Drawing<'_>) -> String {
     let notes =
         drawing.skeleton.map_or_else(Vec::new, |skeleton| charts::note_lines(&skeleton.notes));
     let mut sheet = Sheet::new(WIDTH, HEIGHT + charts::notes_height(&notes));
-    sheet.text(40.0, 38.0, drawing.title, 20.0, sheet::INK, Anchor::Left);
+    sheet.text(40.0, 38.0, drawing.title, 20.0, INK, Anchor::Left);
     let upright = Upright::of(drawing);
     views::draw(&mut sheet, drawing, &upright);
     charts::reeb(&mut sheet, drawing, &upright);
@@ -149,5 +153,224 @@ fn colour(part: BodyPart) -> &'static str {
         BodyPart::Arm(Side::Right) => "#4ba3dc",
         BodyPart::Leg(Side::Left) => "#c24e00",
         BodyPart::Leg(Side::Right) => "#dd9200",
+    }
+}
+
+const INK: &str = "#282828";
+const DIM: &str = "#6e6e6e";
+const GRID: &str = "#e1e1e1";
+const FONT: &str = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif";
+/// Maximum number of characters of foreign text.
+const TEXT_MAX: usize = 160;
+
+/// Alignment of a text at its point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Anchor {
+    Left,
+    Middle,
+    Right,
+}
+
+/// A document under construction. Coordinates have one decimal; elements with non-finite ones are dropped.
+struct Sheet(String);
+
+impl Sheet {
+    fn new(width: f64, height: f64) -> Self {
+        let mut sheet = Self(String::new());
+        sheet.put(format_args!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"0 0 {width} {height}\" font-family=\"{FONT}\">\n\
+             <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n"
+        ));
+        sheet
+    }
+
+    fn finish(mut self) -> String {
+        self.0.push_str("</svg>\n");
+        self.0
+    }
+
+    /// Writing to a `String` cannot fail.
+    fn put(&mut self, what: std::fmt::Arguments<'_>) {
+        self.0.write_fmt(what).ok();
+    }
+
+    /// Text, vertically centred at the point.
+    fn text(&mut self, x: f64, y: f64, text: &str, size: f64, colour: &str, anchor: Anchor) {
+        let value = match anchor {
+            Anchor::Left => "start",
+            Anchor::Middle => "middle",
+            Anchor::Right => "end",
+        };
+        let baseline = y + 0.36 * size;
+        self.put(format_args!(
+            "<text x=\"{x:.1}\" y=\"{baseline:.1}\" font-size=\"{size}\" fill=\"{colour}\" text-anchor=\"{value}\">{}</text>\n",
+            escaped(text)
+        ));
+    }
+
+    /// Text that runs upwards along the left edge of a chart.
+    fn vertical_text(&mut self, x: f64, y: f64, text: &str, size: f64) {
+        self.put(format_args!(
+            "<text transform=\"translate({x:.1} {y:.1}) rotate(-90)\" font-size=\"{size}\" fill=\"{DIM}\" text-anchor=\"middle\">{}</text>\n",
+            escaped(text)
+        ));
+    }
+
+    fn line(&mut self, from: [f64; 2], to: [f64; 2], style: &str) {
+        self.path(&[vec![from, to]], false, style);
+    }
+
+    fn circle(&mut self, at: [f64; 2], radius: f64, style: &str) {
+        if at.iter().all(|c| c.is_finite()) && radius.is_finite() {
+            let [x, y] = at;
+            self.put(format_args!(
+                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" {style}/>\n"
+            ));
+        }
+    }
+
+    /// Polylines as one element.
+    fn path(&mut self, lines: &[Vec<[f64; 2]>], closed: bool, style: &str) {
+        let finite = |line: &&Vec<[f64; 2]>| {
+            line.len() > 1 && line.iter().all(|p| p.iter().all(|c| c.is_finite()))
+        };
+        let mut lines = lines.iter().filter(finite).peekable();
+        if lines.peek().is_none() {
+            return;
+        }
+        self.0.push_str("<path d=\"");
+        for line in lines {
+            for (i, [x, y]) in line.iter().enumerate() {
+                let step = if i == 0 { 'M' } else { 'L' };
+                self.put(format_args!("{step}{x:.1} {y:.1}"));
+            }
+            if closed {
+                self.0.push('Z');
+            }
+        }
+        self.put(format_args!("\" {style}/>\n"));
+    }
+}
+
+/// Text escaped for XML, of bounded length.
+fn escaped(text: &str) -> String {
+    let mut out = String::new();
+    for c in text.chars().take(TEXT_MAX) {
+        match c {
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '&' => out.push_str("&amp;"),
+            '"' => out.push_str("&quot;"),
+            c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => out.push(' '),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+impl Drawing<'_> {
+    /// Adds the level sets, the Reeb graph, and centre line and circularity of each segment. The joints must be set
+    /// before: they determine which arm is which and are marked on the curves.
+    pub fn trace(&mut self, Levels { rings, reeb, segments }: &Levels) {
+        let mut parts = vec![(BodyPart::Trunk, &segments.trunk)];
+        for (side, arm) in self.assign_sides(rings, &segments.arms, Joint::Wrist) {
+            parts.push((BodyPart::Arm(side), arm));
+        }
+        for (side, leg) in self.assign_sides(rings, &segments.legs, Joint::Ankle) {
+            parts.push((BodyPart::Leg(side), leg));
+        }
+        // Curves that belong to no segment, such as those of an ear, are part of the trunk.
+        let mut part_of = vec![BodyPart::Trunk; rings.rings.len()];
+        for (part, indices) in parts {
+            for &index in indices {
+                if let Some(of) = part_of.get_mut(index as usize) {
+                    *of = part;
+                }
+            }
+            let along: Vec<&Ring> =
+                indices.iter().filter_map(|&index| rings.rings.get(index as usize)).collect();
+            let points: Vec<[f64; 3]> = along.iter().map(|ring| ring.centroid).collect();
+            self.curves.push(self.curve(part, &along, &points));
+            self.centre_lines.push(Line { part, points });
+        }
+        for (ring, &part) in rings.rings.iter().zip(&part_of) {
+            self.rings.push(Line { part, points: ring.points.clone() });
+            let value = rings.values.get(ring.level as usize).copied().unwrap_or_default();
+            self.reeb_nodes.push(ReebNode { position: ring.centroid, value });
+        }
+        self.reeb_edges.extend(reeb.arcs().map(|[from, to]| {
+            // An arc has the colour of its outer end, so limbs begin at the trunk.
+            let part = part_of.get(to as usize).copied().unwrap_or(BodyPart::Trunk);
+            ReebEdge { from: from as usize, to: to as usize, part }
+        }));
+    }
+
+    /// Assigns each limb the side whose last joint is nearer to its end.
+    fn assign_sides<'a>(
+        &self,
+        rings: &Rings,
+        limbs: &'a [Vec<u32>; 2],
+        end: fn(Side) -> Joint,
+    ) -> [(Side, &'a Vec<u32>); 2] {
+        let far = |limb: &[u32], side: Side| {
+            let joint = self.joints.estimates.get(&end(side))?;
+            let ring = rings.rings.get(*limb.last()? as usize)?;
+            Some(distance(ring.centroid, joint.position))
+        };
+        let [a, b] = limbs;
+        let sum =
+            |left: &[u32], right: &[u32]| Some(far(left, Side::Left)? + far(right, Side::Right)?);
+        match (sum(a, b), sum(b, a)) {
+            (Some(as_is), Some(crossed)) if crossed < as_is => [(Side::Left, b), (Side::Right, a)],
+            _ => [(Side::Left, a), (Side::Right, b)],
+        }
+    }
+
+    /// Circularity over the length of the centre line.
+    fn curve(&self, part: BodyPart, along: &[&Ring], points: &[[f64; 3]]) -> Curve {
+        let mut far = vec![0.0];
+        for pair in points.windows(2) {
+            far.push(far.last().copied().unwrap_or(0.0) + distance(pair[0], pair[1]));
+        }
+        let samples = far.iter().zip(along).map(|(far, ring)| [*far, ring.circularity()]).collect();
+        let joints: Vec<Joint> = match part {
+            BodyPart::Trunk => vec![Joint::Throat, Joint::Pelvis],
+            BodyPart::Arm(side) => {
+                vec![Joint::Shoulder(side), Joint::Elbow(side), Joint::Wrist(side)]
+            }
+            BodyPart::Leg(side) => vec![Joint::Hip(side), Joint::Knee(side), Joint::Ankle(side)],
+        };
+        let mark = |joint: Joint| {
+            let at = self.joints.estimates.get(&joint)?.position;
+            let far_off = |index: &usize| distance(points[*index], at);
+            let nearest = (0..points.len()).min_by(|a, b| far_off(a).total_cmp(&far_off(b)))?;
+            // A shoulder lies before the first curve of the arm alone, so it is on no curve.
+            if beyond(points, nearest, at) {
+                return None;
+            }
+            let name = joint_name(joint);
+            let name = name.split_once('_').map_or(name, |(_, rest)| rest);
+            Some(Mark { distance: *far.get(nearest)?, name: name.to_owned() })
+        };
+        Curve { part, samples, marks: joints.into_iter().filter_map(mark).collect() }
+    }
+}
+
+/// Number of points that give the direction of a line at its end; fewer are not in line.
+const DIRECTION: usize = 4;
+
+/// Whether a point whose nearest line point is an end lies beyond that end.
+fn beyond(line: &[[f64; 3]], nearest: usize, at: [f64; 3]) -> bool {
+    let behind = |end: [f64; 3], inward: Option<&[f64; 3]>| {
+        let from_end = |at: [f64; 3]| Point::from(at) - Point::from(end);
+        inward.is_some_and(|inward| from_end(at).dot(&from_end(*inward)) < 0.0)
+    };
+    match (nearest, line) {
+        (0, [first, ..]) => behind(*first, line.get(DIRECTION)),
+        (index, [.., last]) if index + 1 == line.len() => {
+            behind(*last, line.iter().rev().nth(DIRECTION))
+        }
+        _ => false,
     }
 }

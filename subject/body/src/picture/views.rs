@@ -1,8 +1,7 @@
 //! Front and right view of the body: shaded, with level sets, centre lines and joints.
 
 use super::shade::{Shade, loops};
-use super::sheet::{Anchor, DIM, INK, Sheet};
-use super::{Drawing, Line, colour};
+use super::{Anchor, DIM, Drawing, INK, Line, Sheet, colour};
 use crate::mesh::{Point, axes, mean};
 use crate::skeleton::joint_name;
 use crate::{Estimate, Joint, Joints, Side};

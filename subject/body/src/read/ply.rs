@@ -1,7 +1,10 @@
 //! Stanford PLY: a text header that describes elements and their properties, then their values.
 
-use super::surface::{Surface, put_corner};
-use super::{Format, ReadError, text};
+use super::{
+    Format, ReadError, Surface,
+    obj_off_stl::{integer, lines, number, quote, tokens},
+    put_corner,
+};
 use crate::Unit;
 
 type Result<T = ()> = std::result::Result<T, ReadError>;
@@ -236,7 +239,7 @@ impl Header {
         for number in 1.. {
             let Some((line, after)) = split_line(rest) else { break };
             rest = after;
-            let mut tokens = text::tokens(line);
+            let mut tokens = tokens(line);
             let wrong = |expected: &str| Format::Ply.unexpected(number, expected, line);
             match tokens.next() {
                 Some(b"format") => {
@@ -250,7 +253,7 @@ impl Header {
                 Some(b"comment" | b"obj_info") => unit = unit.or_else(|| Unit::from_comment(line)),
                 Some(b"element") => {
                     let name = tokens.next().map(|name| String::from_utf8_lossy(name).into_owned());
-                    let count = tokens.next().and_then(text::integer);
+                    let count = tokens.next().and_then(integer);
                     let count = count.and_then(|count| u64::try_from(count).ok());
                     let (name, count) =
                         name.zip(count).ok_or_else(|| wrong("a name and a count"))?;
@@ -319,7 +322,7 @@ struct Text<'a> {
 impl<'a> Text<'a> {
     /// Starts after a header of `n_lines` lines.
     fn new(bytes: &'a [u8], n_lines: usize) -> Self {
-        let lines = text::lines(bytes).map(move |(number, line)| (number + n_lines, line));
+        let lines = lines(bytes).map(move |(number, line)| (number + n_lines, line));
         Self { lines: Box::new(lines), line: &[], number: n_lines }
     }
 }
@@ -342,8 +345,8 @@ impl ValueSource for Text<'_> {
         let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
         let (token, rest) = line.split_at(end);
         self.line = rest;
-        text::number(token).ok_or_else(|| {
-            malformed(self.place(), format!("expected a number, found {}", text::quote(token)))
+        number(token).ok_or_else(|| {
+            malformed(self.place(), format!("expected a number, found {}", quote(token)))
         })
     }
 

@@ -7,7 +7,10 @@ use image::{Rgb, RgbImage};
 use mocapd_face::Photo;
 use mocapd_face::find::{self, DetectedFace};
 use mocapd_face::model::FeatureId;
-use mocapd_testkit::photograph::{GroundTruth, Occlusions, Scene};
+use mocapd_testkit::{
+    photograph::{GroundTruth, Occlusions, Scene},
+    random::Random,
+};
 use serde_json::json;
 
 use super::{Face, score};
@@ -15,25 +18,9 @@ use super::{Face, score};
 /// Size of the pictures: 0.25 megapixels.
 const SIZE_PX: (u32, u32) = (480, 520);
 
-/// Seeded pseudo-random numbers by `SplitMix64` (Steele, Lea and Flood 2014).
-struct PictureRng(u64);
-
-impl PictureRng {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.uniform()
-    }
-
-    fn sometimes(&mut self, share: f64, amount: f64) -> f64 {
-        if self.uniform() < share { amount } else { 0.0 }
-    }
+/// `amount` with probability `share`, else 0.
+fn sometimes(random: &mut Random, share: f64, amount: f64) -> f64 {
+    if random.unit() < share { amount } else { 0.0 }
 }
 
 /// A picture, its face (none on every fifth picture), and the rows of the table to which it belongs.
@@ -44,8 +31,8 @@ struct Drawn {
 }
 
 fn draw(seed: u64) -> Option<Drawn> {
-    let mut random = PictureRng(seed.wrapping_mul(0x0005_851f_42d4_c957));
-    let eyes_px = 40.0 * 5.0_f64.powf(random.uniform().powf(1.3));
+    let mut random = Random::new(seed.wrapping_mul(0x0005_851f_42d4_c957));
+    let eyes_px = 40.0 * 5.0_f64.powf(random.unit().powf(1.3));
     let yaw_deg = random.between(-35.0, 35.0);
     let mut scene = Scene::portrait(seed, eyes_px, yaw_deg);
     (scene.width_px, scene.height_px) = SIZE_PX;
@@ -63,9 +50,9 @@ fn draw(seed: u64) -> Option<Drawn> {
     let beard = random.between(0.4, 0.95);
     let fringe_mm = random.between(10.0, 45.0);
     sitter.extras = Occlusions {
-        rims_mm: random.sometimes(0.2, rims_mm),
-        beard: random.sometimes(0.25, beard),
-        fringe_mm: random.sometimes(0.3, fringe_mm),
+        rims_mm: sometimes(&mut random, 0.2, rims_mm),
+        beard: sometimes(&mut random, 0.25, beard),
+        fringe_mm: sometimes(&mut random, 0.3, fringe_mm),
         light: Some([random.between(-1.4, 1.4), random.between(-0.3, 1.6), 1.0]),
     };
     let Occlusions { rims_mm, beard, fringe_mm, light } = sitter.extras;
@@ -119,9 +106,9 @@ fn draw(seed: u64) -> Option<Drawn> {
 }
 
 /// Applies a tone curve and a colour of the light: natural, grey or cast.
-fn develop(image: &mut RgbImage, random: &mut PictureRng) -> &'static str {
+fn develop(image: &mut RgbImage, random: &mut Random) -> &'static str {
     let gamma = random.between(0.7, 1.5);
-    let (grey, cast) = (random.uniform() < 0.2, random.uniform() < 0.2);
+    let (grey, cast) = (random.unit() < 0.2, random.unit() < 0.2);
     let warm = random.between(0.6, 0.85);
     for Rgb(pixel) in image.pixels_mut() {
         let [r, g, b] = pixel.map(|value| 255.0 * (f64::from(value) / 255.0).powf(gamma));

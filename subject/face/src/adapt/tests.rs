@@ -1,17 +1,17 @@
 use super::*;
 use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, OUTER_EYES_MM};
-use mocapd_testkit::photograph::PictureRng;
+use mocapd_testkit::random::Random;
 
 /// Radius of the multiquadric.
 const WIDTHS: [f64; 4] = [1.0, 0.3, 0.05, 0.0];
 
-fn scattered<const D: usize>(noise: &mut PictureRng, count: usize) -> Vec<[f64; D]> {
-    (0..count).map(|_| std::array::from_fn(|_| 2.0 * noise.uniform() - 1.0)).collect()
+fn scattered<const D: usize>(noise: &mut Random, count: usize) -> Vec<[f64; D]> {
+    (0..count).map(|_| std::array::from_fn(|_| 2.0 * noise.unit() - 1.0)).collect()
 }
 
 #[test]
 fn nodes_go_exactly_to_their_targets_in_every_family() {
-    let mut noise = PictureRng::new(1);
+    let mut noise = Random::new(1);
     for d in WIDTHS {
         let nodes: Vec<[f64; 2]> = scattered(&mut noise, 53);
         let targets: Vec<[f64; 2]> = scattered(&mut noise, 53);
@@ -28,7 +28,7 @@ fn nodes_go_exactly_to_their_targets_in_every_family() {
 
 #[test]
 fn affine_maps_are_reproduced_everywhere() {
-    let mut noise = PictureRng::new(2);
+    let mut noise = Random::new(2);
     let affine = |x: &[f64; 3]| {
         [3.0 * x[0] - 0.5 * x[1] + x[2] + 40.0, 0.2 * x[0] + 2.0 * x[1] - 7.0, x[0] + x[1] + x[2]]
     };
@@ -47,7 +47,7 @@ fn affine_maps_are_reproduced_everywhere() {
 
 #[test]
 fn weights_meet_the_side_conditions() {
-    let mut noise = PictureRng::new(3);
+    let mut noise = Random::new(3);
     for d in WIDTHS {
         let nodes: Vec<[f64; 2]> = scattered(&mut noise, 30);
         let targets: Vec<[f64; 1]> = scattered(&mut noise, 30);

@@ -4,7 +4,7 @@
 //! and Triggs 2005) with four directions. An eye is dark below and above in any light, and all skin tones give the same
 //! cells, because brightness enters as its square root, divided by the local contrast.
 
-use super::features::Frame;
+use super::learned_stages::Frame;
 use crate::plane::Plane;
 use crate::table::f32s;
 

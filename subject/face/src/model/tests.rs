@@ -3,7 +3,7 @@ mod recorded;
 use std::collections::HashSet;
 
 use super::*;
-use mocapd_testkit::photograph::PictureRng;
+use mocapd_testkit::random::Random;
 
 fn camera(yaw_deg: f64, pitch_deg: f64, roll_deg: f64) -> Camera {
     Camera { scale_px_per_mm: 1.3, yaw_deg, pitch_deg, roll_deg, origin_px: [210.0, 180.0] }
@@ -134,16 +134,13 @@ fn yaw_turns_the_nose_to_the_right_of_the_picture() {
 #[test]
 fn the_pose_and_points_of_random_faces_are_recovered() {
     let model = Model::generic().unwrap();
-    let mut noise = PictureRng::new(7);
+    let mut noise = Random::new(7);
     let (mut worst_yaw, mut sum) = (0.0f64, 0.0);
     let rounds = 60;
     for _ in 0..rounds {
         let coefficients: Vec<f64> = model.modes.iter().map(|_| 0.7 * noise.normal()).collect();
-        let camera = camera(
-            90.0 * noise.uniform() - 45.0,
-            8.0 * noise.normal(),
-            40.0 * noise.uniform() - 20.0,
-        );
+        let camera =
+            camera(90.0 * noise.unit() - 45.0, 8.0 * noise.normal(), 40.0 * noise.unit() - 20.0);
         let truth = seen(model, &camera, &coefficients);
         let mut points = given(&truth);
         for Landmark { xy_px: at, .. } in &mut points {

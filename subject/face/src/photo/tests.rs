@@ -2,7 +2,7 @@ use std::io::Cursor;
 
 use image::{DynamicImage, ImageFormat, RgbImage};
 
-use super::{Colour, Note, Photo, PhotoError, read::Jpeg};
+use super::{Colour, Jpeg, Note, Photo, PhotoError};
 
 /// Pixels without a simple relation between luma and hue.
 fn colourful(width: u32, height: u32) -> RgbImage {

@@ -2,9 +2,9 @@
 //! function of terms such as how clearly the features are visible at these places.
 
 use super::crop::Maps;
+use super::features::SearchResult;
 use super::outline::Ray;
 use super::regressor::{LandmarkPoints, REGRESSED};
-use super::search::SearchResult;
 use super::shape::{LANDMARKS, PosedModel, Target};
 use super::{BROWS, EYES, MOUTH, NOSE, features, outline};
 use crate::plane::{Plane, Point, distance, middle};

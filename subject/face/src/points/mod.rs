@@ -12,7 +12,6 @@ mod features;
 mod outline;
 pub mod paper;
 pub mod regressor;
-mod search;
 mod shape;
 #[cfg(test)]
 mod tests;
