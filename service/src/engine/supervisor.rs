@@ -289,6 +289,7 @@ fn open_rig(
         Some(identity) => Rig::reopen(uri, &identity, tap)?,
         None => Rig::open_logged(uri, tap)?,
     };
+    rig.limit_angles(options.take.angle_degrees);
     if let Some(rate_hz) = options.device.rate_hz {
         rig.set_rate(rate_hz)?;
     }
