@@ -10,6 +10,7 @@ mod loss;
 mod lossy_disk;
 mod outage;
 mod overload;
+mod pose_rows;
 mod poses;
 mod sampled;
 mod splits;
