@@ -69,6 +69,8 @@ impl Intake {
         self.pose_step.last_poses = Some(frame.seq);
         let segment = self.clocks.segment();
         let outcome = self.samples.poses(frame, self.feed.next_stretch(), segment);
+        let (n_frames, counted) = self.samples.counted_poses();
+        self.tap.offer_poses(frame.seq, n_frames, counted);
         for tap in &mut self.publish {
             tap.poses(frame.seq, self.samples.pose_rows());
         }

@@ -212,6 +212,11 @@ impl SampledIntake {
         self.poses.rows()
     }
 
+    /// Frames with poses since the pipeline began; by body its row in the last of them, and in how many it was tracked.
+    pub(in crate::pipeline) fn counted_poses(&self) -> (u64, &[(PoseRow, u64)]) {
+        self.poses.counted()
+    }
+
     /// Counts the poses that are missing up to the end of a run.
     pub(in crate::pipeline) fn end_of_poses(
         &mut self,

@@ -2,7 +2,7 @@
 
 use mocapd_codec::{
     GROUP_CHANNELS,
-    poses::{GROUP_BODIES, POSE_CHANNELS, PoseRow, RESIDUAL_NOT_REPORTED, without_pose},
+    poses::{GROUP_BODIES, POSE_CHANNELS, PoseRow, RESIDUAL_NOT_REPORTED, has_pose, without_pose},
 };
 use mocapd_drivers::{
     device::{
@@ -55,6 +55,9 @@ pub(super) struct PoseRows {
     row: Vec<f32>,
     /// Whether the frame had any.
     has_samples: bool,
+    /// Frames with poses; by body its row in the last of them, and in how many it was tracked.
+    n_frames: u64,
+    counted: Vec<(PoseRow, u64)>,
 }
 
 #[derive(Debug)]
@@ -68,7 +71,14 @@ impl PoseRows {
     pub(super) fn new(bodies: &[BodyInfo]) -> Self {
         let known = |info: &BodyInfo| KnownBody { info: info.clone(), is_contradicted: false };
         let row = vec![0.0; bodies.len() * POSE_CHANNELS];
-        Self { bodies: bodies.iter().map(known).collect(), last: None, row, has_samples: false }
+        Self {
+            bodies: bodies.iter().map(known).collect(),
+            last: None,
+            row,
+            has_samples: false,
+            n_frames: 0,
+            counted: vec![([0.0; POSE_CHANNELS], 0); bodies.len()],
+        }
     }
 
     /// Whether an announcement has the known bodies and no others.
@@ -107,12 +117,22 @@ impl PoseRows {
             }
             outcome = PosesOutcome::Refused { body: pose.body };
         }
+        self.n_frames += 1;
+        for ((counted, n_tracked), row) in self.counted.iter_mut().zip(rows) {
+            *counted = *row;
+            *n_tracked += u64::from(has_pose(row));
+        }
         outcome
     }
 
     /// The rows of the last frame that had poses, by body.
     pub(super) fn rows(&self) -> &[PoseRow] {
         self.row.as_chunks().0
+    }
+
+    /// Frames with poses so far; by body its row in the last of them, and in how many it was tracked.
+    pub(super) fn counted(&self) -> (u64, &[(PoseRow, u64)]) {
+        (self.n_frames, &self.counted)
     }
 
     /// Takes the number of samples at the end.
