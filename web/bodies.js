@@ -7,7 +7,8 @@ import { percent, plural } from "./format.js";
 /** Numbers of a pose: state, residual, position, and the quaternion w, x, y, z. */
 export const POSE_VALUES = 9;
 const TRACKED = 0;
-const STATES = ["tracked", "lost", "rejected", "not listed", "refused", "missing", "not tracked"];
+const STATES = new Map([[0, "tracked"], [1, "lost"], [2, "rejected"], [253, "missing"], [254, "refused"], [255, "not listed"]]);
+const OTHER = "not tracked";
 /** Length of the axes in the scene, as a fraction of the view's height at the body, and in millimetres. */
 const AXIS_MM = [40, 200];
 const AXIS_FRACTION = 0.07;
@@ -23,7 +24,7 @@ export const bodyName = (names, body) => names[body] || `body ${body + 1}`;
 export function poseOf(values, body) {
   const v = values.subarray(POSE_VALUES * body, POSE_VALUES * (body + 1));
   const isTracked = v[0] === TRACKED && v.subarray(2).every(Number.isFinite);
-  const state = v[0] === TRACKED && !isTracked ? STATES.at(-1) : STATES[v[0]] ?? STATES.at(-1);
+  const state = v[0] === TRACKED && !isTracked ? OTHER : STATES.get(v[0]) ?? OTHER;
   return { isTracked, state, position: v.subarray(2, 5), quaternion: v.subarray(5, 9) };
 }
 
@@ -80,8 +81,8 @@ export function drawBodies(ctx, { bodies, upAxis }, project, { colours, options,
 /** The lines of the list: {text, isTracked}, with the share of the frames in which each body was tracked. Pure. */
 export function bodyLines({ names, values, frames, tracked }) {
   return names.map((_, body) => {
-    const { isTracked, state } = values ? poseOf(values, body) : { isTracked: false, state: STATES[5] };
-    const share = frames > 0 ? ` · tracked in ${percent((tracked[body] ?? 0) / frames)} % of the frames` : "";
+    const { isTracked, state } = values ? poseOf(values, body) : { isTracked: false, state: STATES.get(253) };
+    const share = frames > 0 ? ` · share tracked ${percent((tracked[body] ?? 0) / frames)} %` : "";
     return { text: `${bodyName(names, body)} · ${state}${share}`, isTracked };
   });
 }

@@ -11,7 +11,7 @@ use std::{
 use crossbeam_channel::Receiver;
 use mocapd_acquire::pipeline::{PreviewBody, SampleRange};
 use mocapd_drivers::device::{SampleForm, SampledChannelInfo, SampledGroupInfo};
-use mocapd_take::poses::{Pose, PoseState};
+use mocapd_take::poses::Pose;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -190,21 +190,11 @@ impl LiveMessage {
 /// Numbers of a pose for viewers.
 pub(crate) const POSE_VALUES: usize = 9;
 
-/// A pose for viewers: its state as a number, the residual in millimetres, the position in millimetres, and the rotation as a
-/// quaternion w, x, y, z. NaN where there is none. The states are 0 tracked, 1 lost, 2 rejected, 3 not listed, 4 refused by the
-/// recorder, 5 missing, and 6 any other.
+/// A pose for viewers: the number of its state in outputs (`docs/poses.md`), the residual in millimetres, the position in
+/// millimetres, and the rotation as a quaternion w, x, y, z. NaN where there is none.
 pub(crate) fn pose_values(pose: &Pose) -> [f32; POSE_VALUES] {
-    let state = match pose.state {
-        PoseState::Tracked => 0.0,
-        PoseState::Lost => 1.0,
-        PoseState::Rejected => 2.0,
-        PoseState::Unlisted => 3.0,
-        PoseState::Refused => 4.0,
-        PoseState::Missing => 5.0,
-        PoseState::Other => 6.0,
-    };
     let ([x, y, z], [qw, qx, qy, qz]) = (pose.position_mm, pose.quaternion);
-    [state, pose.residual_mm, x, y, z, qw, qx, qy, qz]
+    [f32::from(pose.state.code()), pose.residual_mm, x, y, z, qw, qx, qy, qz]
 }
 
 /// The groups as viewers need them.

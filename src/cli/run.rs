@@ -150,7 +150,7 @@ impl Servers {
     }
 
     fn close(self) {
-        self.publishers.into_iter().for_each(RunningPublisher::close);
+        RunningPublisher::close_all(self.publishers);
         if let Some(triggers) = self.triggers {
             triggers.close();
         }

@@ -202,9 +202,9 @@ def live_bodies(browser, _log):
         browser.open(mock.url)
         lines = "return [...document.querySelectorAll('#bodies li')].map((e) => e.textContent)"
         browser.wait("the list", lambda: len(browser.js(lines)) == 3)
-        browser.wait("the poses", lambda: browser.js(lines)[0] == "● wand · tracked · tracked in 100 % of the frames")
-        assert browser.js(lines)[2] == "● body 3 · tracked · tracked in 0 % of the frames", browser.js(lines)
-        browser.wait("a lost body", lambda: browser.js(lines)[1].startswith(("○ pelvis · lost · tracked in 50", "○ pelvis · lost · tracked in 49")))
+        browser.wait("the poses", lambda: browser.js(lines)[0] == "● wand · tracked · share tracked 100 %")
+        assert browser.js(lines)[2] == "● body 3 · tracked · share tracked 0 %", browser.js(lines)
+        browser.wait("a lost body", lambda: browser.js(lines)[1].startswith(("○ pelvis · lost · share tracked 50", "○ pelvis · lost · share tracked 49")))
         browser.wait("the count", lambda: browser.text("bodies-count") in ("2 of 3 tracked", "3 of 3 tracked"))
         browser.wait("the axes", lambda: red_pixels(browser, "view") > 20)
         assert browser.errors() == []

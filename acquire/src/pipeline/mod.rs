@@ -42,7 +42,7 @@ pub use group::{Visibility, VisibilityCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
 pub use progress::{PipelineProgress, TakeProgress, lock};
-pub use publish_tap::{PublishTap, TappedBatch, TappedFrame, TappedMarker};
+pub use publish_tap::{LeftOut, PublishTap, TappedBatch, TappedFrame, TappedMarker};
 pub use ring::{PreviewBody, PreviewFrame, PreviewPoses, PreviewReceiver};
 pub use sampled::{SampleColumn, SampleRange, SampleTapReceiver};
 pub use split::{NextTake, Split, SplitAt, TakeSeries};

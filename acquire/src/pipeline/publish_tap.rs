@@ -6,7 +6,7 @@
 
 use std::sync::{
     Arc,
-    atomic::{AtomicBool, Ordering},
+    atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
 use mocapd_codec::poses::{POSE_CHANNELS, PoseRow};
@@ -45,6 +45,10 @@ const HELD_BATCHES_MAX: usize = 1 << 14;
 /// separates them. That of a frame behind it ends the wait.
 const POSES_WAIT_NS: u64 = 5_000_000;
 
+/// Frames that follow each other without poses after which frames do not wait any more, until poses come again: the device
+/// has announced bodies of which it sends none.
+const MISSES_MAX: u32 = 2;
+
 /// A marker of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TappedMarker {
@@ -70,9 +74,6 @@ pub struct TappedFrame {
     pub poses: Vec<Pose>,
     /// Frames before it that arrived and were left out here, because the rings were full.
     pub frames_left_out: u64,
-    /// Frames before it of which the poses arrived and were left out, because the rings were full, or they came without their
-    /// frame or long after it.
-    pub poses_left_out: u64,
 }
 
 /// A batch of a group of sampled channels. Kept from one to the next, it is filled without allocation.
@@ -95,11 +96,25 @@ pub struct TappedBatch {
     pub batches_left_out: u64,
 }
 
-/// What a publisher wants at present.
+/// What a tap has left out of what was wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LeftOut {
+    /// Frames, because the rings were full.
+    pub frames: u64,
+    /// Frames whose poses were left out, because the rings were full, or they came without their frame or long after it.
+    pub poses: u64,
+    /// Batches of samples, because the rings were full.
+    pub batches: u64,
+}
+
+/// What both ends know: what a publisher wants at present, and what it has not got.
 #[derive(Debug, Default)]
-struct Wanted {
-    frames: AtomicBool,
-    samples: AtomicBool,
+struct TapState {
+    wants_frames: AtomicBool,
+    wants_samples: AtomicBool,
+    frames_left_out: AtomicU64,
+    poses_left_out: AtomicU64,
+    batches_left_out: AtomicU64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -109,12 +124,13 @@ struct FrameHead {
     arrival_ns: u64,
     n_channels: usize,
     left_out: u64,
+    /// Whether its poses are expected.
+    awaits_poses: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct PosesHead {
     row: u64,
-    left_out: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -128,12 +144,13 @@ struct BatchHead {
     left_out: u64,
 }
 
-/// The frame that was copied last.
+/// The last frame.
 #[derive(Debug, Clone, Copy)]
 struct LastFrame {
     seq: u32,
     row: u64,
-    has_poses: bool,
+    /// Whether its poses are to be copied: it was, and they were not.
+    wants_poses: bool,
 }
 
 /// Where and when a frame arrived.
@@ -154,10 +171,13 @@ pub(super) struct PublishTapSender {
     pose_rows: RingProducer<PoseRow>,
     batches: RingProducer<BatchHead>,
     samples: RingProducer<f32>,
-    wanted: Arc<Wanted>,
+    state: Arc<TapState>,
+    n_bodies: usize,
     last: Option<LastFrame>,
+    /// Frames without poses up to the last one.
+    misses: u32,
+    /// Frames and batches left out since the last that was not.
     frames_left_out: u64,
-    poses_left_out: u64,
     batches_left_out: u64,
 }
 
@@ -170,15 +190,15 @@ pub struct PublishTap {
     pose_rows: RingConsumer<PoseRow>,
     batches: RingConsumer<BatchHead>,
     samples: RingConsumer<f32>,
-    wanted: Arc<Wanted>,
+    state: Arc<TapState>,
     /// The bodies of every frame that has poses.
     n_bodies: usize,
     reader: PoseReader,
     /// A frame that waits for its poses, and poses of a later frame.
     waiting_frame: Option<FrameHead>,
     waiting_poses: Option<PosesHead>,
-    poses_left_out: u64,
     row: Vec<Sample>,
+    bodies: Vec<PoseRow>,
 }
 
 /// The ends of a tap for frames of up to `n_slots` channels.
@@ -187,10 +207,12 @@ pub(super) fn publish_tap(
     n_slots: usize,
 ) -> (PublishTapSender, PublishTap) {
     let n_bodies = config.recorded_bodies().len();
-    let frame_bytes = n_slots * size_of::<Sample>() + n_bodies * size_of::<PoseRow>();
-    let n_frames = ((config.rate_hz * HELD_S) as usize)
-        .min(HELD_BYTES_MAX / frame_bytes.max(1))
-        .max(HELD_FRAMES_MIN);
+    let frame_bytes = n_slots * size_of::<Sample>()
+        + n_bodies * size_of::<PoseRow>()
+        + size_of::<FrameHead>()
+        + size_of::<PosesHead>();
+    let n_frames =
+        ((config.rate_hz * HELD_S) as usize).min(HELD_BYTES_MAX / frame_bytes).max(HELD_FRAMES_MIN);
     let (mut n_batches, mut n_values) = (0.0, 0.0);
     for group in &config.sampled {
         let n_samples = f64::from(group.rate_millihertz) / 1000.0 * HELD_S;
@@ -207,7 +229,7 @@ pub(super) fn publish_tap(
     let (pose_rows, pose_rows_out) = ring(n_frames * n_bodies.max(1));
     let (batches, batches_out) = ring(n_batches);
     let (samples, samples_out) = ring(n_values);
-    let wanted = Arc::new(Wanted::default());
+    let state = Arc::new(TapState::default());
     let sender = PublishTapSender {
         frames,
         markers,
@@ -215,10 +237,11 @@ pub(super) fn publish_tap(
         pose_rows,
         batches,
         samples,
-        wanted: Arc::clone(&wanted),
+        state: Arc::clone(&state),
+        n_bodies,
         last: None,
+        misses: 0,
         frames_left_out: 0,
-        poses_left_out: 0,
         batches_left_out: 0,
     };
     let tap = PublishTap {
@@ -228,14 +251,14 @@ pub(super) fn publish_tap(
         pose_rows: pose_rows_out,
         batches: batches_out,
         samples: samples_out,
-        wanted,
+        state,
         n_bodies,
         // The rows are not rounded.
         reader: PoseReader::new(&SampledGroup::default()),
         waiting_frame: None,
         waiting_poses: None,
-        poses_left_out: 0,
         row: Vec::new(),
+        bodies: Vec::new(),
     };
     (sender, tap)
 }
@@ -243,16 +266,18 @@ pub(super) fn publish_tap(
 impl PublishTapSender {
     /// Copies a frame, if somebody wants it.
     pub(super) fn frame(&mut self, place: FramePlace, row: &[Sample]) {
-        self.last = None;
-        if !self.wanted.frames.load(Ordering::Relaxed) {
-            (self.frames_left_out, self.poses_left_out) = (0, 0);
+        let FramePlace { seq, row: number, device_ticks, arrival_ns } = place;
+        self.misses = self.misses.saturating_add(1);
+        self.last = Some(LastFrame { seq, row: number, wants_poses: false });
+        if !self.state.wants_frames.load(Ordering::Relaxed) {
+            self.frames_left_out = 0;
             return;
         }
         if self.frames.vacant() == 0 || self.markers.vacant() < row.len() {
             self.frames_left_out += 1;
+            self.state.frames_left_out.fetch_add(1, Ordering::Relaxed);
             return;
         }
-        let FramePlace { seq, row: number, device_ticks, arrival_ns } = place;
         self.markers.push_slice(row);
         self.frames.push(FrameHead {
             row: number,
@@ -260,34 +285,41 @@ impl PublishTapSender {
             arrival_ns,
             n_channels: row.len(),
             left_out: std::mem::take(&mut self.frames_left_out),
+            awaits_poses: self.n_bodies > 0 && self.misses <= MISSES_MAX,
         });
-        self.last = Some(LastFrame { seq, row: number, has_poses: false });
+        self.last = Some(LastFrame { seq, row: number, wants_poses: true });
     }
 
-    /// Copies the poses of the frame that was copied last.
-    pub(super) fn poses(&mut self, seq: u32, rows: &[PoseRow]) {
-        if !self.wanted.frames.load(Ordering::Relaxed) {
-            return;
-        }
+    /// Copies the poses of the last frame, if it was copied.
+    pub(super) fn poses(&mut self, seq: u32, bodies: &[(PoseRow, u64)]) {
+        self.misses = 0;
+        let is_late = || self.state.wants_frames.load(Ordering::Relaxed);
         match &mut self.last {
-            Some(last) if last.seq == seq && last.has_poses => {}
-            Some(last)
-                if last.seq == seq
-                    && self.poses.vacant() > 0
-                    && self.pose_rows.vacant() >= rows.len() =>
-            {
-                last.has_poses = true;
-                self.pose_rows.push_slice(rows);
-                let left_out = std::mem::take(&mut self.poses_left_out);
-                self.poses.push(PosesHead { row: last.row, left_out });
+            Some(last) if last.seq == seq => {
+                if !std::mem::take(&mut last.wants_poses) {
+                    return;
+                }
+                if self.poses.vacant() > 0 && self.pose_rows.vacant() >= bodies.len() {
+                    bodies.iter().for_each(|(row, _)| self.pose_rows.push(*row));
+                    self.poses.push(PosesHead { row: last.row });
+                    return;
+                }
             }
-            _ => self.poses_left_out += 1,
+            // Their frame was lost, or another has come since.
+            _ if is_late() => {}
+            _ => return,
         }
+        self.state.poses_left_out.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The device was away or starts again, and its numbers with it: no poses belong to the last frame.
+    pub(super) fn forget_frame(&mut self) {
+        self.last = None;
     }
 
     /// Copies a batch, if somebody wants it; `first` is the number of its first sample since the pipeline began.
     pub(super) fn batch(&mut self, first: u64, batch: &SampleBatch<'_>) {
-        if !self.wanted.samples.load(Ordering::Relaxed) {
+        if !self.state.wants_samples.load(Ordering::Relaxed) {
             self.batches_left_out = 0;
             return;
         }
@@ -297,6 +329,7 @@ impl PublishTapSender {
         }
         if self.batches.vacant() == 0 || self.samples.vacant() < n_values {
             self.batches_left_out += 1;
+            self.state.batches_left_out.fetch_add(1, Ordering::Relaxed);
             return;
         }
         self.samples.push_slice(batch.samples);
@@ -315,8 +348,30 @@ impl PublishTapSender {
 impl PublishTap {
     /// Whether frames with their poses, and batches of samples, are wanted from now on. At first neither is.
     pub fn set_wanted(&self, frames: bool, samples: bool) {
-        self.wanted.frames.store(frames, Ordering::Relaxed);
-        self.wanted.samples.store(samples, Ordering::Relaxed);
+        self.state.wants_frames.store(frames, Ordering::Relaxed);
+        self.state.wants_samples.store(samples, Ordering::Relaxed);
+    }
+
+    /// What was left out so far of what was wanted.
+    #[must_use]
+    pub fn left_out(&self) -> LeftOut {
+        let of = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        LeftOut {
+            frames: of(&self.state.frames_left_out),
+            poses: of(&self.state.poses_left_out),
+            batches: of(&self.state.batches_left_out),
+        }
+    }
+
+    /// Frees the rings for a publisher that will not take what waits there: it counts as left out. Returns all that was.
+    #[must_use]
+    pub fn abandon(mut self) -> LeftOut {
+        self.set_wanted(false, false);
+        let mut left_out = self.left_out();
+        left_out.frames += u64::from(self.waiting_frame.take().is_some());
+        left_out.frames += std::iter::from_fn(|| self.frames.pop()).count() as u64;
+        left_out.batches += std::iter::from_fn(|| self.batches.pop()).count() as u64;
+        left_out
     }
 
     /// Fills `frame` with the next one, which has waited for its poses. Returns `false` if there is none yet.
@@ -333,7 +388,7 @@ impl PublishTap {
         frame.poses.clear();
         let is_complete = self.n_bodies == 0 || self.take_poses(head.row, &mut frame.poses);
         let is_late = now_ns.saturating_sub(head.arrival_ns) >= POSES_WAIT_NS;
-        if !(is_complete || is_followed || is_late) {
+        if head.awaits_poses && !(is_complete || is_followed || is_late) {
             self.waiting_frame = Some(head);
             return false;
         }
@@ -349,7 +404,6 @@ impl PublishTap {
         frame.device_ticks = head.device_ticks;
         frame.arrival_ns = head.arrival_ns;
         frame.frames_left_out = head.left_out;
-        frame.poses_left_out = std::mem::take(&mut self.poses_left_out);
         true
     }
 
@@ -360,18 +414,15 @@ impl PublishTap {
                 self.waiting_poses = Some(head);
                 return true;
             }
-            self.poses_left_out += head.left_out;
-            for _ in 0..self.n_bodies {
-                let numbers = self.pose_rows.pop().unwrap_or([f32::NAN; POSE_CHANNELS]);
-                if head.row == row {
-                    poses.push(self.reader.pose(&numbers));
-                }
-            }
+            self.bodies.clear();
+            self.bodies.resize(self.n_bodies, [f32::NAN; POSE_CHANNELS]);
+            self.pose_rows.pop_slice(&mut self.bodies);
             if head.row == row {
+                poses.extend(self.bodies.iter().map(|numbers| self.reader.pose(numbers)));
                 return true;
             }
             // Their frame did not wait any longer.
-            self.poses_left_out += 1;
+            self.state.poses_left_out.fetch_add(1, Ordering::Relaxed);
         }
         false
     }
@@ -395,6 +446,13 @@ impl PublishTap {
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.waiting_frame.is_none() && self.frames.is_over() && self.batches.is_over()
+    }
+}
+
+/// Nothing is copied for a publisher that is gone.
+impl Drop for PublishTap {
+    fn drop(&mut self) {
+        self.set_wanted(false, false);
     }
 }
 
@@ -463,13 +521,13 @@ mod tests {
         tap.set_wanted(true, false);
         let (mut frame, now) = (TappedFrame::default(), 1_000_000);
         let tracked = [5.0, 6.0, 7.0, 0.6, 0.0, 0.8, 0.0, 0.25];
-        let rows = [tracked, without_pose(&tracked, 1)];
+        let rows = [(tracked, 1), (without_pose(&tracked, 1), 0)];
         sender.frame(place(1), &ROW);
         assert!(!tap.next_frame_at(now, &mut frame), "its poses have not come");
         sender.poses(1, &rows);
         sender.poses(1, &rows);
         assert!(tap.next_frame_at(now, &mut frame));
-        assert_eq!((frame.row, frame.markers.len(), frame.poses_left_out), (101, 2, 0));
+        assert_eq!((frame.row, frame.markers.len(), tap.left_out()), (101, 2, LeftOut::default()));
         let [first, second] = frame.poses[..] else { panic!("two bodies") };
         assert_eq!((first.state, first.position_mm), (PoseState::Tracked, [5.0, 6.0, 7.0]));
         assert_eq!((first.quaternion, first.residual_mm), ([0.6, 0.0, 0.8, 0.0], 0.25));
@@ -485,7 +543,42 @@ mod tests {
         sender.frame(place(4), &ROW);
         sender.poses(4, &rows);
         assert!(tap.next_frame_at(now, &mut frame));
-        assert_eq!((frame.row, frame.poses.len(), frame.poses_left_out), (104, 2, 2));
+        assert_eq!((frame.row, frame.poses.len(), tap.left_out().poses), (104, 2, 2));
+        // Its numbers begin again: these are not the poses of the last frame before.
+        sender.forget_frame();
+        sender.poses(4, &rows);
+        assert_eq!(tap.left_out().poses, 3);
+    }
+
+    #[test]
+    fn frames_of_bodies_that_are_never_sent_do_not_wait() {
+        let (mut sender, mut tap) = tap(2);
+        tap.set_wanted(true, false);
+        let (mut frame, now) = (TappedFrame::default(), 1_000_000);
+        let mut at_once = Vec::new();
+        for seq in 0..5 {
+            sender.frame(place(seq), &ROW);
+            at_once.push(tap.next_frame_at(now, &mut frame));
+            while tap.next_frame_at(now + POSES_WAIT_NS, &mut frame) {}
+        }
+        assert_eq!(at_once, [false, false, true, true, true]);
+        sender.poses(4, &[([0.0; POSE_CHANNELS], 0); 2]);
+        sender.frame(place(5), &ROW);
+        assert!(!tap.next_frame_at(now, &mut frame), "they are sent again");
+        assert_eq!(tap.abandon(), LeftOut { frames: 1, poses: 1, batches: 0 });
+    }
+
+    #[test]
+    fn what_nobody_wanted_is_not_left_out() {
+        let (mut sender, tap) = tap(1);
+        let rows = [([0.0; POSE_CHANNELS], 0)];
+        for seq in 0..200 {
+            sender.frame(place(seq), &ROW);
+            // A client comes between a frame and its poses.
+            tap.set_wanted(seq == 150, false);
+            sender.poses(seq, &rows);
+        }
+        assert_eq!(tap.left_out(), LeftOut::default());
     }
 
     #[test]
@@ -517,7 +610,7 @@ mod tests {
         assert!(!tap.next_batch(&mut found));
         sender.batch(24576, &batch(&values[..2]));
         assert!(tap.next_batch(&mut found));
-        assert_eq!((found.first, found.batches_left_out), (24576, 1));
+        assert_eq!((found.first, found.batches_left_out, tap.left_out().batches), (24576, 1, 1));
         assert_eq!(found.samples, [0.0, 1.0]);
     }
 }

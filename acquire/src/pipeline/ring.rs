@@ -8,7 +8,7 @@
 
 use std::fmt;
 
-use mocapd_codec::poses::PoseRow;
+use mocapd_codec::poses::{POSE_CHANNELS, PoseRow};
 use mocapd_take::{
     motion::{GAP, Position},
     poses::{Pose, PoseReader},
@@ -183,6 +183,7 @@ pub struct PreviewReceiver {
     bodies: RingConsumer<BodyItem>,
     n_bodies: usize,
     reader: PoseReader,
+    items: Vec<BodyItem>,
 }
 
 pub(super) fn tap(n_slots: usize, n_bodies: usize) -> (PreviewSender, PreviewReceiver) {
@@ -198,6 +199,7 @@ pub(super) fn tap(n_slots: usize, n_bodies: usize) -> (PreviewSender, PreviewRec
         n_bodies,
         // The rows are not rounded.
         reader: PoseReader::new(&SampledGroup::default()),
+        items: Vec::new(),
     };
     let sender = PreviewSender {
         heads,
@@ -239,6 +241,11 @@ impl PreviewSender {
         self.awaits_poses = is_displayed.then_some((seq, head.row));
     }
 
+    /// The device was away or starts again, and its numbers with it: no poses belong to the last frame.
+    pub(super) fn forget_frame(&mut self) {
+        self.awaits_poses = None;
+    }
+
     /// Offers the poses of a frame, of which `n_frames` have come: by body its row, and in how many of these frames it was
     /// tracked. They are queued if their frame is displayed.
     pub(super) fn offer_poses(&mut self, seq: u32, n_frames: u64, bodies: &[(PoseRow, u64)]) {
@@ -266,11 +273,15 @@ impl PreviewReceiver {
     /// The poses of the next displayed frame that had any. Fills `bodies` in the order in which the device announced them.
     pub fn next_poses(&mut self, bodies: &mut Vec<PreviewBody>) -> Option<PreviewPoses> {
         let head = self.poses.pop()?;
+        self.items.clear();
+        let empty = BodyItem { row: [f32::NAN; POSE_CHANNELS], n_tracked: 0 };
+        self.items.resize(self.n_bodies, empty);
+        self.bodies.pop_slice(&mut self.items);
         bodies.clear();
-        for _ in 0..self.n_bodies {
-            let Some(BodyItem { row, n_tracked }) = self.bodies.pop() else { break };
-            bodies.push(PreviewBody { pose: self.reader.pose(&row), n_tracked });
-        }
+        bodies.extend(self.items.iter().map(|item| PreviewBody {
+            pose: self.reader.pose(&item.row),
+            n_tracked: item.n_tracked,
+        }));
         Some(head)
     }
 

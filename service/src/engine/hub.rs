@@ -185,10 +185,12 @@ impl Hub {
 
     fn begin(&mut self, session: NewSession) {
         *lock(&self.inner.statistics) = MarkerStatistics::new(session.header.rate_hz);
-        let groups = live_groups(&session.sampled);
-        let bodies = session.bodies.iter().map(|body| body.name.clone()).collect();
+        let subject = self.inner.core().options.subject.clone();
+        let mut table = table(&session, subject.as_deref());
+        self.face = FaceOverlay::new(subject.as_deref(), &table.labels);
+        table.face = self.face.as_ref().map(FaceOverlay::wireframe);
+        self.table = Arc::new(table);
         self.session = Some(session);
-        self.table = Arc::new(LiveTable { groups, bodies, ..LiveTable::default() });
         self.samples.clear();
         self.poses = None;
     }

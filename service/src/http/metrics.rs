@@ -329,7 +329,11 @@ fn of_publish(publish: &[PublishStatus], out: &mut MetricWriter<'_>) -> fmt::Res
             "Frames that all clients missed because the server was too slow",
             |it| it.frames_left_out,
         ),
-        ("poses_left_out", "Frames whose poses all clients missed", |it| it.poses_left_out),
+        (
+            "poses_left_out",
+            "Frames whose poses all clients missed: the server was too slow, or they came without their frame",
+            |it| it.poses_left_out,
+        ),
         ("batches_left_out", "Batches of samples that all clients missed", |it| {
             it.batches_left_out
         }),

@@ -187,8 +187,8 @@ pub(super) async fn bodies(
 /// Little endian: the bytes `MPB1`, u32 number of bodies, u64 first frame, u32 number of frames that follow, u32 distance from
 /// one to the next, u32 flags (bit 0: ends before the requested end; bit 1: poses are missing), u32 zero; then for each frame
 /// and body nine f32: the state, the residual in millimetres, the position in millimetres, and the rotation as a quaternion
-/// w, x, y, z. The states are 0 tracked, 1 lost, 2 rejected, 3 not listed, 4 refused by the recorder, 5 missing, and 6 any
-/// other. NaN where there is nothing. A response has at most a megabyte: a longer window ends earlier.
+/// w, x, y, z. The states are 0 tracked, 1 lost, 2 rejected, 3 any other of the device, 253 missing, 254 refused by the
+/// recorder, and 255 not listed. NaN where there is nothing. A response has at most a megabyte: a longer window ends earlier.
 #[utoipa::path(get, path = "/v1/takes/{name}/poses", tag = "takes",
     params(("name" = String, Path, description = "The take's name, without `.take`"),
         ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
@@ -461,9 +461,13 @@ const KEPT_MAX: usize = 4;
 /// key stretch per second has as many.
 const MAP_ENTRIES_MAX: usize = 1 << 18;
 
-/// Maximum number of entries of a take's forces, and of its bodies, that is kept, some ten of each second: a day, in at most 32 MiB. Without them
+/// Maximum number of entries of a take's forces that is kept, some ten of each second: a day, in at most 32 MiB. Without them
 /// each window would read the times of the whole take.
 const FORCES_ENTRIES_MAX: usize = 1 << 20;
+
+/// The same of a take's rigid bodies, some ten of each second and eight bodies: the seven hours of 128 bodies, in at most
+/// 128 MiB.
+const BODIES_ENTRIES_MAX: usize = 1 << 22;
 
 /// What was found in some takes, by their entity tags, which change with the files; the last one first.
 #[derive(Debug)]
@@ -529,7 +533,7 @@ impl KnownMaps {
             return Ok(known);
         }
         let bodies = Arc::new(TakeBodies::open(input)?);
-        self.bodies.put(tag.filter(|_| bodies.n_entries() <= FORCES_ENTRIES_MAX), &bodies);
+        self.bodies.put(tag.filter(|_| bodies.n_entries() <= BODIES_ENTRIES_MAX), &bodies);
         Ok(bodies)
     }
 }

@@ -2,9 +2,10 @@
 
 use std::io::{Read, Seek};
 
+use mocapd_drivers::device::BODIES_MAX;
 use mocapd_take::{
     TakeError, TakeMap,
-    poses::{PoseState, PosesByRow, RowPoses},
+    poses::{PoseBody, PoseState, PosesByRow, RowPoses},
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -20,6 +21,12 @@ use crate::live::{POSE_VALUES, pose_values};
 
 /// The signature of a window of poses: "mocapd bodies", version 1.
 const MAGIC: &[u8; 4] = b"MPB1";
+
+/// Maximum number of bodies that a player shows: as many as a recorder records. A response for one frame has to be small.
+const SHOWN_MAX: usize = BODIES_MAX;
+
+/// Maximum length of a body's name in characters.
+const NAME_CHARS_MAX: usize = 200;
 
 /// The rigid bodies of a take.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
@@ -63,7 +70,7 @@ impl TakeBodies {
     }
 
     fn n_bodies(&self) -> usize {
-        self.poses.as_ref().map_or(0, |poses| poses.bodies().len())
+        self.poses.as_ref().map_or(0, |poses| poses.bodies().len().min(SHOWN_MAX))
     }
 
     fn frames_max(&self) -> u64 {
@@ -75,7 +82,7 @@ impl TakeBodies {
     pub fn list(&self) -> BodyList {
         let bodies = self.poses.as_ref().map(PosesByRow::bodies).unwrap_or_default();
         BodyList {
-            names: bodies.iter().map(|body| body.name.clone()).collect(),
+            names: bodies.iter().take(SHOWN_MAX).map(name).collect(),
             window_frames_max: self.frames_max(),
         }
     }
@@ -109,14 +116,16 @@ impl TakeBodies {
         let Some(index) = self.poses.as_ref().filter(|_| window.n_bodies > 0) else {
             return Ok(window);
         };
-        let values = self.n_bodies() * POSE_VALUES;
+        let n_stored = index.bodies().len();
+        let values = n_stored * POSE_VALUES;
         let worked_max = (WINDOW_SAMPLES_MAX / values as u64).max(1);
         let rows_max = self.frames_max().saturating_mul(every).min(worked_max);
         let end = rows.end.min(rows.start.saturating_add(rows_max));
         window.flags = if end < rows.end { SHORTENED } else { 0 };
         let (mut read, mut poses) = (index.rows(rows.start..end), Vec::new());
         while let Some(found) = read.next(input, RowPoses::ROWS_AT_ONCE, &mut poses)? {
-            for (row, of_row) in found.zip(poses.chunks_exact(self.n_bodies())) {
+            for (row, of_row) in found.zip(poses.chunks_exact(n_stored)) {
+                let of_row = of_row.get(..self.n_bodies()).unwrap_or(of_row);
                 if !(row - rows.start).is_multiple_of(every) {
                     continue;
                 }
@@ -128,6 +137,10 @@ impl TakeBodies {
         }
         Ok(window)
     }
+}
+
+fn name(body: &PoseBody) -> String {
+    body.name.chars().take(NAME_CHARS_MAX).collect()
 }
 
 impl PoseWindow {

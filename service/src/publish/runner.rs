@@ -9,7 +9,7 @@ use std::{
 
 use crossbeam_channel::RecvTimeoutError;
 use mocapd_acquire::{
-    pipeline::{TappedBatch, TappedFrame},
+    pipeline::{LeftOut, TappedBatch, TappedFrame},
     threads::{self, StopReceiver, StopSender},
 };
 
@@ -56,13 +56,20 @@ impl RunningPublisher {
         self.threads.push(thread);
     }
 
-    /// Disconnects all clients, and ends.
-    pub fn close(self) {
-        drop(self.stopper);
-        for thread in self.threads {
+    /// Disconnects all clients of these publishers at the same time, and ends.
+    pub fn close_all(publishers: Vec<Self>) {
+        let (stoppers, threads): (Vec<_>, Vec<_>) =
+            publishers.into_iter().map(|publisher| (publisher.stopper, publisher.threads)).unzip();
+        drop(stoppers);
+        for thread in threads.into_iter().flatten() {
             // A thread that panicked has reported it already.
             drop(thread.join());
         }
+    }
+
+    /// Disconnects all clients, and ends.
+    pub fn close(self) {
+        Self::close_all(vec![self]);
     }
 }
 
@@ -147,6 +154,14 @@ impl Drop for PanicGuard {
     }
 }
 
+fn sum(a: LeftOut, b: LeftOut) -> LeftOut {
+    LeftOut {
+        frames: a.frames + b.frames,
+        poses: a.poses + b.poses,
+        batches: a.batches + b.batches,
+    }
+}
+
 /// The state of a publisher's thread.
 struct PublisherThread<P> {
     publisher: P,
@@ -157,8 +172,8 @@ struct PublisherThread<P> {
     batch: TappedBatch,
     /// Whether more waits than one turn takes.
     is_behind: bool,
-    /// Frames, poses of frames, and batches that the taps left out.
-    left_out: [u64; 3],
+    /// What the taps of earlier devices left out.
+    left_out: LeftOut,
     rate_limit: RateLimit,
     began: Instant,
     reported: Option<Instant>,
@@ -180,7 +195,7 @@ impl<P: LivePublisher> PublisherThread<P> {
             frame: TappedFrame::default(),
             batch: TappedBatch::default(),
             is_behind: false,
-            left_out: [0; 3],
+            left_out: LeftOut::default(),
             rate_limit: RateLimit::default(),
             began: Instant::now(),
             reported: None,
@@ -214,30 +229,35 @@ impl<P: LivePublisher> PublisherThread<P> {
     fn follow_source(&mut self) {
         if let Some(source) = self.feed.take_source() {
             self.publisher.set_device(Some(&source.device));
-            self.source = Some(source);
+            if let Some(before) = self.source.replace(source) {
+                self.leave(before);
+            }
         }
         let Some(source) = &self.source else { return };
         let wanted = self.publisher.wanted();
         source.tap.set_wanted(wanted.frames, wanted.samples);
-        if source.tap.is_over() {
-            self.source = None;
+        if source.tap.is_over()
+            && let Some(source) = self.source.take()
+        {
+            self.leave(source);
             self.publisher.set_device(None);
         }
+    }
+
+    /// Counts what was left out of a device that is over.
+    fn leave(&mut self, source: PublishedSource) {
+        self.left_out = sum(self.left_out, source.tap.abandon());
     }
 
     /// Passes on what waits in the tap, as much as one turn takes.
     fn publish(&mut self) {
         let Some(PublishedSource { tap, device }) = &mut self.source else { return };
-        let [frames, poses, batches] = &mut self.left_out;
         let (mut n_batches, mut n_frames) = (0, 0);
         while n_batches < BATCHES_A_TURN && tap.next_batch(&mut self.batch) {
-            *batches += self.batch.batches_left_out;
             self.publisher.samples(device, &self.batch);
             n_batches += 1;
         }
         while n_frames < FRAMES_A_TURN && tap.next_frame(&mut self.frame) {
-            *frames += self.frame.frames_left_out;
-            *poses += self.frame.poses_left_out;
             self.publisher.frame(device, &self.frame);
             n_frames += 1;
         }
@@ -252,11 +272,12 @@ impl<P: LivePublisher> PublisherThread<P> {
             return;
         }
         self.reported = Some(Instant::now());
-        let [frames_left_out, poses_left_out, batches_left_out] = self.left_out;
+        let now = self.source.as_ref().map(|source| source.tap.left_out()).unwrap_or_default();
+        let LeftOut { frames, poses, batches } = sum(self.left_out, now);
         self.feed.report(Some(PublishStatus {
-            frames_left_out,
-            poses_left_out,
-            batches_left_out,
+            frames_left_out: frames,
+            poses_left_out: poses,
+            batches_left_out: batches,
             ..self.publisher.status()
         }));
     }

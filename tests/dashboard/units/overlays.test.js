@@ -60,14 +60,14 @@ test("rigid bodies have axes, a state, and the share in which they are tracked",
   const values = new Float32Array([...pose(0, 5), ...pose(1), ...pose(0, NaN)]);
   const names = ["wand", "", "club"];
   equal(bodyLines({ names, values, frames: 4, tracked: [4, 1, 0] }).map(({ text }) => text), [
-    "wand · tracked · tracked in 100 % of the frames",
-    "body 2 · lost · tracked in 25.0 % of the frames",
-    "club · not tracked · tracked in 0 % of the frames",
+    "wand · tracked · share tracked 100 %",
+    "body 2 · lost · share tracked 25.0 %",
+    "club · not tracked · share tracked 0 %",
   ]);
   equal(bodiesCount({ names, values }), "1 of 3 tracked");
   equal(bodiesText(names.slice(0, 2), values), "1 of 2 rigid bodies tracked; without a pose: body 2 (lost)");
   equal(bodiesText(["wand"], values), "1 of 1 rigid body tracked");
-  const many = new Float32Array(Array(8).fill(pose(5)).flat());
+  const many = new Float32Array(Array(8).fill(pose(253)).flat());
   isTrue(bodiesText(Array(8).fill("b"), many).endsWith("b (missing), b (missing) and 2 more"));
 });
 

@@ -66,13 +66,13 @@ fn frames_have_the_poses_of_all_bodies() {
     for (frame, found) in all.chunks_exact(2).enumerate() {
         let states = (found[0][0], found[1][0]);
         match frame {
-            120 => assert_eq!(states, (5.0, 5.0)),
+            120 => assert_eq!(states, (253.0, 253.0)),
             _ if frame % 10 == 3 => {
-                assert_eq!(states, (1.0, 3.0));
+                assert_eq!(states, (1.0, 255.0));
                 assert!(found[0][1..].iter().all(|value| value.is_nan()));
             }
             _ => {
-                assert_eq!(states, (0.0, 3.0));
+                assert_eq!(states, (0.0, 255.0));
                 let expected = [0.25, frame as f32, -2.5, 1000.0, 0.6, 0.0, -0.8, 0.0];
                 assert_eq!(found[0][1..], expected, "{frame}");
             }

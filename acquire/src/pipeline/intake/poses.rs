@@ -4,7 +4,7 @@
 use mocapd_drivers::device::{BODIES_MAX, BodyInfo, EndOfPoses, Pose, PoseFrame};
 
 use super::Intake;
-use crate::pipeline::sampled::PosesOutcome;
+use crate::pipeline::{publish_tap::PublishTapSender, sampled::PosesOutcome};
 
 /// How long a command for a take waits for the poses of the last frame, in host nanoseconds: devices send them with the
 /// frame, so only a line that delivers both in different reads separates them.
@@ -69,10 +69,9 @@ impl Intake {
         self.pose_step.last_poses = Some(frame.seq);
         let segment = self.clocks.segment();
         let outcome = self.samples.poses(frame, self.feed.next_stretch(), segment);
-        let (n_frames, counted) = self.samples.counted_poses();
-        self.tap.offer_poses(frame.seq, n_frames, counted);
-        for tap in &mut self.publish {
-            tap.poses(frame.seq, self.samples.pose_rows());
+        if let Some((n_frames, bodies)) = self.samples.new_poses() {
+            self.tap.offer_poses(frame.seq, n_frames, bodies);
+            self.publish.iter_mut().for_each(|tap| tap.poses(frame.seq, bodies));
         }
         if let PosesOutcome::Refused { body } = outcome {
             self.count_refused(format_args!("poses of body {body}"));
@@ -125,5 +124,7 @@ impl Intake {
     pub(super) fn reset_poses(&mut self) {
         self.flush_poses();
         self.pose_step.last_frame = None;
+        self.tap.forget_frame();
+        self.publish.iter_mut().for_each(PublishTapSender::forget_frame);
     }
 }

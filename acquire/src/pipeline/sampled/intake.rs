@@ -55,6 +55,8 @@ pub(in crate::pipeline) struct SampledIntake {
     by_id: [Option<u8>; 256],
     wakes: SampleWakes,
     poses: PoseRows,
+    /// Whether the poses of the last frame had not come before.
+    has_new_poses: bool,
     tap: SampleTapSender,
 }
 
@@ -137,7 +139,14 @@ impl SampledIntake {
             }
         });
         let groups = groups.collect();
-        Self { groups, by_id, wakes, poses: PoseRows::new(config.recorded_bodies()), tap }
+        Self {
+            groups,
+            by_id,
+            wakes,
+            poses: PoseRows::new(config.recorded_bodies()),
+            has_new_poses: false,
+            tap,
+        }
     }
 
     fn group_mut(&mut self, id: u8) -> Option<&mut GroupIntake> {
@@ -203,18 +212,17 @@ impl SampledIntake {
         segment: u32,
     ) -> PosesOutcome {
         let outcome = self.poses.fill(frame);
-        self.put_poses((frame.number, frame.device_ticks), stretch, segment);
+        self.has_new_poses = self.put_poses((frame.number, frame.device_ticks), stretch, segment);
+        if self.has_new_poses {
+            self.poses.count_tracked();
+        }
         outcome
     }
 
-    /// The rows of all bodies in the last frame that had poses, in the order of the bodies.
-    pub(in crate::pipeline) fn pose_rows(&self) -> &[PoseRow] {
-        self.poses.rows()
-    }
-
-    /// Frames with poses since the pipeline began; by body its row in the last of them, and in how many it was tracked.
-    pub(in crate::pipeline) fn counted_poses(&self) -> (u64, &[(PoseRow, u64)]) {
-        self.poses.counted()
+    /// Unless the poses of the last frame came before: frames with poses since the pipeline began; by body its row in the last
+    /// of them, and in how many it was tracked.
+    pub(in crate::pipeline) fn new_poses(&self) -> Option<(u64, &[(PoseRow, u64)])> {
+        self.has_new_poses.then(|| self.poses.counted())
     }
 
     /// Counts the poses that are missing up to the end of a run.
@@ -228,7 +236,13 @@ impl SampledIntake {
         self.put_poses((end.number, end.device_ticks), stretch, segment);
     }
 
-    fn put_poses(&mut self, (number, device_ticks): (u32, u64), stretch: u64, segment: u32) {
+    /// Returns `false` if they came before.
+    fn put_poses(
+        &mut self,
+        (number, device_ticks): (u32, u64),
+        stretch: u64,
+        segment: u32,
+    ) -> bool {
         let Self { groups, by_id, wakes, poses, .. } = self;
         let index_of = |batch: &SampleBatch<'_>| by_id[usize::from(batch.group)].map(usize::from);
         let batches = poses
@@ -238,14 +252,19 @@ impl SampledIntake {
             groups.get(index).is_some_and(|group| group.has_room(&batch))
         };
         let have_room = batches.clone().all(has_room);
+        let mut are_new = false;
         for (index, batch) in batches {
             let Some(group) = groups.get_mut(index) else { continue };
             if !have_room {
-                group.lose(&batch, LossCauses::RING_FULL);
-            } else if group.batch(&batch, stretch, segment) {
+                are_new |= group.lose(&batch, LossCauses::RING_FULL);
+                continue;
+            }
+            if group.batch(&batch, stretch, segment) {
                 wakes.wake(index);
             }
+            are_new |= group.accepted.is_some();
         }
+        are_new
     }
 
     /// Ends the open blocks with a stretch, so that they are in the same takes, and begin where it can be decoded from
@@ -298,11 +317,13 @@ impl GroupIntake {
         usize::from(batch.n_channels) == n_channels && batch.form == self.info.form
     }
 
-    /// Counts the samples of a batch that cannot be stored.
-    fn lose(&mut self, batch: &SampleBatch<'_>, causes: LossCauses) {
-        if self.follow(batch) {
+    /// Counts the samples of a batch that cannot be stored. Returns `false` if it came before.
+    fn lose(&mut self, batch: &SampleBatch<'_>, causes: LossCauses) -> bool {
+        let is_new = self.follow(batch);
+        if is_new {
             self.add_lost(batch.n_samples() as u64, causes);
         }
+        is_new
     }
 
     /// Follows the numbers of a batch, and counts what is missing before it. Returns `false` if it came before.

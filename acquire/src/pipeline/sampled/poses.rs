@@ -117,17 +117,17 @@ impl PoseRows {
             }
             outcome = PosesOutcome::Refused { body: pose.body };
         }
+        outcome
+    }
+
+    /// Counts the frame, and by body whether it was tracked in it.
+    pub(super) fn count_tracked(&mut self) {
         self.n_frames += 1;
+        let (rows, _) = self.row.as_chunks::<POSE_CHANNELS>();
         for ((counted, n_tracked), row) in self.counted.iter_mut().zip(rows) {
             *counted = *row;
             *n_tracked += u64::from(has_pose(row));
         }
-        outcome
-    }
-
-    /// The rows of the last frame that had poses, by body.
-    pub(super) fn rows(&self) -> &[PoseRow] {
-        self.row.as_chunks().0
     }
 
     /// Frames with poses so far; by body its row in the last of them, and in how many it was tracked.
