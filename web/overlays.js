@@ -45,6 +45,11 @@ export class Overlays {
     byId("largest-error").addEventListener("click", () => this.goToLargest());
   }
 
+  /** Whether there is something to see without markers. */
+  get hasBodies() {
+    return this.#bodies !== null;
+  }
+
   /** Nothing is shown of the take before. */
   close() {
     [this.comparison, this.forces, this.other, this.errors, this.#poses, this.#bodies] = Array(6).fill(null);
@@ -62,8 +67,8 @@ export class Overlays {
       this.#poses = this.#bufferOf({ window }, { ...overview, markers: 4, window_frames_max: POSES_MAX }, isCurrent);
       this.player.refresh();
     }
-    await this.#showForces(source, isCurrent);
     await this.#showBodies(source, isCurrent);
+    await this.#showForces(source, isCurrent);
     if (other && isCurrent()) await this.#compare(source, other, isCurrent);
   }
 
@@ -184,9 +189,17 @@ export class Overlays {
   show(motion) {
     const pose = this.#poses?.positionsAt(motion.row) ?? null;
     motion.facePose = pose && Number.isFinite(pose[0]) ? pose : null;
-    if (this.#bodies) motion.bodies = { names: this.#bodies.names, values: this.#bodies.buffer.positionsAt(motion.row), frames: 0, tracked: [] };
+    if (this.#bodies) this.#placeBodies(motion);
     this.other = this.comparison?.otherPositions(motion.row) ?? null;
     this.errors = this.other && motion.raw ? distances(motion.raw, this.other) : null;
+  }
+
+  /** Bodies stay where they are while the next window is loaded. */
+  #placeBodies(motion) {
+    const { names, buffer } = this.#bodies;
+    const found = buffer.positionsAt(motion.row);
+    const values = found ?? (buffer.isWaitingFor(motion.row) ? motion.bodies.values : null);
+    motion.bodies = { names, values, frames: 0, tracked: [] };
   }
 
   showTexts(row) {
@@ -211,7 +224,7 @@ export class Overlays {
 /** The rigid bodies at a row, as one line. */
 function bodiesLine({ names, buffer }, row) {
   const values = buffer.positionsAt(row);
-  return values ? bodiesText(names, values) : "Loading rigid bodies";
+  return values ? bodiesText(names, values) : buffer.isWaitingFor(row) ? "Loading rigid bodies" : "The poses of these frames cannot be read";
 }
 
 /** Why plates are not shown. Pure. */

@@ -13,8 +13,10 @@ pub use mocapd_take::quantity::{
 /// # Errors
 /// A message that says what to give.
 pub fn angle_degrees(text: &str) -> Result<f64, String> {
-    let number = text.trim().trim_end_matches("deg").trim_end();
-    let degrees = number.parse().ok().filter(|degrees| ANGLE_DEGREES.contains(degrees));
+    let number = text.trim().strip_suffix("deg").map(str::trim_end);
+    let degrees = number
+        .and_then(|number| number.parse().ok())
+        .filter(|degrees| ANGLE_DEGREES.contains(degrees));
     degrees.ok_or_else(|| {
         format!(
             "'{text}' is no angle from {} to {} degrees: give one such as 0.05deg",

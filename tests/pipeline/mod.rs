@@ -12,6 +12,7 @@ mod outage;
 mod overload;
 mod pose_rows;
 mod poses;
+mod publish;
 mod sampled;
 mod splits;
 mod statistics;

@@ -22,6 +22,7 @@ use mocapd_take::{
 
 use super::{
     PipelineConfig,
+    plan::POSES_WAIT_NS,
     ring::{RingConsumer, RingProducer, Sample, ring},
 };
 use crate::host_clock::monotonic_ns;
@@ -40,14 +41,6 @@ const HELD_BYTES_MAX: usize = 16 << 20;
 /// each, of which there are 16 at most; faster ones come in longer batches.
 const HELD_BATCHES_MIN: usize = 64;
 const HELD_BATCHES_MAX: usize = 1 << 14;
-
-/// How long a frame waits for its poses: devices send both together, so only a line that delivers them in different reads
-/// separates them. That of a frame behind it ends the wait.
-const POSES_WAIT_NS: u64 = 5_000_000;
-
-/// Frames that follow each other without poses after which frames do not wait any more, until poses come again: the device
-/// has announced bodies of which it sends none.
-const MISSES_MAX: u32 = 2;
 
 /// A marker of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -111,6 +104,7 @@ pub struct LeftOut {
 #[derive(Debug, Default)]
 struct TapState {
     wants_frames: AtomicBool,
+    wants_poses: AtomicBool,
     wants_samples: AtomicBool,
     frames_left_out: AtomicU64,
     poses_left_out: AtomicU64,
@@ -174,8 +168,9 @@ pub(super) struct PublishTapSender {
     state: Arc<TapState>,
     n_bodies: usize,
     last: Option<LastFrame>,
-    /// Frames without poses up to the last one.
+    /// Frames without poses up to the last one, and after how many of them none are expected any more: those of a second.
     misses: u32,
+    misses_max: u32,
     /// Frames and batches left out since the last that was not.
     frames_left_out: u64,
     batches_left_out: u64,
@@ -196,6 +191,8 @@ pub struct PublishTap {
     reader: PoseReader,
     /// A frame that waits for its poses, and poses of a later frame.
     waiting_frame: Option<FrameHead>,
+    /// When the frame that waits was first looked at.
+    waits_since_ns: u64,
     waiting_poses: Option<PosesHead>,
     row: Vec<Sample>,
     bodies: Vec<PoseRow>,
@@ -241,6 +238,7 @@ pub(super) fn publish_tap(
         n_bodies,
         last: None,
         misses: 0,
+        misses_max: (config.rate_hz.ceil() as u32).max(1),
         frames_left_out: 0,
         batches_left_out: 0,
     };
@@ -256,6 +254,7 @@ pub(super) fn publish_tap(
         // The rows are not rounded.
         reader: PoseReader::new(&SampledGroup::default()),
         waiting_frame: None,
+        waits_since_ns: 0,
         waiting_poses: None,
         row: Vec::new(),
         bodies: Vec::new(),
@@ -285,22 +284,28 @@ impl PublishTapSender {
             arrival_ns,
             n_channels: row.len(),
             left_out: std::mem::take(&mut self.frames_left_out),
-            awaits_poses: self.n_bodies > 0 && self.misses <= MISSES_MAX,
+            awaits_poses: self.n_bodies > 0
+                && self.misses <= self.misses_max
+                && self.state.wants_poses.load(Ordering::Relaxed),
         });
-        self.last = Some(LastFrame { seq, row: number, wants_poses: true });
+        let wants_poses = self.state.wants_poses.load(Ordering::Relaxed);
+        self.last = Some(LastFrame { seq, row: number, wants_poses });
     }
 
     /// Copies the poses of the last frame, if it was copied.
-    pub(super) fn poses(&mut self, seq: u32, bodies: &[(PoseRow, u64)]) {
+    pub(super) fn poses(&mut self, seq: u32, rows: &[PoseRow]) {
         self.misses = 0;
-        let is_late = || self.state.wants_frames.load(Ordering::Relaxed);
+        let is_late = || {
+            let TapState { wants_frames, wants_poses, .. } = &*self.state;
+            wants_frames.load(Ordering::Relaxed) && wants_poses.load(Ordering::Relaxed)
+        };
         match &mut self.last {
             Some(last) if last.seq == seq => {
                 if !std::mem::take(&mut last.wants_poses) {
                     return;
                 }
-                if self.poses.vacant() > 0 && self.pose_rows.vacant() >= bodies.len() {
-                    bodies.iter().for_each(|(row, _)| self.pose_rows.push(*row));
+                if self.poses.vacant() > 0 && self.pose_rows.vacant() >= rows.len() {
+                    self.pose_rows.push_slice(rows);
                     self.poses.push(PosesHead { row: last.row });
                     return;
                 }
@@ -346,9 +351,11 @@ impl PublishTapSender {
 }
 
 impl PublishTap {
-    /// Whether frames with their poses, and batches of samples, are wanted from now on. At first neither is.
-    pub fn set_wanted(&self, frames: bool, samples: bool) {
+    /// Whether frames, their poses, and batches of samples are wanted from now on. At first none is. Where poses are not wanted,
+    /// frames do not wait for them.
+    pub fn set_wanted(&self, frames: bool, poses: bool, samples: bool) {
         self.state.wants_frames.store(frames, Ordering::Relaxed);
+        self.state.wants_poses.store(poses, Ordering::Relaxed);
         self.state.wants_samples.store(samples, Ordering::Relaxed);
     }
 
@@ -366,7 +373,7 @@ impl PublishTap {
     /// Frees the rings for a publisher that will not take what waits there: it counts as left out. Returns all that was.
     #[must_use]
     pub fn abandon(mut self) -> LeftOut {
-        self.set_wanted(false, false);
+        self.set_wanted(false, false, false);
         let mut left_out = self.left_out();
         left_out.frames += u64::from(self.waiting_frame.take().is_some());
         left_out.frames += std::iter::from_fn(|| self.frames.pop()).count() as u64;
@@ -380,14 +387,21 @@ impl PublishTap {
     }
 
     fn next_frame_at(&mut self, now_ns: u64, frame: &mut TappedFrame) -> bool {
-        let Some(head) = self.waiting_frame.take().or_else(|| self.frames.pop()) else {
-            return false;
+        let head = match self.waiting_frame.take() {
+            Some(head) => head,
+            None => {
+                self.waits_since_ns = now_ns;
+                match self.frames.pop() {
+                    Some(head) => head,
+                    None => return false,
+                }
+            }
         };
         // Looked at before the poses: those of this frame are in their ring before the next frame is in its own.
         let is_followed = !self.frames.is_empty() || self.frames.is_over();
         frame.poses.clear();
         let is_complete = self.n_bodies == 0 || self.take_poses(head.row, &mut frame.poses);
-        let is_late = now_ns.saturating_sub(head.arrival_ns) >= POSES_WAIT_NS;
+        let is_late = now_ns.saturating_sub(self.waits_since_ns) >= POSES_WAIT_NS;
         if head.awaits_poses && !(is_complete || is_followed || is_late) {
             self.waiting_frame = Some(head);
             return false;
@@ -452,7 +466,7 @@ impl PublishTap {
 /// Nothing is copied for a publisher that is gone.
 impl Drop for PublishTap {
     fn drop(&mut self) {
-        self.set_wanted(false, false);
+        self.set_wanted(false, false, false);
     }
 }
 
@@ -497,7 +511,7 @@ mod tests {
         let mut frame = TappedFrame::default();
         sender.frame(place(0), &ROW);
         assert!(!tap.next_frame(&mut frame), "nobody wanted it");
-        tap.set_wanted(true, false);
+        tap.set_wanted(true, true, false);
         for seq in 1..=70 {
             sender.frame(place(seq), &ROW);
         }
@@ -518,10 +532,10 @@ mod tests {
     #[test]
     fn a_frame_waits_for_its_poses_but_not_for_long() {
         let (mut sender, mut tap) = tap(2);
-        tap.set_wanted(true, false);
+        tap.set_wanted(true, true, false);
         let (mut frame, now) = (TappedFrame::default(), 1_000_000);
         let tracked = [5.0, 6.0, 7.0, 0.6, 0.0, 0.8, 0.0, 0.25];
-        let rows = [(tracked, 1), (without_pose(&tracked, 1), 0)];
+        let rows = [tracked, without_pose(&tracked, 1)];
         sender.frame(place(1), &ROW);
         assert!(!tap.next_frame_at(now, &mut frame), "its poses have not come");
         sender.poses(1, &rows);
@@ -553,29 +567,34 @@ mod tests {
     #[test]
     fn frames_of_bodies_that_are_never_sent_do_not_wait() {
         let (mut sender, mut tap) = tap(2);
-        tap.set_wanted(true, false);
+        tap.set_wanted(true, true, false);
         let (mut frame, now) = (TappedFrame::default(), 1_000_000);
-        let mut at_once = Vec::new();
-        for seq in 0..5 {
+        let mut wait = |sender: &mut PublishTapSender, seq, tap: &mut PublishTap| {
             sender.frame(place(seq), &ROW);
-            at_once.push(tap.next_frame_at(now, &mut frame));
-            while tap.next_frame_at(now + POSES_WAIT_NS, &mut frame) {}
-        }
-        assert_eq!(at_once, [false, false, true, true, true]);
-        sender.poses(4, &[([0.0; POSE_CHANNELS], 0); 2]);
-        sender.frame(place(5), &ROW);
-        assert!(!tap.next_frame_at(now, &mut frame), "they are sent again");
+            let is_at_once = tap.next_frame_at(now, &mut frame);
+            assert_eq!(tap.next_frame_at(now + POSES_WAIT_NS, &mut frame), !is_at_once);
+            !is_at_once
+        };
+        // The first second, a hundred frames.
+        assert!((0..100).all(|seq| wait(&mut sender, seq, &mut tap)));
+        assert!(!(100..120).any(|seq| wait(&mut sender, seq, &mut tap)));
+        sender.poses(119, &[[0.0; POSE_CHANNELS]; 2]);
+        assert!(wait(&mut sender, 120, &mut tap), "they are sent again");
+        tap.set_wanted(true, false, false);
+        assert!(!wait(&mut sender, 121, &mut tap), "nobody wants them");
+        sender.poses(121, &[[0.0; POSE_CHANNELS]; 2]);
+        sender.frame(place(122), &ROW);
         assert_eq!(tap.abandon(), LeftOut { frames: 1, poses: 1, batches: 0 });
     }
 
     #[test]
     fn what_nobody_wanted_is_not_left_out() {
         let (mut sender, tap) = tap(1);
-        let rows = [([0.0; POSE_CHANNELS], 0)];
+        let rows = [[0.0; POSE_CHANNELS]];
         for seq in 0..200 {
             sender.frame(place(seq), &ROW);
             // A client comes between a frame and its poses.
-            tap.set_wanted(seq == 150, false);
+            tap.set_wanted(seq == 150, seq == 150, false);
             sender.poses(seq, &rows);
         }
         assert_eq!(tap.left_out(), LeftOut::default());
@@ -584,7 +603,7 @@ mod tests {
     #[test]
     fn every_batch_comes_through_or_is_counted() {
         let (mut sender, mut tap) = tap(0);
-        tap.set_wanted(false, true);
+        tap.set_wanted(false, false, true);
         let values: Vec<f32> = (0..SAMPLE_VALUES_MAX as u16).map(f32::from).collect();
         let batch = |samples| SampleBatch {
             group: 3,

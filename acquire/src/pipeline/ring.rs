@@ -248,12 +248,17 @@ impl PreviewSender {
 
     /// Offers the poses of a frame, of which `n_frames` have come: by body its row, and in how many of these frames it was
     /// tracked. They are queued if their frame is displayed.
-    pub(super) fn offer_poses(&mut self, seq: u32, n_frames: u64, bodies: &[(PoseRow, u64)]) {
+    pub(super) fn offer_poses(
+        &mut self,
+        seq: u32,
+        n_frames: u64,
+        (rows, n_tracked): (&[PoseRow], &[u64]),
+    ) {
         let Some((_, row)) = self.awaits_poses.take_if(|(of, _)| *of == seq) else { return };
-        if self.poses.vacant() == 0 || self.bodies.vacant() < bodies.len() {
+        if self.poses.vacant() == 0 || self.bodies.vacant() < rows.len() {
             return;
         }
-        for &(row, n_tracked) in bodies {
+        for (&row, &n_tracked) in rows.iter().zip(n_tracked) {
             self.bodies.push(BodyItem { row, n_tracked });
         }
         self.poses.push(PreviewPoses { row, n_frames });
@@ -341,14 +346,14 @@ mod tests {
     fn displayed_frames_have_their_poses() {
         let (mut tap_in, mut tap_out) = tap(1, 2);
         let tracked = [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0, 0.5];
-        let rows = [(tracked, 3), (mocapd_codec::poses::without_pose(&tracked, 1), 1)];
+        let rows = (&[tracked, mocapd_codec::poses::without_pose(&tracked, 1)][..], &[3, 1][..]);
         for row in 0..40_u64 {
             let arrival_ns = 1_000_000_000 + row * 10_000_000;
             let head = PreviewFrame { row, arrival_ns, n_channels: 1, ..PreviewFrame::default() };
             // Those of the frame before come too late.
             tap_in.offer(row as u32, head, &[Sample::default()]);
-            tap_in.offer_poses(row.wrapping_sub(1) as u32, row, &rows);
-            tap_in.offer_poses(row as u32, row + 1, &rows);
+            tap_in.offer_poses(row.wrapping_sub(1) as u32, row, rows);
+            tap_in.offer_poses(row as u32, row + 1, rows);
         }
         let (mut positions, mut bodies) = (Vec::new(), Vec::new());
         let frames = std::iter::from_fn(|| tap_out.next(&mut positions));

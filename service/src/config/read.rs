@@ -374,8 +374,7 @@ impl<'a> ConfigReader<'a> {
                 self.refuse("take.tolerance", message.to_owned());
             }
             if self.is_set("take.angle_tolerance") {
-                let message =
-                    "a lossless take has no tolerance: remove angle_tolerance or lossless";
+                let message = "a lossless take has no tolerance: remove angle_tolerance, or choose another resampler";
                 self.refuse("take.angle_tolerance", message.to_owned());
             }
             // The tolerance is ignored. It is the smallest one, so that a mistake would cost bytes, not precision.

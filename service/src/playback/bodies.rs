@@ -62,7 +62,7 @@ impl TakeBodies {
     /// # Errors
     /// Those of the reader.
     pub fn open(mut input: impl Read + Seek) -> Result<Self, TakeError> {
-        let mut map = TakeMap::open(&mut input)?;
+        let mut map = TakeMap::scan(&mut input)?;
         let poses = PosesByRow::read(&mut input, &map)?;
         // The index has its own copy of what it needs.
         map.foreign.clear();

@@ -110,11 +110,16 @@ pub(crate) trait LivePublisher {
     /// Where clients connect, which is known once a free port was found.
     fn address(&self) -> SocketAddr;
 
-    /// A device was armed, or is not any more.
+    /// A device was armed, or is not any more. Another one may follow without an end of the one before.
     fn set_device(&mut self, device: Option<&PublishedDevice>);
 
     /// What clients want at present. What nobody wants is not copied.
     fn wanted(&self) -> WantedKinds;
+
+    /// Whether the poses of these frames are wanted, too: frames of a device with bodies wait for them, up to the next frame.
+    fn wants_poses(&self) -> bool {
+        true
+    }
 
     /// Passes a frame on to the clients that want frames; some come after none is wanted any more.
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame);

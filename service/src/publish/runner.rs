@@ -235,7 +235,8 @@ impl<P: LivePublisher> PublisherThread<P> {
         }
         let Some(source) = &self.source else { return };
         let wanted = self.publisher.wanted();
-        source.tap.set_wanted(wanted.frames, wanted.samples);
+        let wants_poses = wanted.frames && self.publisher.wants_poses();
+        source.tap.set_wanted(wanted.frames, wants_poses, wanted.samples);
         if source.tap.is_over()
             && let Some(source) = self.source.take()
         {

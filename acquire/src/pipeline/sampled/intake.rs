@@ -1,6 +1,5 @@
 //! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
 
-use mocapd_codec::poses::PoseRow;
 use mocapd_drivers::{
     device::{BodyInfo, EndOfPoses, PoseFrame, SampleBatch, SampledGroupInfo},
     link::SAMPLE_VALUES_MAX,
@@ -11,7 +10,7 @@ use super::{
     GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
     SampleWakes,
     counter::{BatchStep, SampleCounter},
-    poses::{PoseRows, PosesOutcome},
+    poses::{NewPoses, PoseRows, PosesOutcome},
     tap::SampleTapSender,
 };
 use crate::pipeline::{PipelineConfig, messages::BlockTime};
@@ -219,10 +218,9 @@ impl SampledIntake {
         outcome
     }
 
-    /// Unless the poses of the last frame came before: frames with poses since the pipeline began; by body its row in the last
-    /// of them, and in how many it was tracked.
-    pub(in crate::pipeline) fn new_poses(&self) -> Option<(u64, &[(PoseRow, u64)])> {
-        self.has_new_poses.then(|| self.poses.counted())
+    /// The poses of the last frame, unless they came before.
+    pub(in crate::pipeline) fn new_poses(&self) -> Option<NewPoses<'_>> {
+        self.has_new_poses.then(|| self.poses.last())
     }
 
     /// Counts the poses that are missing up to the end of a run.

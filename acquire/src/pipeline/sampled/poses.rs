@@ -55,9 +55,19 @@ pub(super) struct PoseRows {
     row: Vec<f32>,
     /// Whether the frame had any.
     has_samples: bool,
-    /// Frames with poses; by body its row in the last of them, and in how many it was tracked.
+    /// Frames with poses, and by body in how many of them it was tracked.
     n_frames: u64,
-    counted: Vec<(PoseRow, u64)>,
+    n_tracked: Vec<u64>,
+}
+
+/// The poses of a frame that had not come before.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::pipeline) struct NewPoses<'a> {
+    /// By body.
+    pub(in crate::pipeline) rows: &'a [PoseRow],
+    /// Frames with poses so far, and by body in how many of them it was tracked.
+    pub(in crate::pipeline) n_frames: u64,
+    pub(in crate::pipeline) n_tracked: &'a [u64],
 }
 
 #[derive(Debug)]
@@ -77,7 +87,7 @@ impl PoseRows {
             row,
             has_samples: false,
             n_frames: 0,
-            counted: vec![([0.0; POSE_CHANNELS], 0); bodies.len()],
+            n_tracked: vec![0; bodies.len()],
         }
     }
 
@@ -124,15 +134,15 @@ impl PoseRows {
     pub(super) fn count_tracked(&mut self) {
         self.n_frames += 1;
         let (rows, _) = self.row.as_chunks::<POSE_CHANNELS>();
-        for ((counted, n_tracked), row) in self.counted.iter_mut().zip(rows) {
-            *counted = *row;
+        for (n_tracked, row) in self.n_tracked.iter_mut().zip(rows) {
             *n_tracked += u64::from(has_pose(row));
         }
     }
 
-    /// Frames with poses so far; by body its row in the last of them, and in how many it was tracked.
-    pub(super) fn counted(&self) -> (u64, &[(PoseRow, u64)]) {
-        (self.n_frames, &self.counted)
+    /// The poses of the last frame that had any.
+    pub(super) fn last(&self) -> NewPoses<'_> {
+        let rows = self.row.as_chunks().0;
+        NewPoses { rows, n_frames: self.n_frames, n_tracked: &self.n_tracked }
     }
 
     /// Takes the number of samples at the end.
