@@ -14,7 +14,7 @@ use mocapd_drivers::device::{
 };
 use mocapd_drivers::link::GROUPS_MAX;
 use mocapd_drivers::plain_file;
-use mocapd_take::poses::{Pose as StoredPose, PoseState, PosesByRow, RowPoses};
+use mocapd_take::poses::{Pose as StoredPose, PoseBody, PoseState, PosesByRow, RowPoses};
 use mocapd_take::record::{RecordedPlate, SampleForm as StoredForm};
 use mocapd_take::sampled::{GroupSamples, SampleTimeLine};
 use mocapd_take::{TakeError, TakeMap};
@@ -192,8 +192,14 @@ fn read_poses(
                    play less with --seconds";
         return Ok(Err(why.to_owned()));
     }
+    // A device lists its bodies by their numbers, of which no two are the same.
+    let mut order: Vec<(usize, &PoseBody)> = index.bodies().iter().enumerate().collect();
+    order.sort_by_key(|(_, body)| body.number);
+    if order.windows(2).any(|pair| pair[0].1.number == pair[1].1.number) {
+        return Ok(Err("the rigid bodies: two of them have the same number".to_owned()));
+    }
     let mut infos = Vec::new();
-    for body in index.bodies() {
+    for (_, body) in &order {
         let Ok(id) = u16::try_from(body.number) else {
             return Ok(Err(format!("the rigid bodies: number {} of one of them", body.number)));
         };
@@ -204,7 +210,7 @@ fn read_poses(
     while rows.next(input, RowPoses::ROWS_AT_ONCE, &mut poses)?.is_some() {
         for of_row in poses.chunks_exact(n_bodies) {
             let is_missing = of_row.iter().all(|pose| pose.state == PoseState::Missing);
-            let of_bodies = of_row.iter().zip(index.bodies());
+            let of_bodies = order.iter().filter_map(|(at, body)| of_row.get(*at).zip(Some(body)));
             let sent = of_bodies.filter_map(|(pose, body)| sent(pose, body.number as u16));
             recorded.add_frame(!is_missing, sent);
         }

@@ -320,15 +320,18 @@ impl StatusMetrics {
     }
 }
 
+/// A number of what one server publishes.
+type PublishFigure = fn(&PublishStatus) -> u64;
+
 /// What each client was sent is in the status alone: their addresses would be ever new series.
 fn of_publish(publish: &[PublishStatus], out: &mut MetricWriter<'_>) -> fmt::Result {
-    let by = |value: fn(&PublishStatus) -> u64| {
+    let by = |value: PublishFigure| {
         let values = publish.iter().map(|status| (status.protocol.as_str(), value(status)));
         values.collect::<Vec<_>>()
     };
     let help = "Clients that what is received is published to";
     out.by("publish_clients", help, "protocol", &by(|it| it.clients.len() as u64))?;
-    let figures: [(&str, &str, fn(&PublishStatus) -> u64); 6] = [
+    let figures: [(&str, &str, PublishFigure); 6] = [
         (
             "clients_refused",
             "Clients that were refused: too many, or from an address that is not allowed",

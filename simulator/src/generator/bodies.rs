@@ -21,7 +21,7 @@ const RADIUS_MM: f64 = 60.0;
 #[derive(Debug, PartialEq)]
 pub enum RigidBodies {
     /// On the segments of the generated body.
-    Generated(GeneratedBodies),
+    Generated(Box<GeneratedBodies>),
     /// Those of a take.
     Recorded(RecordedPoses),
 }
@@ -80,7 +80,7 @@ impl RigidBodies {
     /// # Errors
     /// When [`JumpSpec::generate`] refuses the specification, or for no bodies or too many.
     pub fn new(spec: &JumpSpec, n_bodies: usize) -> Result<Self, GenerateError> {
-        Ok(Self::Generated(GeneratedBodies::new(spec, n_bodies)?))
+        Ok(Self::Generated(Box::new(GeneratedBodies::new(spec, n_bodies)?)))
     }
 
     /// Those of a take.
