@@ -126,7 +126,7 @@ impl Servers {
                 .notify(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
         }
         let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
-        let publishers = publish::open_all(config, engine, control)?;
+        let publishers = publish::open_all(config, |name| engine.published(name), control)?;
         Ok(Self { http, triggers, publishers })
     }
 

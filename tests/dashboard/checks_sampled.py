@@ -245,6 +245,22 @@ def bodies(browser, _log):
         in_both(browser, lambda: open_bodies(browser, mock), "bodies-playback")
 
 
+@check("rigid bodies: a device and a take that have no markers")
+def bodies_alone(browser, _log):
+    with Mock("--markers", "0", "--bodies") as mock:
+        browser.open(mock.url)
+        browser.wait("the axes", lambda: red_pixels(browser, "view") > 20)
+        open_bodies(browser, mock)
+        browser.wait("the axes", lambda: red_pixels(browser, "view") > 20)
+        assert browser.js("return document.getElementById('view-message').hidden")
+        browser.js("mocapdPlayer.seek(130)")
+        browser.wait("the text", lambda: "pelvis (lost)" in browser.text("bodies-text"))
+        mock.set(add_take=["empty-1", 10.0, "complete"])
+        browser.open(f"{mock.url}player.html?take=empty-1")
+        browser.wait("the message", lambda: browser.text("view-message") == "This take has no markers")
+        assert browser.errors() == []
+
+
 #: A jump on two force plates, and eight electrodes.
 MOTION = ("--generate", "jump:3", "--seconds", "120", "--rate", "120", "--plates", "--emg", "8@1kHz")
 

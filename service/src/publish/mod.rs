@@ -29,7 +29,7 @@ pub use self::{
     qtm::{QTM, open as open_qtm},
     runner::RunningPublisher,
 };
-use crate::{config::Config, control::Control, engine::Engine, status::PublishStatus};
+use crate::{config::Config, control::Control, status::PublishStatus};
 
 /// What a protocol is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,18 +49,18 @@ pub fn names(config: &Config) -> Vec<PublisherName> {
         .collect()
 }
 
-/// Opens the publishers that the engine was started with.
+/// Opens the publishers that the engine was started with: those that `published` has a feed for.
 ///
 /// # Errors
 /// A file that the configuration names cannot be used; the message says what to do. A port that cannot be opened is a
 /// warning.
 pub fn open_all(
     config: &Config,
-    engine: &Engine,
+    published: impl Fn(PublisherName) -> Option<PublishedFeed>,
     control: &Arc<dyn Control>,
 ) -> anyhow::Result<Vec<RunningPublisher>> {
     let mut running = Vec::new();
-    if let Some(feed) = engine.published(QTM) {
+    if let Some(feed) = published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
     }
     Ok(running)
@@ -151,11 +151,11 @@ pub(crate) struct Publications(Vec<PublishedFeed>);
 #[derive(Debug, Clone)]
 pub struct PublishedFeed {
     name: PublisherName,
-    shared: Arc<Shared>,
+    slot: Arc<PublisherSlot>,
 }
 
 #[derive(Debug, Default)]
-struct Shared {
+struct PublisherSlot {
     /// The device that was armed last, until its publisher takes it over. An earlier one is over by then, and nothing was
     /// copied of it.
     source: Mutex<Option<PublishedSource>>,
@@ -165,7 +165,7 @@ struct Shared {
 impl Publications {
     /// One for each of these publishers, whether they run or not.
     pub(crate) fn new(names: &[PublisherName]) -> Self {
-        let feed = |name: &PublisherName| PublishedFeed { name: *name, shared: Arc::default() };
+        let feed = |name: &PublisherName| PublishedFeed { name: *name, slot: Arc::default() };
         Self(names.iter().map(feed).collect())
     }
 
@@ -177,13 +177,13 @@ impl Publications {
     pub(crate) fn set_device(&self, taps: Vec<PublishTap>, device: &PublishedDevice) {
         for (feed, tap) in self.0.iter().zip(taps) {
             let source = PublishedSource { tap, device: device.clone() };
-            *lock(&feed.shared.source) = Some(source);
+            *lock(&feed.slot.source) = Some(source);
         }
     }
 
     /// What the publishers that run report.
     pub(crate) fn status(&self) -> Vec<PublishStatus> {
-        self.0.iter().filter_map(|feed| lock(&feed.shared.status).clone()).collect()
+        self.0.iter().filter_map(|feed| lock(&feed.slot.status).clone()).collect()
     }
 
     pub(crate) fn feed(&self, name: PublisherName) -> Option<PublishedFeed> {
@@ -194,10 +194,10 @@ impl Publications {
 impl PublishedFeed {
     /// The device that was armed since the last call.
     fn take_source(&self) -> Option<PublishedSource> {
-        lock(&self.shared.source).take()
+        lock(&self.slot.source).take()
     }
 
     fn report(&self, status: Option<PublishStatus>) {
-        *lock(&self.shared.status) = status;
+        *lock(&self.slot.status) = status;
     }
 }
