@@ -294,6 +294,7 @@ mod tests {
                     kind: ResamplerKind::Dense,
                     tolerance: Tolerance::from_mm(1.0).unwrap(),
                 },
+                angle_degrees: None,
                 stretch: Duration::from_millis(500),
                 sync: Duration::from_millis(500),
                 keep_free_bytes: 0,
@@ -304,7 +305,7 @@ mod tests {
             subject: None,
             arm: ArmConfig { memory_max_bytes: 1 << 20, ..ArmConfig::default() },
             archive: ArchiveConfig::default(),
-            publishes: false,
+            publishers: Vec::new(),
         };
         Engine::start(options, &Heartbeat::default()).unwrap()
     }

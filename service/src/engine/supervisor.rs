@@ -30,7 +30,7 @@ use super::{
 };
 use crate::{
     config::{key_hint, message_with_keys},
-    publish::PublishedSource,
+    publish::PublishedDevice,
     status::ServiceEventKind,
 };
 
@@ -226,7 +226,7 @@ impl Inner {
         };
         let config = PipelineConfig {
             pre_roll: Some(pre_roll),
-            tap_frames: options.publishes,
+            publish_taps: self.publications.len(),
             heartbeat: self.heartbeat.clone(),
             ..rig.pipeline_config(options.take.codec)
         };
@@ -246,14 +246,18 @@ impl Inner {
             stop: Arc::clone(stop),
             header: header.clone(),
         };
-        if let Some(frames) = armed.frames {
-            let (progress, header) = (Arc::clone(&progress), header.clone());
-            self.publication.add(PublishedSource { frames, progress, header });
-        }
+        let device = PublishedDevice {
+            header: header.clone(),
+            progress: Arc::clone(&progress),
+            bodies: config.recorded_bodies().to_vec(),
+            sampled: config.sampled.clone(),
+            plates: rig.plates().to_vec(),
+        };
+        self.publications.set_device(armed.publish_taps, &device);
         // The hub drops the previous session: it checks this channel in every round.
         let (tap, sample_tap) = (armed.tap, armed.sample_tap);
-        let sampled = config.sampled.clone();
-        sessions.try_send(NewSession { tap, sample_tap, sampled, progress, header }).ok();
+        let PublishedDevice { sampled, bodies, .. } = device;
+        sessions.try_send(NewSession { tap, sample_tap, sampled, bodies, progress, header }).ok();
         let mut core = self.core();
         core.session = Some(session);
         // A disarm or stop may have been requested during arming.
@@ -285,6 +289,7 @@ fn open_rig(
         Some(identity) => Rig::reopen(uri, &identity, tap)?,
         None => Rig::open_logged(uri, tap)?,
     };
+    rig.limit_angles(options.take.angle_degrees);
     if let Some(rate_hz) = options.device.rate_hz {
         rig.set_rate(rate_hz)?;
     }
