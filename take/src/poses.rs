@@ -3,6 +3,7 @@
 //! `docs/poses.md` describes them. A body has eight channels, and one sample in each frame.
 
 mod by_row;
+mod turned;
 
 use std::io::{self, Read, Seek};
 
@@ -11,6 +12,7 @@ use mocapd_codec::poses::{
 };
 
 pub use self::by_row::{PoseBody, PosesByRow, RowPoses};
+pub(crate) use self::turned::{PoseTurn, matrix};
 use crate::{
     TakeError,
     record::SampledGroup,

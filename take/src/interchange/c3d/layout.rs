@@ -61,6 +61,11 @@ impl Layout {
         let file = &mut FileBytes::new(source, order)?;
         let starts = data_starts(header, parameters, file.len)?;
         let rate_hz = rate(header, parameters.number("POINT", "RATE"), &mut notes.warnings);
+        if let Some(n) = parameters.number("ROTATION", "USED").filter(|n| *n >= 1.0) {
+            notes
+                .warnings
+                .push(format!("The poses of {n} rigid bodies (ROTATION) were not imported."));
+        }
         let stated = StatedLayout::of(header, parameters, rate_hz);
         let counts = FrameCounts::of(header, parameters);
         let (stride, n_candidates) = stated.choose(file, &starts, &counts)?;
