@@ -338,8 +338,7 @@ def check_poses(recorder):
         wrong += [] if is_missing.any() == bool(options) else [f"{is_missing.sum()} frames without poses"]
         yield f"{name}: {tracked.mean():.1%} tracked, {is_missing.sum()} frames without poses", wrong
     # The same with y up: positions and axes of the bodies turn together.
-    path, _ = recorder.export(take, "npz")
-    path.unlink()
+    take.with_suffix(".npz").unlink()
     path, _ = recorder.export(take, "npz", "--up", "y")
     turned = poses.read_npz(path)
     tracked = np.isfinite(first.positions[..., 0])

@@ -257,7 +257,6 @@ impl ExportPlan<'_> {
         };
         attempt.written.remarks.extend(remark_on_axes(format, of_take, args.up));
         attempt.written.remarks.extend(remark_on_bounds(format, frames.info()));
-        attempt.written.remarks.extend(remark_on_poses(frames.map()));
         attempt.written.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
@@ -451,15 +450,6 @@ fn remark_on_axes(format: Format, of_take: UpAxis, given: Option<UpAxis>) -> Opt
             "the take states no up axis, so its axes were kept; OpenSim expects y up".to_owned(),
         ),
     }
-}
-
-/// A remark on the poses of rigid bodies, which no format has.
-fn remark_on_poses(take: &TakeMap) -> Option<String> {
-    let n_bodies = take.pose_groups().map(|group| group.group.bodies().count()).sum::<usize>();
-    (n_bodies > 0).then(|| {
-        let bodies = if n_bodies == 1 { "body" } else { "bodies" };
-        format!("without the poses of {n_bodies} rigid {bodies}: no format has them yet")
-    })
 }
 
 /// A remark on analog samples that are not those of the source, for a format that otherwise restores them bit by bit.

@@ -109,22 +109,24 @@ impl RowTimes {
         rest.take_while(move |found| found.ticks == ticks)
     }
 
-    /// The epoch of a run: the one whose rows have most of its times. `nearest` is the one that the places of the blocks in
-    /// the file tell; it decides between equal ones, as the clock may have counted alike before and after it began again.
-    fn epoch_of(&self, run: &[SampleAnchor], nearest: Option<usize>) -> Option<usize> {
+    /// The epoch of a run, not before the epoch `from`: `nearest`, which the places of the blocks in the file tell, unless
+    /// another one has rows with more than twice as many of its times. A clock may count alike before and after it began
+    /// again, and rows are lost in either.
+    fn epoch_of(&self, run: &[SampleAnchor], nearest: Option<usize>, from: usize) -> Option<usize> {
         let mut counts: Vec<(usize, u64)> = Vec::new();
         for found in run.iter().flat_map(|anchor| self.rows_at(anchor)) {
             match counts.iter_mut().find(|(epoch, _)| *epoch == found.epoch) {
+                _ if found.epoch < from => {}
                 Some((_, n)) => *n += 1,
                 None => counts.push((found.epoch, 1)),
             }
         }
-        let most = counts.iter().map(|(_, n)| *n).max();
-        let mut best = counts.iter().filter(|(_, n)| Some(*n) == most).map(|(epoch, _)| *epoch);
-        match nearest {
-            Some(nearest) if best.clone().any(|epoch| epoch == nearest) => Some(nearest),
-            _ => best.next().or(nearest),
+        let most = counts.iter().map(|(_, n)| *n).max().unwrap_or(0);
+        let of_nearest = counts.iter().find(|(epoch, _)| Some(*epoch) == nearest);
+        if nearest.is_some() && 2 * of_nearest.map_or(0, |(_, n)| *n) >= most {
+            return nearest;
         }
+        counts.iter().find(|(_, n)| *n == most).map(|(epoch, _)| *epoch)
     }
 
     /// The samples of a group whose rows are in the take.
@@ -134,7 +136,7 @@ impl RowTimes {
             let found = nearest.binary_search_by_key(&start, |(start, _)| *start).ok();
             found.and_then(|at| nearest.get(at)?.1)
         };
-        let mut pieces: Vec<Piece> = Vec::new();
+        let (mut pieces, mut from): (Vec<Piece>, usize) = (Vec::new(), 0);
         let mut runs = samples.anchors().chunk_by(|a, b| a.run_start == b.run_start).peekable();
         while let Some(run) = runs.next() {
             let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
@@ -143,7 +145,9 @@ impl RowTimes {
             let block = samples.block_of(last.number);
             let end = block.map_or(last.number + 1, |block| block.end);
             let end = next.map_or(end, |next| next.min(end));
-            let Some(epoch) = self.epoch_of(run, nearest_of(first.run_start)) else { continue };
+            let nearest = nearest_of(first.run_start);
+            let Some(epoch) = self.epoch_of(run, nearest, from) else { continue };
+            from = epoch;
             self.add_run(samples, (run, end), epoch, &mut pieces);
         }
         in_order(pieces, n_rows)

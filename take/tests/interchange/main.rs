@@ -10,6 +10,7 @@ mod events;
 mod forces;
 mod hostile;
 #[cfg(test)]
+mod poses;
 mod recorded;
 mod restored;
 mod round_trip;
