@@ -315,6 +315,32 @@ def check_clock(recorder):
         yield f"{name}: samples and frames", complaints
 
 
+# Markers at the ends of a segment stand still in the axes of its body.
+SEGMENTS = {
+    "trunk": ["throat", "l_shoulder"],
+    "l_thigh": ["l_hip", "l_knee"],
+    "r_shank": ["r_knee", "r_ankle"],
+    "l_upper_arm": ["l_shoulder", "l_elbow"],
+    "r_forearm": ["r_elbow", "r_wrist"],
+}
+
+
+def check_rigid(path):
+    """The poses against the markers, which the device sends apart from them: a point p of a body is at position + q p q*."""
+    wrong = []
+    with np.load(path) as found:
+        labels, names = found["labels"].tolist(), found["body_names"].tolist()
+        for body, markers in SEGMENTS.items():
+            place = names.index(body)
+            tracked = found["pose_states"][:, place] == 0
+            turn = Rotation.from_quat(found["pose_quaternions"][tracked, place].astype(float), scalar_first=True)
+            for marker in markers:
+                apart = found["positions_mm"][tracked, labels.index(marker)] - found["pose_positions_mm"][tracked, place]
+                spread_mm = np.nanstd(turn.inv().apply(apart.astype(float)), axis=0).max()
+                wrong += [] if spread_mm < 1 else [f"{marker} moves by {spread_mm:.1f} mm in the axes of {body}"]
+    return wrong
+
+
 def check_poses(recorder):
     """Rigid bodies: the same poses in all formats, as one turns, and where the device does not track them."""
     script = recorder.folder / "poses.toml"
@@ -328,7 +354,7 @@ def check_poses(recorder):
             found = read(path)
             first = first or found
             wrong = exports.validate_bids(path) if kind == "bids" else []
-            yield f"{name} {kind}", wrong + poses.differences(found, first) + ([said] if "poses" in said else [])
+            yield f"{name} {kind}", wrong + poses.differences(found, first) + ([said] if "rigid bod" in said else [])
         tracked = np.isfinite(first.positions[..., 0])
         length = np.linalg.norm(first.quaternions[tracked], axis=-1)
         wrong = [] if np.abs(length - 1).max() < 1e-6 else [f"lengths of {length.min()} to {length.max()}"]
@@ -336,6 +362,7 @@ def check_poses(recorder):
         wrong += [] if first.positions.shape[1] == 11 and tracked.mean() > 0.8 else [f"{tracked.mean():.0%} tracked"]
         is_missing = (first.states == 253).all(axis=1)
         wrong += [] if is_missing.any() == bool(options) else [f"{is_missing.sum()} frames without poses"]
+        wrong += check_rigid(take.with_suffix(".npz"))
         yield f"{name}: {tracked.mean():.1%} tracked, {is_missing.sum()} frames without poses", wrong
     # The same with y up: positions and axes of the bodies turn together.
     take.with_suffix(".npz").unlink()

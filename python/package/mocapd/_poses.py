@@ -130,7 +130,7 @@ class Poses:
         KeyError
             If a body is not in the take.
         ValueError
-            For a negative time or NaN, an end before the start, more than 2^30 poses, or a take that is closed.
+            For a negative time or NaN, an end before the start, more than 2^27 poses, or a take that is closed.
         """
         first, stop = self._range(start_s, stop_s, start_frame, stop_frame)
         return self._read(first, stop, self._indices(bodies))
@@ -151,8 +151,8 @@ class Poses:
     def _read(self, first: int, stop: int, indices: list[int]) -> PoseArrays:
         check_size(stop - first, 8 * len(indices), f"frames of {len(indices)} bodies")
         frame = np.arange(first, stop)
-        numbers = np.empty((stop - first, len(indices), 8), dtype=np.float32)
-        states = np.empty(numbers.shape[:2], dtype=np.uint8)
+        numbers = np.full((stop - first, len(indices), 8), np.nan, dtype=np.float32)
+        states = np.full(numbers.shape[:2], 253, dtype=np.uint8)
         self._file.read_poses(numbers, states, first, indices)
         return PoseArrays(
             frame=frame,

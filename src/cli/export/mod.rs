@@ -21,7 +21,7 @@ use mocapd_acquire::{
 use mocapd_service::units;
 use mocapd_store::is_url;
 use mocapd_take::{
-    TakeFrames, TakeMap,
+    TakeFrames,
     interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz, write_c3d},
     motion::{FrameSource, MotionInfo, UpAxis},
     record::Ledger,
@@ -53,7 +53,8 @@ pub(crate) struct Args {
     takes: Vec<PathBuf>,
     /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf, .mot (force plates), .html (a page that plays
     /// the motion) or, if built in, .parquet or
-    /// .mcap. It must not exist. For several takes the folder to write into, with `--to FORMAT`; a file there that has
+    /// .mcap. All but .trc, .tsv, .mot and .html have the sampled channels and the poses of rigid bodies, too: .csv and
+    /// .parquet in files beside it. It must not exist. For several takes the folder to write into, with `--to FORMAT`; a file there that has
     /// the same content is left as it is. With `--to bids` the dataset to create or to add to. `-` writes to standard
     /// output [default: beside each take]
     #[arg(short, long, value_name = "FILE")]

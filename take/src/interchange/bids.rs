@@ -208,7 +208,7 @@ pub fn write(
     folder: &mut dyn DatasetFolder,
 ) -> Result<()> {
     let info = frames.info().clone();
-    if info.markers.is_empty() {
+    if info.markers.is_empty() && body_names(&info).is_empty() {
         return unsupported("BIDS needs at least one channel, but the take has no markers");
     }
     let participants = format!("participant_id\nsub-{}\n", names.subject());
@@ -244,7 +244,7 @@ pub fn write(
             put_position(line, position, b'\t', MISSING)?;
         }
         if let Some(poses) = &mut poses {
-            put_poses(line, poses.next_frame()?)?;
+            put_poses(line, poses.next_frame()?, row.is_empty())?;
         }
         line.push(b'\n');
         Ok(())
@@ -332,16 +332,13 @@ const BODY_CHANNELS: [(&str, &str, &str); 8] = [
     ("residual", "MISC", "mm"),
 ];
 
-/// Appends the cells of the bodies, each after a tab.
-fn put_poses(line: &mut Vec<u8>, poses: &[Pose]) -> io::Result<()> {
-    for pose in poses {
+/// Appends the cells of the bodies, each after a tab, unless they are the first ones of the line.
+fn put_poses(line: &mut Vec<u8>, poses: &[Pose], are_first: bool) -> io::Result<()> {
+    for (body, pose) in poses.iter().enumerate() {
         let numbers = pose.position_mm.iter().chain(&pose.quaternion).chain([&pose.residual_mm]);
-        for number in numbers {
-            if number.is_finite() {
-                write!(line, "\t{number}")?
-            } else {
-                write!(line, "\t{MISSING}")?
-            }
+        for (column, number) in numbers.enumerate() {
+            line.extend((!are_first || body + column > 0).then_some(b'\t'));
+            if number.is_finite() { write!(line, "{number}")? } else { write!(line, "{MISSING}")? }
         }
     }
     Ok(())
@@ -354,16 +351,18 @@ fn channels_tsv(info: &MotionInfo) -> String {
     let n_markers = labels.len();
     // A body may have the name of a marker.
     let points = unique_names(labels.into_iter().chain(body_names(info)));
-    for (index, point) in points.iter().enumerate() {
-        let point = cell(point);
+    let of_point = |(index, point): (usize, &String)| {
         let channels = if index < n_markers { &BODY_CHANNELS[..3] } else { &BODY_CHANNELS[..] };
-        for (component, kind, unit) in channels {
-            let name = format!("{point}_{component}");
-            let is_in_space = *kind != "MISC";
-            let component = if is_in_space { component } else { MISSING };
-            let frame = if is_in_space { "global" } else { MISSING };
-            table.push_str(&format!("{name}\t{component}\t{kind}\t{point}\t{unit}\t{frame}\n"));
-        }
+        channels.iter().map(|channel| (cell(point), channel)).collect::<Vec<_>>()
+    };
+    let channels: Vec<_> = points.iter().enumerate().flat_map(of_point).collect();
+    // So has the channel of a body, perhaps.
+    let names = channels.iter().map(|(point, (component, ..))| format!("{point}_{component}"));
+    for (name, (point, (component, kind, unit))) in unique_names(names).iter().zip(&channels) {
+        let is_in_space = *kind != "MISC";
+        let component = if is_in_space { component } else { MISSING };
+        let frame = if is_in_space { "global" } else { MISSING };
+        table.push_str(&format!("{name}\t{component}\t{kind}\t{point}\t{unit}\t{frame}\n"));
     }
     table
 }

@@ -257,7 +257,7 @@ impl Format {
         self.capabilities().foreign.is_some_and(|format| kind.starts_with(format))
     }
 
-    /// Whether analog channels and force plates are files beside the export, by [`write_sampled`](Self::write_sampled).
+    /// Whether sampled channels, force plates and poses are files beside the export, by [`write_sampled`](Self::write_sampled).
     #[must_use]
     pub fn has_sampled_files(self) -> bool {
         self.capabilities().sampled == SampledPlace::SeparateFiles
@@ -353,7 +353,7 @@ impl Format {
             #[cfg(feature = "full")]
             Self::Parquet | Self::ParquetWide => parquet::write_sampled(table, frames, out),
             _ => unsupported(
-                "only csv and parquet have separate files for analog channels and force plates",
+                "only csv and parquet have separate files for sampled channels, force plates and poses",
             ),
         }
     }

@@ -157,6 +157,9 @@ fn write_table(
     })?)
 }
 
+/// Appends the numbers of a pose that an array has.
+type PutPose = fn(&Pose, &mut Vec<u8>);
+
 /// Writes the arrays of the poses of rigid bodies, at the times of the frames.
 fn write_poses(
     info: &MotionInfo,
@@ -167,8 +170,7 @@ fn write_poses(
     let names: Vec<&str> = bodies.iter().map(|body| body.name.as_str()).collect();
     archive.put("body_names.npy", &text_array(&names)?)?;
     let (n_frames, n_bodies) = (info.n_frames, bodies.len() as u64);
-    type Bytes = fn(&Pose, &mut Vec<u8>);
-    let arrays: [(&str, &str, &[u64], Bytes); 4] = [
+    let arrays: [(&str, &str, &[u64], PutPose); 4] = [
         ("pose_positions_mm", F32, &[3], |pose, out| {
             out.extend_from_slice(pose.position_mm.map(f32::to_le_bytes).as_flattened());
         }),

@@ -16,11 +16,15 @@ use crate::{
 };
 
 /// Most rows with the time of an anchor that are remembered, in 96 MiB: a recorder writes two anchors in half a second, so
-/// these are those of twelve days.
+/// these are those of twelve days. The rows of later poses count on from these.
 const ANCHORED_ROWS_MAX: usize = 1 << 22;
 
 /// Rows beyond these are in no take: no recorder numbers as many, and sums with numbers of samples must not overflow.
 const ROW_MAX: i64 = 1 << 53;
+
+/// Most epochs of the clock in which rows with the time of an anchor are counted: a clock that begins again at equal times
+/// does so a few times, and a few bytes can claim that it always does.
+const EPOCHS_COUNTED: usize = 16;
 
 /// A rigid body of a take.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -101,12 +105,18 @@ impl RowTimes {
         Ok(Self { anchored, clock, tick_hz })
     }
 
-    /// The rows that have the time of an anchor: one in each epoch at most.
-    fn rows_at(&self, anchor: &SampleAnchor) -> impl Iterator<Item = &AnchoredRow> {
+    /// The rows that have the time of an anchor, from an epoch on: one in each epoch at most.
+    fn rows_from(&self, anchor: &SampleAnchor, epoch: usize) -> impl Iterator<Item = &AnchoredRow> {
         let ticks = anchor.device_ticks;
-        let from = self.anchored.partition_point(|found| found.ticks < ticks);
+        let is_before = |found: &AnchoredRow| (found.ticks, found.epoch) < (ticks, epoch);
+        let from = self.anchored.partition_point(is_before);
         let rest = self.anchored.get(from..).unwrap_or_default().iter();
         rest.take_while(move |found| found.ticks == ticks)
+    }
+
+    /// The row that has the time of an anchor in an epoch.
+    fn row_in(&self, anchor: &SampleAnchor, epoch: usize) -> Option<u64> {
+        self.rows_from(anchor, epoch).next().filter(|found| found.epoch == epoch).map(|of| of.row)
     }
 
     /// The epoch of a run, not before the epoch `from`: `nearest`, which the places of the blocks in the file tell, unless
@@ -114,16 +124,20 @@ impl RowTimes {
     /// again, and rows are lost in either.
     fn epoch_of(&self, run: &[SampleAnchor], nearest: Option<usize>, from: usize) -> Option<usize> {
         let mut counts: Vec<(usize, u64)> = Vec::new();
-        for found in run.iter().flat_map(|anchor| self.rows_at(anchor)) {
-            match counts.iter_mut().find(|(epoch, _)| *epoch == found.epoch) {
-                _ if found.epoch < from => {}
-                Some((_, n)) => *n += 1,
-                None => counts.push((found.epoch, 1)),
+        let of_nearest = nearest.filter(|nearest| *nearest >= from).map_or(0, |nearest| {
+            run.iter().filter(|anchor| self.row_in(anchor, nearest).is_some()).count() as u64
+        });
+        for anchor in run {
+            for found in self.rows_from(anchor, from).take(EPOCHS_COUNTED) {
+                match counts.iter().position(|(epoch, _)| *epoch == found.epoch) {
+                    Some(at) => counts[at].1 += 1,
+                    None if counts.len() < EPOCHS_COUNTED => counts.push((found.epoch, 1)),
+                    None => {}
+                }
             }
         }
         let most = counts.iter().map(|(_, n)| *n).max().unwrap_or(0);
-        let of_nearest = counts.iter().find(|(epoch, _)| Some(*epoch) == nearest);
-        if nearest.is_some() && 2 * of_nearest.map_or(0, |(_, n)| *n) >= most {
+        if nearest.is_some_and(|nearest| nearest >= from) && 2 * of_nearest >= most {
             return nearest;
         }
         counts.iter().find(|(_, n)| *n == most).map(|(epoch, _)| *epoch)
@@ -162,8 +176,8 @@ impl RowTimes {
         pieces: &mut Vec<Piece>,
     ) {
         let exact = run.iter().filter_map(|anchor| {
-            let found = self.rows_at(anchor).find(|found| found.epoch == epoch)?;
-            Some((anchor, i64::try_from(found.row).ok().filter(|row| *row <= ROW_MAX)?))
+            let row = self.row_in(anchor, epoch)?;
+            Some((anchor, i64::try_from(row).ok().filter(|row| *row <= ROW_MAX)?))
         });
         let mut known: Vec<(&SampleAnchor, i64)> = exact.collect();
         let is_exact = !known.is_empty();
@@ -175,6 +189,7 @@ impl RowTimes {
             }));
         }
         let mut start = run.first().map_or(end, |first| first.run_start);
+        let of_others = pieces.len();
         let ends = known.iter().skip(1).map(|(anchor, _)| anchor.number).chain([end]);
         for ((anchor, row), end) in known.iter().zip(ends) {
             let row_of_start = row - (anchor.number as i64 - start as i64);
@@ -182,12 +197,8 @@ impl RowTimes {
             let before = row_of_start.min(0).unsigned_abs().min(end.saturating_sub(start));
             let (numbers, first_row) = (start + before..end, row_of_start.max(0).cast_unsigned());
             start = end.max(start);
-            match pieces.last_mut() {
-                Some(last)
-                    if last.numbers.end == numbers.start
-                        && last.end_row() == first_row
-                        && last.is_exact == is_exact =>
-                {
+            match pieces.get_mut(of_others..).and_then(<[Piece]>::last_mut) {
+                Some(last) if last.numbers.end == numbers.start && last.end_row() == first_row => {
                     last.numbers.end = numbers.end;
                 }
                 _ if numbers.is_empty() => {}
@@ -281,14 +292,13 @@ impl PosesByRow {
         self.groups.iter().map(of_group).sum()
     }
 
-    /// The sample of a group that belongs to a row, by the group's place among those of poses; `None` if none does. It may
-    /// be lost.
-    #[must_use]
-    pub fn number_of(&self, group: usize, row: u64) -> Option<u64> {
+    /// The samples of a run of a group, by the group's place among those of poses, that belong to rows one after another of
+    /// which `row` is one, and these rows; `None` if no sample belongs to it, or it is only the nearest one.
+    pub(crate) fn piece_at(&self, group: usize, row: u64) -> Option<(Range<u64>, Range<u64>)> {
         let pieces = &self.groups.get(group)?.pieces;
         let at = pieces.partition_point(|piece| piece.end_row() <= row);
-        let piece = pieces.get(at).filter(|piece| piece.first_row <= row)?;
-        Some(piece.numbers.start + (row - piece.first_row))
+        let piece = pieces.get(at).filter(|piece| piece.first_row <= row && piece.is_exact)?;
+        Some((piece.numbers.clone(), piece.first_row..piece.end_row()))
     }
 
     /// The first sample of a group that belongs to this row or to one after it; `None` behind the last one.

@@ -18,16 +18,19 @@ impl PoseTurn {
         Self { columns, quaternion: quaternion_of(&columns) }
     }
 
-    /// A pose in the axes after the rotation.
-    pub(crate) fn apply(&self, pose: &Pose) -> Pose {
-        let at = pose.position_mm.map(f64::from);
-        let row = |axis: usize| -> f64 {
+    /// A vector in the axes after the rotation.
+    pub(crate) fn vector(&self, at: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|axis| {
             // Each has one number that is not 0, so the sum is exact.
             self.columns.iter().zip(at).map(|(column, x)| column[axis] * x).sum()
-        };
+        })
+    }
+
+    /// A pose in the axes after the rotation.
+    pub(crate) fn apply(&self, pose: &Pose) -> Pose {
         let quaternion = product(self.quaternion, pose.quaternion.map(f64::from));
         Pose {
-            position_mm: [row(0) as f32, row(1) as f32, row(2) as f32],
+            position_mm: self.vector(pose.position_mm.map(f64::from)).map(|x| x as f32),
             quaternion: quaternion.map(|number| number as f32),
             ..*pose
         }

@@ -124,7 +124,10 @@ impl Recording {
         for plate in &mut all.plates {
             plate.geometry = plate.geometry.turned(turned);
         }
-        all.turn = Some(PoseTurn::new(turned));
+        all.turn = Some(match self.turn {
+            Some(before) => PoseTurn::new(|vector| turned(before.vector(vector))),
+            None => PoseTurn::new(turned),
+        });
         all
     }
 

@@ -11,6 +11,7 @@ mod forces;
 mod hostile;
 #[cfg(test)]
 mod poses;
+#[cfg(test)]
 mod recorded;
 mod restored;
 mod round_trip;

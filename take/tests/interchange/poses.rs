@@ -241,8 +241,8 @@ fn formats_say_what_they_leave_out() {
     for format in [Format::C3d, Format::Csv, Format::Npz, Format::Xdf, Format::Bids] {
         assert_eq!(format.leaves_out(&info, true), [""; 0]);
     }
-    // Neither points nor poses end within the first 32 MiB.
+    // Neither points nor poses end within the first 16 MiB.
     info.n_frames = 2_200_000;
     let left_out = Format::C3d.leaves_out(&info, true);
-    assert!(left_out.len() == 1 && left_out[0].contains("first 32 MiB"), "{left_out:?}");
+    assert!(left_out.len() == 1 && left_out[0].contains("up to 655 s"), "{left_out:?}");
 }

@@ -148,10 +148,11 @@ impl RecordedPlan {
         }
         let frame_bytes = 16 * info.markers.len() as u64 + 4 * (ratio * n_channels) as u64;
         if !recording.bodies().is_empty() && Rotations::of(info, frame_bytes).is_none() {
-            plan.left_out.push(
-                "the poses of rigid bodies: in C3D they begin within the first 32 MiB; --from and --to export a part"
-                    .to_owned(),
-            );
+            let part_s = (Rotations::frames_max(frame_bytes) as f64 / info.rate_hz).floor();
+            plan.left_out.push(format!(
+                "the poses of rigid bodies: in C3D they begin within the first 16 MiB; --from and --to export them in \
+                 parts of up to {part_s} s"
+            ));
         }
         plan
     }

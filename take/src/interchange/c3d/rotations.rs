@@ -1,5 +1,5 @@
 //! Poses of rigid bodies in a C3D file: the ROTATION group and its data section, as C-Motion introduced them in 2019 and
-//! ezc3d, Visual3D and others read them.
+//! ezc3d, `Visual3D` and others read them.
 //!
 //! The section has 17 floats for each body in each frame: a 4 x 4 matrix, column after column, that takes points of the body
 //! to the laboratory, and a residual, which is -1 where there is no pose. It begins at a block whose number has 16 bits.
@@ -22,7 +22,8 @@ pub(super) const ROTATION: &str = "ROTATION";
 const POSE_FLOATS: usize = 17;
 
 /// The largest number of a block at which a section may begin, less those before the data: a header and 255 of parameters.
-const BLOCKS_MAX: u64 = u16::MAX as u64 - 257;
+/// The number has 16 bits, and readers take it as a signed one: ezc3d reads zeros from a section beyond.
+const BLOCKS_MAX: u64 = i16::MAX as u64 - 257;
 
 /// The poses of a file.
 #[derive(Debug)]
@@ -51,6 +52,12 @@ impl<'a> Rotations<'a> {
         let found = Self { info, n_bodies, data_bytes, is_behind };
         let fits = is_behind || blocks(found.n_bytes()) <= BLOCKS_MAX;
         (n_bodies > 0 && fits).then_some(found)
+    }
+
+    /// The most frames whose poses fit, for a file with `frame_bytes` of points and analog samples a frame.
+    pub(super) fn frames_max(frame_bytes: u64) -> u64 {
+        let fitting = BLOCKS_MAX * BLOCK as u64 / frame_bytes.max(1);
+        fitting.min(u64::from(u16::MAX) - 1)
     }
 
     /// Whether the section is behind the points and analog samples.
@@ -119,7 +126,7 @@ fn put(pose: &Pose, out: &mut Vec<u8>) {
         true => (matrix(pose).map(|number| number as f32), pose.residual_mm),
         false => ([f32::NAN; 16], -1.0),
     };
-    // A residual that is unknown is 0, as that of a point.
-    let residual = if residual.is_nan() { 0.0 } else { residual };
+    // A residual that is unknown is 0, as that of a point; below 0 there is no pose.
+    let residual = if pose.is_tracked() { residual.max(0.0) } else { residual };
     out.extend(matrix.into_iter().chain([residual]).flat_map(f32::to_le_bytes));
 }
