@@ -5,7 +5,6 @@ use std::{
     ops::Range,
 };
 
-use super::recorded::tick_hz;
 use crate::{
     TakeError, TakeMap, TakeTraversal, poses::PosesByRow, sampled::SampleAnchor,
     timeline::Timeline, traversal::Decode,
@@ -34,6 +33,7 @@ impl PoseEnds {
         map: &TakeMap,
         input: &mut (impl Read + Seek),
         rows: &Range<u64>,
+        tick_hz: u64,
     ) -> Result<Vec<Self>, TakeError> {
         let Some(by_row) = PosesByRow::read(&mut *input, map)? else { return Ok(Vec::new()) };
         let mut all: Vec<Self> = Vec::new();
@@ -57,7 +57,7 @@ impl PoseEnds {
             let times = stretches.timeline().into_iter().flat_map(Timeline::recorded);
             for (row, time) in times.filter(|(row, _)| rows.contains(row)) {
                 for (index, ends) in all.iter_mut().enumerate() {
-                    ends.add(&by_row, index, (row, time.device_ticks), tick_hz(map));
+                    ends.add(&by_row, index, (row, time.device_ticks), tick_hz);
                 }
             }
         }

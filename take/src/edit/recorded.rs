@@ -170,7 +170,7 @@ pub(super) fn cut<W: Write>(
         let is_known = |of: u32| map.sample_groups().any(|group| group.group.number == of);
         ledger.groups.extend(stated.groups.iter().filter(|group| !is_known(group.group)).copied());
     }
-    let poses = PoseEnds::read(map, input, rows)?;
+    let poses = PoseEnds::read(map, input, rows, tick_hz(map))?;
     for group in map.sample_groups() {
         let n = group.n_samples();
         let of_poses = poses.iter().find(|of| of.group == group.group.number);
@@ -199,7 +199,7 @@ pub(super) fn cut<W: Write>(
     take.sample_ledger(&ledger)
 }
 
-pub(super) fn tick_hz(map: &TakeMap) -> u64 {
+fn tick_hz(map: &TakeMap) -> u64 {
     map.header.device.as_ref().map_or(1, |device| device.tick_hz)
 }
 

@@ -2,21 +2,18 @@
 
 use std::io;
 
-use super::{
-    sampled_table::SampledColumn,
-    text::{unique_names, without_tabs},
-};
+use super::text::{unique_names, without_tabs};
 use crate::{
     motion::MotionInfo,
-    poses::{CHANNEL_NAMES, CHANNEL_UNITS, Pose, PoseState},
+    poses::{CHANNEL_NAMES, Pose, PoseState},
     sampled::RecordedPoses,
 };
 
 /// The column with the number of a body's state, after its [channels](CHANNEL_NAMES).
-const STATE: &str = "state";
+pub(super) const STATE: &str = "state";
 
 /// What a state is.
-const ABOUT_STATE: &str =
+pub(super) const ABOUT_STATE: &str =
     "0 tracked, 1 lost, 2 rejected, 3 other, 253 missing, 254 refused, 255 unlisted";
 
 /// Columns of a body in a table.
@@ -58,7 +55,7 @@ impl<'a> FramePoses<'a> {
         Ok(self.block.get(from..self.next).unwrap_or_default())
     }
 
-    /// Appends the [columns](columns) of the next frame; NaN where a body has no pose.
+    /// Appends the columns of the next frame, [`BODY_COLUMNS`] for each body; NaN where a body has no pose.
     pub(super) fn next_row(&mut self, out: &mut Vec<f32>) -> io::Result<()> {
         for pose in self.next_frame()? {
             out.extend(pose.position_mm);
@@ -77,18 +74,4 @@ pub(super) fn body_names(info: &MotionInfo) -> Vec<String> {
         name => name.to_owned(),
     });
     unique_names(names)
-}
-
-/// The columns of a table of poses: those of [`BODY_COLUMNS`] for each body.
-pub(super) fn columns(info: &MotionInfo) -> Vec<SampledColumn> {
-    let channels = CHANNEL_NAMES.into_iter().zip(CHANNEL_UNITS).chain([(STATE, "")]);
-    let of_body = |name: &String| {
-        let column = |(channel, unit): (&str, &str)| SampledColumn {
-            name: format!("{name}.{channel}"),
-            unit: unit.to_owned(),
-            description: if channel == STATE { ABOUT_STATE } else { "" }.to_owned(),
-        };
-        channels.clone().map(column).collect::<Vec<_>>()
-    };
-    body_names(info).iter().flat_map(of_body).collect()
 }

@@ -1,5 +1,6 @@
 //! The sampled channels of a take as tables for export: the analog channels of a C3D file, or the groups of a recording,
-//! the loads of force plates, and the poses of rigid bodies. A table has a row for each sample, with a time of its own. The rows of an imported file
+//! the loads of force plates, and the poses of rigid bodies. A table has a row for each sample, with a time of its own. The
+//! rows of an imported file
 //! start at the first frame and follow at the analog rate; [`Recording`] says when those of a recording were taken.
 
 use std::io::{self, Write};
@@ -7,7 +8,7 @@ use std::io::{self, Write};
 use super::{
     Result, c3d,
     csv::quote,
-    frame_poses::{self, FramePoses},
+    frame_poses::{ABOUT_STATE, FramePoses, STATE, body_names},
     recorded_rows::{RecordedRows, as_analog, recorded_plates},
     text::{unique_names, without_tabs},
 };
@@ -18,6 +19,7 @@ use crate::{
         force_plates::{Baseline, ForcePlate, PlateLoad, PlateLoads},
     },
     motion::{FrameSource, MotionInfo},
+    poses::{CHANNEL_NAMES, CHANNEL_UNITS},
     sampled::Recording,
 };
 
@@ -149,8 +151,8 @@ enum TableSource<'a> {
 }
 
 impl<'a> SampledTable<'a> {
-    /// The tables of a take, or of a part of one: none, the analog channels, these and the force plates, and poses. What cannot be
-    /// read, because the take is damaged, has no table.
+    /// The tables of a take, or of a part of one: none, the analog channels, these and the force plates, and poses. What
+    /// cannot be read, because the take is damaged, has no table.
     ///
     /// # Errors
     /// Those of the scratch file that the samples may be in.
@@ -179,8 +181,7 @@ impl<'a> SampledTable<'a> {
             all.extend(Self::all_recorded(info, recording)?);
         }
         all.extend(FramePoses::open(info).map(|poses| {
-            let (columns, source) =
-                (frame_poses::columns(info), TableSource::Poses(Box::new(poses)));
+            let (columns, source) = (pose_columns(info), TableSource::Poses(Box::new(poses)));
             Self::new(SampledKind::Poses, columns, (info.rate_hz, 1), info.n_frames, source)
         }));
         Ok(all)
@@ -484,6 +485,20 @@ fn analog_columns(channels: &[AnalogChannel]) -> Vec<SampledColumn> {
         description: text(&channel.description),
     });
     columns.collect()
+}
+
+/// The columns of the bodies of a recording.
+fn pose_columns(info: &MotionInfo) -> Vec<SampledColumn> {
+    let channels = CHANNEL_NAMES.into_iter().zip(CHANNEL_UNITS).chain([(STATE, "")]);
+    let of_body = |name: &String| {
+        let column = |(channel, unit): (&str, &str)| SampledColumn {
+            name: format!("{name}.{channel}"),
+            unit: unit.to_owned(),
+            description: if channel == STATE { ABOUT_STATE } else { "" }.to_owned(),
+        };
+        channels.clone().map(column).collect::<Vec<_>>()
+    };
+    body_names(info).iter().flat_map(of_body).collect()
 }
 
 fn plate_columns(plates: &[ForcePlate]) -> Vec<SampledColumn> {

@@ -37,7 +37,7 @@ pub struct PoseBody {
 
 /// Samples of a group that follow each other, as their rows do.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Piece {
+struct RowPiece {
     numbers: Range<u64>,
     /// The row of the first of them.
     first_row: u64,
@@ -45,7 +45,7 @@ struct Piece {
     is_exact: bool,
 }
 
-impl Piece {
+impl RowPiece {
     /// The row after the last one.
     fn end_row(&self) -> u64 {
         self.first_row + (self.numbers.end - self.numbers.start)
@@ -144,13 +144,13 @@ impl RowTimes {
     }
 
     /// The samples of a group whose rows are in the take.
-    fn pieces(&self, samples: &GroupSamples, n_rows: u64) -> Vec<Piece> {
+    fn pieces(&self, samples: &GroupSamples, n_rows: u64) -> Vec<RowPiece> {
         let nearest = epochs_of(samples, &self.clock, self.tick_hz);
         let nearest_of = |start: u64| {
             let found = nearest.binary_search_by_key(&start, |(start, _)| *start).ok();
             found.and_then(|at| nearest.get(at)?.1)
         };
-        let (mut pieces, mut from): (Vec<Piece>, usize) = (Vec::new(), 0);
+        let (mut pieces, mut from): (Vec<RowPiece>, usize) = (Vec::new(), 0);
         let mut runs = samples.anchors().chunk_by(|a, b| a.run_start == b.run_start).peekable();
         while let Some(run) = runs.next() {
             let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
@@ -173,7 +173,7 @@ impl RowTimes {
         samples: &GroupSamples,
         (run, end): (&[SampleAnchor], u64),
         epoch: usize,
-        pieces: &mut Vec<Piece>,
+        pieces: &mut Vec<RowPiece>,
     ) {
         let exact = run.iter().filter_map(|anchor| {
             let row = self.row_in(anchor, epoch)?;
@@ -197,20 +197,20 @@ impl RowTimes {
             let before = row_of_start.min(0).unsigned_abs().min(end.saturating_sub(start));
             let (numbers, first_row) = (start + before..end, row_of_start.max(0).cast_unsigned());
             start = end.max(start);
-            match pieces.get_mut(of_others..).and_then(<[Piece]>::last_mut) {
+            match pieces.get_mut(of_others..).and_then(<[RowPiece]>::last_mut) {
                 Some(last) if last.numbers.end == numbers.start && last.end_row() == first_row => {
                     last.numbers.end = numbers.end;
                 }
                 _ if numbers.is_empty() => {}
-                _ => pieces.push(Piece { numbers, first_row, is_exact }),
+                _ => pieces.push(RowPiece { numbers, first_row, is_exact }),
             }
         }
     }
 }
 
 /// Pieces whose rows ascend, and are in the take: of two that have the same rows the exact one keeps them, else the first.
-fn in_order(pieces: Vec<Piece>, n_rows: u64) -> Vec<Piece> {
-    let mut kept: Vec<Piece> = Vec::with_capacity(pieces.len());
+fn in_order(pieces: Vec<RowPiece>, n_rows: u64) -> Vec<RowPiece> {
+    let mut kept: Vec<RowPiece> = Vec::with_capacity(pieces.len());
     for mut piece in pieces {
         piece.end_before(n_rows);
         if piece.is_exact && !piece.is_empty() {
@@ -222,7 +222,7 @@ fn in_order(pieces: Vec<Piece>, n_rows: u64) -> Vec<Piece> {
                 kept.pop();
             }
         }
-        piece.begin_at(kept.last().map_or(0, Piece::end_row));
+        piece.begin_at(kept.last().map_or(0, RowPiece::end_row));
         if !piece.is_empty() {
             kept.push(piece);
         }
@@ -234,7 +234,7 @@ fn in_order(pieces: Vec<Piece>, n_rows: u64) -> Vec<Piece> {
 struct GroupByRow {
     samples: GroupSamples,
     /// In ascending order of numbers and rows.
-    pieces: Vec<Piece>,
+    pieces: Vec<RowPiece>,
 }
 
 /// Where the poses of a take are among its rows: an index that is read once and then serves any rows.
@@ -314,14 +314,14 @@ impl PosesByRow {
     #[must_use]
     pub fn rows(&self, rows: Range<u64>) -> RowPoses<'_> {
         let rows = rows.start.min(self.n_rows)..rows.end.min(self.n_rows);
-        let groups = self.groups.iter().map(|group| Cursor::new(group, rows.start));
+        let groups = self.groups.iter().map(|group| GroupCursor::new(group, rows.start));
         RowPoses { groups: groups.collect(), n_bodies: self.bodies.len(), rows }
     }
 }
 
 /// A group that is read row by row.
-struct Cursor<'a> {
-    pieces: &'a [Piece],
+struct GroupCursor<'a> {
+    pieces: &'a [RowPiece],
     poses: PoseReader,
     n_bodies: usize,
     reader: GroupReader<'a>,
@@ -332,11 +332,11 @@ struct Cursor<'a> {
     is_at_end: bool,
 }
 
-impl<'a> Cursor<'a> {
+impl<'a> GroupCursor<'a> {
     fn new(group: &'a GroupByRow, row: u64) -> Self {
         let at = group.pieces.partition_point(|piece| piece.end_row() <= row);
         let pieces = group.pieces.get(at..).unwrap_or_default();
-        let of_piece = |piece: &Piece| piece.numbers.start + row.saturating_sub(piece.first_row);
+        let of_piece = |piece: &RowPiece| piece.numbers.start + row.saturating_sub(piece.first_row);
         Self {
             reader: group.samples.reader_from(pieces.first().map_or(0, of_piece)),
             poses: PoseReader::new(&group.samples.group),
@@ -413,7 +413,7 @@ impl<'a> Cursor<'a> {
 
 /// The poses of some rows, one range after another.
 pub struct RowPoses<'a> {
-    groups: Vec<Cursor<'a>>,
+    groups: Vec<GroupCursor<'a>>,
     n_bodies: usize,
     /// Those that were not returned yet.
     rows: Range<u64>,

@@ -6,7 +6,10 @@
 
 use std::io::{self, Write};
 
-use super::{header::BLOCK, parameters::Parameters, write::is_counted_by_length};
+use super::{
+    header::{BLOCK, is_counted_by_length},
+    parameters::Parameters,
+};
 use crate::{
     interchange::{
         InterchangeError, Result,

@@ -8,7 +8,7 @@ use super::{
     foreign::{PartSamples, kept_parameters},
     frames::is_missing,
     gap_coordinates::PartCoordinates,
-    header::{BLOCK, C3dHeader},
+    header::{BLOCK, C3dHeader, is_counted_by_length},
     parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records},
     recorded::RecordedAnalog,
     rotations::{ROTATION, Rotations},
@@ -53,14 +53,6 @@ pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         out.flush()?;
     }
     Ok(body.recorded.map(|all| all.remarks()).unwrap_or_default())
-}
-
-/// Whether a reader counts the frames by the length of the file and so would read padding as frames. ezc3d does if
-/// POINT:FRAMES is 65535, which stands for every larger count; py-c3d does if the number of the first frame exceeds 16
-/// bits, because it then computes that number one too low and expects one frame more.
-pub(super) fn is_counted_by_length(info: &MotionInfo) -> bool {
-    let max = u64::from(u16::MAX);
-    info.n_frames >= max || info.source.first_frame > max
 }
 
 /// The labels of all points of the written file.
