@@ -1,4 +1,4 @@
-//! The sampled channels and force plates of a recording.
+//! The sampled channels, force plates and poses of a recording.
 
 use std::ops::Range;
 
@@ -97,6 +97,36 @@ pub(crate) fn read_loads(
             *out = values(&plate.load(&plate.channels.iter().map(value).collect::<Vec<_>>()));
         }
     })
+}
+
+/// Numbers of a pose in an array: position, quaternion and residual.
+pub(crate) const POSE_VALUES: usize = 8;
+
+/// Fills `out`, which has [`POSE_VALUES`] numbers for each of `wanted` in each of `rows`, with the poses of these bodies, and
+/// `states` with the numbers of their states.
+pub(crate) fn read_poses(
+    recording: &Recording,
+    source: &Source,
+    rows: &Range<u64>,
+    wanted: &[usize],
+    (out, states): (&mut [f32], &mut [u8]),
+) -> Result<()> {
+    let n_bodies = recording.bodies().len().max(1);
+    let mut poses = recording.poses(rows.clone());
+    let mut block = Vec::new();
+    let mut places = out.as_chunks_mut::<POSE_VALUES>().0.iter_mut().zip(states);
+    while poses.next(&mut block)?.is_some() {
+        source.check()?;
+        for of_row in block.chunks_exact(n_bodies) {
+            for pose in wanted.iter().filter_map(|&body| of_row.get(body)) {
+                let Some((numbers, state)) = places.next() else { return Ok(()) };
+                let ([x, y, z], [qw, qx, qy, qz]) = (pose.position_mm, pose.quaternion);
+                *numbers = [x, y, z, qw, qx, qy, qz, pose.residual_mm];
+                *state = pose.state.code();
+            }
+        }
+    }
+    Ok(())
 }
 
 /// The groups, each as a dict, and what is wrong with them.

@@ -19,7 +19,8 @@ use crate::{
     decode::DecodeRequest,
     errors::Failure,
     foreign::{self, KeptContent, KeptParts, LOAD_VALUES},
-    recording, records,
+    recording::{self, POSE_VALUES},
+    records,
     scan::scan,
     source::Source,
     times::{Times, lost, times},
@@ -282,6 +283,45 @@ impl TakeFile {
         let found = self.recording(py)?;
         self.run(py, |source| {
             recording::read_loads(of_recording(&found)?, source, (group, &samples), &plates, out)
+        })
+    }
+
+    /// The numbers and the names of the rigid bodies of a recording.
+    fn bodies(&self, py: Python<'_>) -> PyResult<Vec<(u32, String)>> {
+        let found = self.recording(py)?;
+        let bodies = found.iter().flat_map(|recording| recording.bodies());
+        Ok(bodies.map(|body| (body.number, body.name.clone())).collect())
+    }
+
+    /// Fills `out`, float32 [frames, bodies, 8], with positions, quaternions and residuals of rigid bodies from row `first`
+    /// on, and `states`, uint8 [frames, bodies], with the numbers of their states.
+    fn read_poses(
+        &self,
+        py: Python<'_>,
+        mut out: PyReadwriteArray3<'_, f32>,
+        mut states: PyReadwriteArray2<'_, u8>,
+        first: u64,
+        bodies: Vec<usize>,
+    ) -> PyResult<()> {
+        let n_rows = out.shape()[0] as u64;
+        let is_shaped = out.shape()[1..] == [bodies.len(), POSE_VALUES]
+            && states.shape() == &out.shape()[..2];
+        if !is_shaped {
+            let message = "the arrays must be [frames, bodies, 8] and [frames, bodies]";
+            return Err(Failure::Value(message.into()).into());
+        }
+        let rows = self.rows(first, first.saturating_add(n_rows))?;
+        let found = self.recording(py)?;
+        let n_bodies = found.as_ref().as_ref().map_or(0, |recording| recording.bodies().len());
+        if let Some(body) = bodies.iter().find(|&&body| body >= n_bodies) {
+            let message = format!("no rigid body {body}: the take has {n_bodies}");
+            return Err(Failure::Value(message).into());
+        }
+        let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
+        let states = states.as_slice_mut().map_err(|_| not_contiguous())?;
+        self.run(py, |source| match &*found {
+            Some(found) => recording::read_poses(found, source, &rows, &bodies, (out, states)),
+            None => Ok(()),
         })
     }
 

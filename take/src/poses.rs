@@ -3,6 +3,7 @@
 //! `docs/poses.md` describes them. A body has eight channels, and one sample in each frame.
 
 mod by_row;
+mod turned;
 
 use std::io::{self, Read, Seek};
 
@@ -11,6 +12,7 @@ use mocapd_codec::poses::{
 };
 
 pub use self::by_row::{PoseBody, PosesByRow, RowPoses};
+pub(crate) use self::turned::{PoseTurn, matrix};
 use crate::{
     TakeError,
     record::SampledGroup,
@@ -132,7 +134,10 @@ impl PoseReader {
         let [x, y, z, qw, qx, qy, qz, residual_mm] = *row;
         let quaternion = [qw, qx, qy, qz];
         let quaternion = if self.is_bounded { unit(quaternion) } else { quaternion };
-        if has_pose(row) && quaternion.iter().all(|number| number.is_finite()) {
+        // A recorder takes lengths of 0.99 to 1.01, and positions that are numbers; others are of damaged takes.
+        let square: f64 = quaternion.iter().map(|&number| f64::from(number).powi(2)).sum();
+        let is_rotation = (0.98..=1.021).contains(&square);
+        if has_pose(row) && is_rotation && [x, y, z].iter().all(|number| number.is_finite()) {
             let (state, position_mm) = (PoseState::Tracked, [x, y, z]);
             return Pose { state, position_mm, quaternion, residual_mm };
         }
@@ -275,6 +280,9 @@ mod tests {
         assert_eq!(reader.pose(&damaged).state, PoseState::Other);
         damaged[3..7].fill(0.0);
         assert_eq!(reader.pose(&damaged).state, PoseState::Other, "no rotation");
+        damaged = row;
+        damaged[1] = f32::INFINITY;
+        assert_eq!(reader.pose(&damaged).state, PoseState::Other, "no position");
         group.kind = String::new();
         assert_eq!((group.bodies().count(), group.pose_bounds()), (0, None));
     }

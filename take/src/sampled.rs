@@ -19,7 +19,7 @@ pub(crate) use self::time_line::epochs_of;
 pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},
-    recording::{ReadSeek, RecordedSamples, Recording, SampleBlock},
+    recording::{ReadSeek, RecordedPoses, RecordedSamples, Recording, SampleBlock},
     row_clock::RowClock,
     time_line::{PlaceIndex, RecordingClock, SampleTimeLine},
     times::{SampleAnchor, SampleClock, SampleTime, SampleTimes},

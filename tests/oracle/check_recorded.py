@@ -1,5 +1,5 @@
-"""Records generated jumps with force plates and electrodes from the simulator, exports the takes to every format, and has
-them read by programs that are not ours.
+"""Records generated jumps with force plates, electrodes and rigid bodies from the simulator, exports the takes to every
+format, and has them read by programs that are not ours.
 
     python check_recorded.py --mocapd target/debug/mocapd --mocapd-sim target/debug/mocapd-sim
 
@@ -17,10 +17,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import check_forces
 import compare
 import exports
+import poses
 import sampled
 
 GRAVITY_M_S2 = 9.80665
@@ -313,6 +315,70 @@ def check_clock(recorder):
         yield f"{name}: samples and frames", complaints
 
 
+# Markers at the ends of a segment stand still in the axes of its body.
+SEGMENTS = {
+    "trunk": ["throat", "l_shoulder"],
+    "l_thigh": ["l_hip", "l_knee"],
+    "r_shank": ["r_knee", "r_ankle"],
+    "l_upper_arm": ["l_shoulder", "l_elbow"],
+    "r_forearm": ["r_elbow", "r_wrist"],
+}
+
+
+def check_rigid(path):
+    """The poses against the markers, which the device sends apart from them: a point p of a body is at position + q p q*."""
+    wrong = []
+    with np.load(path) as found:
+        labels, names = found["labels"].tolist(), found["body_names"].tolist()
+        for body, markers in SEGMENTS.items():
+            place = names.index(body)
+            tracked = found["pose_states"][:, place] == 0
+            turn = Rotation.from_quat(found["pose_quaternions"][tracked, place].astype(float), scalar_first=True)
+            for marker in markers:
+                apart = found["positions_mm"][tracked, labels.index(marker)] - found["pose_positions_mm"][tracked, place]
+                spread_mm = np.nanstd(turn.inv().apply(apart.astype(float)), axis=0).max()
+                wrong += [] if spread_mm < 1 else [f"{marker} moves by {spread_mm:.1f} mm in the axes of {body}"]
+    return wrong
+
+
+def check_poses(recorder):
+    """Rigid bodies: the same poses in all formats, as one turns, and where the device does not track them."""
+    script = recorder.folder / "poses.toml"
+    script.write_text(LOST, encoding="utf-8")
+    what = ["--generate", "jump", "--rate", "100Hz", "--seconds", "4s", "--bodies", "11"]
+    for name, options in {"poses": [], "poses-lost": ["--faults", script]}.items():
+        take = recorder.record(name, *what, *options)
+        first = None
+        for kind, read in poses.READERS.items():
+            path, said = recorder.export(take, kind)
+            found = read(path)
+            first = first or found
+            wrong = exports.validate_bids(path) if kind == "bids" else []
+            yield f"{name} {kind}", wrong + poses.differences(found, first) + ([said] if "rigid bod" in said else [])
+        tracked = np.isfinite(first.positions[..., 0])
+        length = np.linalg.norm(first.quaternions[tracked], axis=-1)
+        wrong = [] if np.abs(length - 1).max() < 1e-6 else [f"lengths of {length.min()} to {length.max()}"]
+        wrong += [] if np.array_equal(tracked, first.states == 0) else ["states do not say which are tracked"]
+        wrong += [] if first.positions.shape[1] == 11 and tracked.mean() > 0.8 else [f"{tracked.mean():.0%} tracked"]
+        is_missing = (first.states == 253).all(axis=1)
+        wrong += [] if is_missing.any() == bool(options) else [f"{is_missing.sum()} frames without poses"]
+        wrong += check_rigid(take.with_suffix(".npz"))
+        yield f"{name}: {tracked.mean():.1%} tracked, {is_missing.sum()} frames without poses", wrong
+    # The same with y up: positions and axes of the bodies turn together.
+    take.with_suffix(".npz").unlink()
+    path, _ = recorder.export(take, "npz", "--up", "y")
+    turned = poses.read_npz(path)
+    tracked = np.isfinite(first.positions[..., 0])
+    wanted = first.positions[tracked][:, [0, 2, 1]] * [1, 1, -1]
+    wrong = [] if np.array_equal(turned.positions[tracked], wanted) else ["positions did not turn"]
+    before, after = (Rotation.from_quat(found.quaternions[tracked], scalar_first=True) for found in (first, turned))
+    quarter = Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    apart = (quarter * before * after.inv()).magnitude().max()
+    yield "poses turned", wrong + ([] if apart < 1e-6 else [f"rotations are {np.degrees(apart)} degrees apart"])
+    part, said = recorder.export(take, "trc")
+    yield "poses trc", [] if "the poses of 11 rigid bodies" in said else ["trc does not say that poses are left out"]
+
+
 def attempt(check, recorder):
     """The lines of a check."""
     lines = []
@@ -332,7 +398,7 @@ def main():
     programs = arguments.mocapd.resolve(), arguments.mocapd_sim.resolve()
     passed = failed = 0
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(4) as pool:
-        checks = [check_jump, check_misfit, check_lost, check_clock]
+        checks = [check_jump, check_misfit, check_lost, check_clock, check_poses]
         # The simulator plays in real time.
         for lines in pool.map(lambda check: attempt(check, Recorder(*programs, Path(folder))), checks):
             for good, line in lines:

@@ -128,6 +128,27 @@ fn every_kind_round_trips_alone() {
     }
 }
 
+/// Zeros with a sign among the numbers of a converter, which have none.
+#[test]
+fn negative_zeros_among_integers_round_trip_in_every_block() {
+    for seed in 0..400 {
+        let mut random = Random::new(seed);
+        let (range, rare) = ([1, 3, 40, 20_000][random.below(4)], 1 + random.below(30));
+        let first = random.below(3);
+        let mut samples = |block: usize| -> Vec<f32> {
+            let of = |_| match random.below(rare) {
+                0 if block >= first => -0.0,
+                _ => random.between(-f64::from(range), f64::from(range)).round() as i16 as f32,
+            };
+            (0..40).map(of).collect()
+        };
+        let channels = [(0..3).flat_map(&mut samples).collect::<Vec<f32>>()];
+        check(&channels, &encode(&channels, 40, 2), 40, 2, 0);
+    }
+    let channels = [vec![-0.0; 120], vec![0.0; 120]];
+    check(&channels, &encode(&channels, 40, 2), 40, 2, 0);
+}
+
 /// Bytes of a channel of a kind over 4000 rows, per sample.
 fn bits_per_sample(kind: usize, seed: u64) -> f64 {
     let channels = [channel(kind, seed, 4000)];

@@ -18,6 +18,8 @@ Positions are float32 millimetres, right-handed, in the axes of the device or th
 ...     for group in take.sampled:                  # of an import, its analog channels
 ...         group.time_s, group.values              # seconds from the first frame, each channel in its unit
 ...     take.force_plates[0].force_n                # as of an import
+...     take.poses.names, take.poses.positions      # of its rigid bodies: frames, bodies, axes; millimetres
+...     take.poses.quaternions                      # w, x, y, z
 """
 
 from importlib.metadata import version
@@ -27,6 +29,7 @@ from ._arrays import compress, decompress, write_take
 from ._force_plates import ForcePlate, PlateLoads
 from ._marker import Marker, MarkerSummary
 from ._native import TakeError
+from ._poses import PoseArrays, Poses
 from ._records import ClockLine, Device, Ending, Event, Header, Ledger, LostFrames, Source, Times
 from ._sampled import SampledGroup
 from ._subject import Subject
@@ -48,6 +51,8 @@ __all__ = [
     "Marker",
     "MarkerSummary",
     "PlateLoads",
+    "PoseArrays",
+    "Poses",
     "SampledGroup",
     "Source",
     "Subject",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from ._analog import Analog, Channels
     from ._marker import Markers
+    from ._poses import Bodies
     from ._take import Take
 
 # The package is installed from its folder: no registry has it.
@@ -171,6 +172,30 @@ def _loads(
     return frame
 
 
+def _poses(
+    pandas: ModuleType,
+    take: Take,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+    bodies: Bodies = None,
+) -> pandas.DataFrame:
+    indices = take.poses._indices(bodies)
+    names = unique_names([take.poses.names[index] for index in indices])
+    found = take.poses.read(start_s, stop_s, indices)
+    numbers = np.concatenate([found.positions_mm, found.quaternions, found.residuals_mm[:, :, None]], axis=2)
+    quantities = ("x", "y", "z", "qw", "qx", "qy", "qz", "residual")
+    columns: dict[tuple[str, str], Any] = {}
+    for body, name in enumerate(names):
+        columns |= {(name, quantity): numbers[:, body, at] for at, quantity in enumerate(quantities)}
+        columns[name, "state"] = found.states[:, body]
+    frame = pandas.DataFrame(columns, index=pandas.Index(found.time_s, name="time_s"))
+    frame.columns = pandas.MultiIndex.from_tuples(list(columns) or [], names=["body", "quantity"])
+    lengths = dict.fromkeys(("x", "y", "z", "residual"), "mm")
+    states = dict(take.poses.STATES)
+    frame.attrs = {"units": lengths, **_axes(take), "rate_hz": take.rate_hz, "states": states}
+    return frame
+
+
 def _events(pandas: ModuleType, take: Take) -> pandas.DataFrame:
     fields = {"time_s": float, "frame": "int64", "kind": str, "text": str}
     fields |= {"input": "int64", "device_ticks": "uint64", "host_ns": "uint64"}
@@ -201,6 +226,7 @@ _TABLES = {
     "analog": _analog,
     "sampled": _sampled,
     "force_plates": _force_plates,
+    "poses": _poses,
     "events": _events,
     "subject": _subject,
 }

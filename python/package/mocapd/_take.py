@@ -21,6 +21,7 @@ from ._native import TakeFile
 from ._parameters import Metadata, metadata
 from ._ranges import check_order, check_size, index_at, unique_names
 from ._records import ClockLine, Ending, Event, Header, Ledger, LostFrames, Times
+from ._poses import Bodies, Poses
 from ._sampled import SampledGroup
 from ._subject import Subject
 
@@ -254,6 +255,17 @@ class Take:
         self._warn(problems)
         return tuple(ForcePlate(self.analog, index, self.path, **plate) for index, plate in enumerate(plates))
 
+    @cached_property
+    def poses(self) -> Poses:
+        """The poses of the rigid bodies of a recording, frame by frame. Without any, it has the length 0.
+
+        Raises
+        ------
+        ValueError
+            If the take is closed.
+        """
+        return Poses(self._file, self.n_frames, self.rate_hz)
+
     # -- positions -----------------------------------------------------------------------------------------
 
     @cached_property
@@ -440,6 +452,16 @@ class Take:
     ) -> pandas.DataFrame: ...
 
     @overload
+    def to_pandas(
+        self,
+        content: Literal["poses"],
+        /,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+        bodies: Bodies = None,
+    ) -> pandas.DataFrame: ...
+
+    @overload
     def to_pandas(self, content: Literal["events", "subject"], /) -> pandas.DataFrame: ...
 
     def to_pandas(self, *part: Any, **options: Any) -> pandas.DataFrame:
@@ -456,6 +478,9 @@ class Take:
         ``to_pandas("force_plates", start_s, stop_s)``
             One row per sample of the plates, indexed by ``time_s``; columns (plate, quantity, axis), where quantity is
             ``force_n``, ``moment_nm``, ``cop_mm`` or ``free_moment_nm`` as in :class:`PlateLoads`.
+        ``to_pandas("poses", start_s, stop_s, bodies)``
+            One row per frame, indexed by ``time_s``; columns (body, quantity), where quantity is ``x``, ``y``, ``z``,
+            ``qw``, ``qx``, ``qy``, ``qz``, ``residual`` or ``state`` as in :class:`PoseArrays`.
         ``to_pandas("events")``
             One row per event: ``time_s``, ``frame``, ``kind``, ``text``, ``input``, ``device_ticks``, ``host_ns``.
         ``to_pandas("subject")``

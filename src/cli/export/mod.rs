@@ -21,7 +21,7 @@ use mocapd_acquire::{
 use mocapd_service::units;
 use mocapd_store::is_url;
 use mocapd_take::{
-    TakeFrames, TakeMap,
+    TakeFrames,
     interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz, write_c3d},
     motion::{FrameSource, MotionInfo, UpAxis},
     record::Ledger,
@@ -53,7 +53,8 @@ pub(crate) struct Args {
     takes: Vec<PathBuf>,
     /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf, .mot (force plates), .html (a page that plays
     /// the motion) or, if built in, .parquet or
-    /// .mcap. It must not exist. For several takes the folder to write into, with `--to FORMAT`; a file there that has
+    /// .mcap. All but .trc, .tsv, .mot and .html have the sampled channels and the poses of rigid bodies, too: .csv and
+    /// .parquet in files beside it. It must not exist. For several takes the folder to write into, with `--to FORMAT`; a file there that has
     /// the same content is left as it is. With `--to bids` the dataset to create or to add to. `-` writes to standard
     /// output [default: beside each take]
     #[arg(short, long, value_name = "FILE")]
@@ -257,7 +258,6 @@ impl ExportPlan<'_> {
         };
         attempt.written.remarks.extend(remark_on_axes(format, of_take, args.up));
         attempt.written.remarks.extend(remark_on_bounds(format, frames.info()));
-        attempt.written.remarks.extend(remark_on_poses(frames.map()));
         attempt.written.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
@@ -451,15 +451,6 @@ fn remark_on_axes(format: Format, of_take: UpAxis, given: Option<UpAxis>) -> Opt
             "the take states no up axis, so its axes were kept; OpenSim expects y up".to_owned(),
         ),
     }
-}
-
-/// A remark on the poses of rigid bodies, which no format has.
-fn remark_on_poses(take: &TakeMap) -> Option<String> {
-    let n_bodies = take.pose_groups().map(|group| group.group.bodies().count()).sum::<usize>();
-    (n_bodies > 0).then(|| {
-        let bodies = if n_bodies == 1 { "body" } else { "bodies" };
-        format!("without the poses of {n_bodies} rigid {bodies}: no format has them yet")
-    })
 }
 
 /// A remark on analog samples that are not those of the source, for a format that otherwise restores them bit by bit.

@@ -5,7 +5,6 @@ use std::{
     ops::Range,
 };
 
-use super::recorded::tick_hz;
 use crate::{
     TakeError, TakeMap, TakeTraversal, poses::PosesByRow, sampled::SampleAnchor,
     timeline::Timeline, traversal::Decode,
@@ -17,8 +16,14 @@ pub(super) struct PoseEnds {
     pub group: u32,
     /// The samples.
     pub numbers: Range<u64>,
-    /// In each run the first and the last sample whose row was recorded, with the time of this row.
+    /// Of the samples of each run that are in rows one after another the first and the last one whose row was recorded, with
+    /// the time of this row.
     pub anchors: Vec<SampleAnchor>,
+    /// The rows of the last anchors, and the number of the sample in the first of them.
+    rows: Range<u64>,
+    first: u64,
+    /// Whether the last anchor is the first of those rows.
+    is_first: bool,
 }
 
 impl PoseEnds {
@@ -28,6 +33,7 @@ impl PoseEnds {
         map: &TakeMap,
         input: &mut (impl Read + Seek),
         rows: &Range<u64>,
+        tick_hz: u64,
     ) -> Result<Vec<Self>, TakeError> {
         let Some(by_row) = PosesByRow::read(&mut *input, map)? else { return Ok(Vec::new()) };
         let mut all: Vec<Self> = Vec::new();
@@ -36,8 +42,14 @@ impl PoseEnds {
             let at = |row: u64| by_row.number_at(index, row).unwrap_or(n);
             let first = if rows.start == 0 { 0 } else { at(rows.start) };
             let last = if rows.end < map.n_rows { at(rows.end) } else { n };
-            let numbers = first..last.max(first);
-            all.push(Self { group: group.group.number, numbers, anchors: Vec::new() });
+            all.push(Self {
+                group: group.group.number,
+                numbers: first..last.max(first),
+                anchors: Vec::new(),
+                rows: 0..0,
+                first: 0,
+                is_first: false,
+            });
         }
         let mut stretches = TakeTraversal::from_map(input, map, Decode::Groups(Vec::new()))?;
         stretches.seek(rows.start)?;
@@ -45,25 +57,32 @@ impl PoseEnds {
             let times = stretches.timeline().into_iter().flat_map(Timeline::recorded);
             for (row, time) in times.filter(|(row, _)| rows.contains(row)) {
                 for (index, ends) in all.iter_mut().enumerate() {
-                    ends.add(&by_row, index, row, time.device_ticks, tick_hz(map));
+                    ends.add(&by_row, index, (row, time.device_ticks), tick_hz);
                 }
             }
         }
         Ok(all)
     }
 
-    fn add(&mut self, by_row: &PosesByRow, index: usize, row: u64, ticks: u64, tick_hz: u64) {
-        let number = by_row.number_of(index, row).filter(|number| self.numbers.contains(number));
-        let Some((number, group)) = number.zip(by_row.groups().nth(index)) else { return };
-        let Some(time) = group.clock(tick_hz).at(number) else { return };
-        let (run_start, segment) = (time.run_start, time.segment);
-        let anchor = SampleAnchor { number, run_start, device_ticks: ticks, segment };
-        if let [.., before, last] = &mut self.anchors[..]
-            && (before.run_start, last.run_start) == (run_start, run_start)
-        {
-            *last = anchor;
-        } else {
-            self.anchors.push(anchor);
+    /// Adds a recorded row and its time.
+    fn add(&mut self, by_row: &PosesByRow, index: usize, (row, ticks): (u64, u64), tick_hz: u64) {
+        if self.rows.contains(&row) {
+            let number = self.first + (row - self.rows.start);
+            if let Some(&last) = self.anchors.last().filter(|_| self.numbers.contains(&number)) {
+                if !std::mem::take(&mut self.is_first) {
+                    self.anchors.pop();
+                }
+                self.anchors.push(SampleAnchor { number, device_ticks: ticks, ..last });
+            }
+            return;
         }
+        let Some((numbers, rows)) = by_row.piece_at(index, row) else { return };
+        let number = numbers.start + (row - rows.start);
+        let Some(group) = by_row.groups().nth(index) else { return };
+        let time = group.clock(tick_hz).at(number).filter(|_| self.numbers.contains(&number));
+        let Some(time) = time else { return };
+        let (run_start, segment) = (time.run_start, time.segment);
+        self.anchors.push(SampleAnchor { number, run_start, device_ticks: ticks, segment });
+        (self.rows, self.first, self.is_first) = (rows, numbers.start, true);
     }
 }

@@ -167,10 +167,10 @@ pub(super) fn cut<W: Write>(
     if *rows == (0..map.n_rows) {
         ledger.batches_refused = stated.batches_refused;
         // Groups whose description is lost, as in a recovered take.
-        let is_known = |of: u32| map.recorded_groups().any(|group| group.group.number == of);
+        let is_known = |of: u32| map.sample_groups().any(|group| group.group.number == of);
         ledger.groups.extend(stated.groups.iter().filter(|group| !is_known(group.group)).copied());
     }
-    let poses = PoseEnds::read(map, input, rows)?;
+    let poses = PoseEnds::read(map, input, rows, tick_hz(map))?;
     for group in map.sample_groups() {
         let n = group.n_samples();
         let of_poses = poses.iter().find(|of| of.group == group.group.number);
@@ -199,7 +199,7 @@ pub(super) fn cut<W: Write>(
     take.sample_ledger(&ledger)
 }
 
-pub(super) fn tick_hz(map: &TakeMap) -> u64 {
+fn tick_hz(map: &TakeMap) -> u64 {
     map.header.device.as_ref().map_or(1, |device| device.tick_hz)
 }
 
@@ -372,8 +372,8 @@ impl Part<'_> {
         // A row that was not recorded has no time of its own, and a pose none but that of its row.
         let is_timed = |number: &u64| {
             let run_of = |number: u64| clock.at(number).map(|time| time.run_start);
-            let run = run_of(*number);
-            !self.exact.iter().any(|exact| Some(exact.run_start) == run)
+            let of_run = |run| self.exact.binary_search_by_key(&run, |exact| exact.run_start);
+            run_of(*number).is_none_or(|run| of_run(run).is_err())
         };
         let ends = [start].into_iter().filter(|_| start < end).chain(last);
         anchors.extend(ends.filter(is_timed).filter_map(at));

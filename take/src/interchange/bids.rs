@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! dataset_description.json  README.md  participants.tsv  participants.json      of the whole dataset
-//! sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv    one column per coordinate, no header
+//! sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv    one column per coordinate, and eight per rigid body
 //!                                                 _motion.json
 //!                                                 _channels.tsv description of each column
 //!                                                 _channels.json
@@ -23,12 +23,17 @@ use serde::Serializer;
 use serde_json::{Value, json};
 
 use super::{
-    InterchangeError, Result, check_frame_count, put_position,
-    sampled_table::{SampledTable, TIME_COLUMN},
-    text::{column_labels, without_tabs},
+    InterchangeError, Result, check_frame_count,
+    frame_poses::{FramePoses, body_names},
+    put_position,
+    sampled_table::{SampledKind, SampledTable, TIME_COLUMN},
+    text::{column_labels, unique_names, without_tabs},
     unsupported, write_frames,
 };
-use crate::motion::{FrameSource, MotionInfo};
+use crate::{
+    motion::{FrameSource, MotionInfo},
+    poses::Pose,
+};
 
 /// The version of the specification that the dataset follows.
 const BIDS_VERSION: &str = "1.10.0";
@@ -203,7 +208,7 @@ pub fn write(
     folder: &mut dyn DatasetFolder,
 ) -> Result<()> {
     let info = frames.info().clone();
-    if info.markers.is_empty() {
+    if info.markers.is_empty() && body_names(&info).is_empty() {
         return unsupported("BIDS needs at least one channel, but the take has no markers");
     }
     let participants = format!("participant_id\nsub-{}\n", names.subject());
@@ -231,11 +236,15 @@ pub fn write(
     }
     write_sampled(&info, frames, names, folder)?;
     let mut out = folder.file(&names.path("motion.tsv"))?;
+    let mut poses = FramePoses::open(&info);
     // BIDS wants no column names in this file: channels.tsv has them.
     let n_written = write_frames(frames, &mut *out, Vec::new(), |line, _, row| {
         for (column, &position) in row.iter().enumerate() {
             line.extend((column > 0).then_some(b'\t'));
             put_position(line, position, b'\t', MISSING)?;
+        }
+        if let Some(poses) = &mut poses {
+            put_poses(line, poses.next_frame()?, row.is_empty())?;
         }
         line.push(b'\n');
         Ok(())
@@ -251,7 +260,9 @@ fn write_sampled(
     names: &BidsLabels,
     folder: &mut dyn DatasetFolder,
 ) -> Result<()> {
-    for mut table in SampledTable::all(info)? {
+    // Poses are columns of motion.tsv.
+    let tables = SampledTable::all(info)?.into_iter();
+    for mut table in tables.filter(|table| table.kind() != SampledKind::Poses) {
         table.rename(|name| {
             if RECORDING_MEMBERS.contains(&name.as_str()) {
                 name.push_str(" channel");
@@ -309,14 +320,49 @@ fn sampled_json(labels: &BidsLabels, table: &SampledTable<'_>) -> io::Result<Vec
     json(common.chain(columns))
 }
 
-/// The table of the columns of motion.tsv.
+/// The columns of a body in motion.tsv: component, type and unit. Components of quaternions have no unit.
+const BODY_CHANNELS: [(&str, &str, &str); 8] = [
+    ("x", "POS", "mm"),
+    ("y", "POS", "mm"),
+    ("z", "POS", "mm"),
+    ("quat_w", "ORNT", MISSING),
+    ("quat_x", "ORNT", MISSING),
+    ("quat_y", "ORNT", MISSING),
+    ("quat_z", "ORNT", MISSING),
+    ("residual", "MISC", "mm"),
+];
+
+/// Appends the cells of the bodies, each after a tab, unless they are the first ones of the line.
+fn put_poses(line: &mut Vec<u8>, poses: &[Pose], are_first: bool) -> io::Result<()> {
+    for (body, pose) in poses.iter().enumerate() {
+        let numbers = pose.position_mm.iter().chain(&pose.quaternion).chain([&pose.residual_mm]);
+        for (column, number) in numbers.enumerate() {
+            line.extend((!are_first || body + column > 0).then_some(b'\t'));
+            if number.is_finite() { write!(line, "{number}")? } else { write!(line, "{MISSING}")? }
+        }
+    }
+    Ok(())
+}
+
+/// The table of the columns of motion.tsv: those of the markers, then those of rigid bodies.
 fn channels_tsv(info: &MotionInfo) -> String {
     let mut table = "name\tcomponent\ttype\ttracked_point\tunits\treference_frame\n".to_owned();
-    for label in column_labels(info) {
-        let label = cell(&label);
-        for axis in ["x", "y", "z"] {
-            table.push_str(&format!("{label}_{axis}\t{axis}\tPOS\t{label}\tmm\tglobal\n"));
-        }
+    let labels = column_labels(info);
+    let n_markers = labels.len();
+    // A body may have the name of a marker.
+    let points = unique_names(labels.into_iter().chain(body_names(info)));
+    let of_point = |(index, point): (usize, &String)| {
+        let channels = if index < n_markers { &BODY_CHANNELS[..3] } else { &BODY_CHANNELS[..] };
+        channels.iter().map(|channel| (cell(point), channel)).collect::<Vec<_>>()
+    };
+    let channels: Vec<_> = points.iter().enumerate().flat_map(of_point).collect();
+    // So has the channel of a body, perhaps.
+    let names = channels.iter().map(|(point, (component, ..))| format!("{point}_{component}"));
+    for (name, (point, (component, kind, unit))) in unique_names(names).iter().zip(&channels) {
+        let is_in_space = *kind != "MISC";
+        let component = if is_in_space { component } else { MISSING };
+        let frame = if is_in_space { "global" } else { MISSING };
+        table.push_str(&format!("{name}\t{component}\t{kind}\t{point}\t{unit}\t{frame}\n"));
     }
     table
 }
@@ -381,6 +427,7 @@ fn participants_json() -> io::Result<Vec<u8>> {
 
 fn motion_json(names: &BidsLabels, info: &MotionInfo) -> io::Result<Vec<u8>> {
     let n_markers = info.markers.len();
+    let n_bodies = info.recording.as_ref().map_or(0, |recording| recording.bodies().len());
     // The specification recommends stating a count of 0 for channel types that are absent.
     let absent = [
         "ACCELChannelCount",
@@ -389,8 +436,6 @@ fn motion_json(names: &BidsLabels, info: &MotionInfo) -> io::Result<Vec<u8>> {
         "JNTANGChannelCount",
         "LATENCYChannelCount",
         "MAGNChannelCount",
-        "MISCChannelCount",
-        "ORNTChannelCount",
         "VELChannelCount",
     ];
     let fields = [
@@ -399,9 +444,11 @@ fn motion_json(names: &BidsLabels, info: &MotionInfo) -> io::Result<Vec<u8>> {
         ("TrackingSystemName", "optical".into()),
         ("RecordingType", "continuous".into()),
         ("RecordingDuration", number(info.n_frames as f64 / info.rate_hz)),
-        ("MotionChannelCount", (3 * n_markers).into()),
-        ("POSChannelCount", (3 * n_markers).into()),
-        ("TrackedPointsCount", n_markers.into()),
+        ("MotionChannelCount", (3 * n_markers + BODY_CHANNELS.len() * n_bodies).into()),
+        ("POSChannelCount", (3 * (n_markers + n_bodies)).into()),
+        ("ORNTChannelCount", (4 * n_bodies).into()),
+        ("MISCChannelCount", n_bodies.into()),
+        ("TrackedPointsCount", (n_markers + n_bodies).into()),
         ("MissingValues", MISSING.into()),
     ];
     json(absent.map(|name| (name, 0.into())).into_iter().chain(fields))
@@ -414,7 +461,7 @@ fn channels_json(info: &MotionInfo) -> io::Result<Vec<u8>> {
     };
     let axes = format!("The axes of the tracking system, right-handed; {up}");
     let frame = json!({
-        "Description": "The coordinate system of the positions",
+        "Description": "The coordinate system of the positions and orientations",
         "Levels": { "global": { "RotationRule": "right-hand", "Description": axes } },
     });
     json([("reference_frame", frame)])

@@ -1,7 +1,7 @@
 //! Import and export of the field's file formats: C3D, TRC, QTM TSV and CSV in both directions; `NumPy` archives, XDF
 //! and BIDS for export, and with the feature `full` also Parquet and MCAP; `OpenSim`'s `.mot` for the export of force
 //! plates. Analog channels and force plates of a C3D file are part of exports to C3D, NPZ, XDF, BIDS and MCAP, and files
-//! beside those to CSV and Parquet ([`Format::write_sampled`]).
+//! beside those to CSV and Parquet ([`Format::write_sampled`]), and so are the sampled channels and poses of a recording.
 //!
 //! An importer turns a file into frames in millimetres, one after another ([`MotionReader`]) or all of them as a
 //! [`Motion`]: it multiplies each coordinate as stored or printed by one factor in f64 and rounds once to f32. It reads
@@ -24,6 +24,7 @@ use crate::{
 pub mod bids;
 pub(crate) mod c3d;
 mod csv;
+mod frame_poses;
 #[cfg(feature = "full")]
 mod mcap;
 #[cfg(feature = "full")]
@@ -256,7 +257,7 @@ impl Format {
         self.capabilities().foreign.is_some_and(|format| kind.starts_with(format))
     }
 
-    /// Whether analog channels and force plates are files beside the export, by [`write_sampled`](Self::write_sampled).
+    /// Whether sampled channels, force plates and poses are files beside the export, by [`write_sampled`](Self::write_sampled).
     #[must_use]
     pub fn has_sampled_files(self) -> bool {
         self.capabilities().sampled == SampledPlace::SeparateFiles
@@ -318,14 +319,20 @@ impl Format {
     /// The groups of a recording that an export leaves out.
     fn recorded_left_out(self, info: &MotionInfo) -> Vec<String> {
         let Some(recording) = &info.recording else { return Vec::new() };
+        let n_bodies = recording.bodies().len() as u64;
+        let poses = match n_bodies {
+            0 => None,
+            1 => Some("the poses of a rigid body".to_owned()),
+            n => Some(format!("the poses of {n} rigid bodies")),
+        };
         match self.capabilities().sampled {
             SampledPlace::Inside | SampledPlace::SeparateFiles => Vec::new(),
             SampledPlace::Restored if self == Self::C3d => c3d::RecordedPlan::of(info).left_out,
             // It counts the channels of its own.
-            SampledPlace::Restored if self == Self::Mot => Vec::new(),
+            SampledPlace::Restored if self == Self::Mot => poses.into_iter().collect(),
             SampledPlace::Restored => {
                 let groups = recording.groups().iter();
-                groups.map(|found| c3d::name_of(&found.group)).collect()
+                groups.map(|found| c3d::name_of(&found.group)).chain(poses).collect()
             }
         }
     }
@@ -346,7 +353,7 @@ impl Format {
             #[cfg(feature = "full")]
             Self::Parquet | Self::ParquetWide => parquet::write_sampled(table, frames, out),
             _ => unsupported(
-                "only csv and parquet have separate files for analog channels and force plates",
+                "only csv and parquet have separate files for sampled channels, force plates and poses",
             ),
         }
     }

@@ -19,11 +19,15 @@
 //! | `sampled_0`, with `_rate_hz`, `_time_s`, `_labels`, `_units` | as those of `analog` | | of a recording, by the number of the group: the same |
 //! | `force_plates_rate_hz`, `force_plates_time_s` | none; samples | f64 | of a recording: the times of the loads |
 //! | `force_plates` | samples, plates, 4, 3 | f32 | force (N), moment about the centre of the surface (N m), centre of pressure (mm; NaN without load) and free moment (N m) |
+//! | `body_names` | bodies | text | of a recording: the names of the rigid bodies |
+//! | `pose_positions_mm`, `pose_quaternions` | frames, bodies, 3; 4 | f32 | their positions and quaternions w, x, y, z at the times of `time_s`; NaN where a body has no pose |
+//! | `pose_residuals_mm`, `pose_states` | frames, bodies | f32, u8 | how well their markers fit, NaN if unknown; 0 for a pose, or why there is none ([`PoseState::code`](crate::poses::PoseState::code)) |
 
 use std::io::{BufWriter, Seek, Write};
 
 use super::{
     InterchangeError, Result, check_frame_count,
+    frame_poses::FramePoses,
     sampled_table::{SampledColumn, SampledKind, SampledTable},
     write_frames,
     zip::Archive,
@@ -31,6 +35,7 @@ use super::{
 use crate::{
     foreign::force_plates::ForcePlate,
     motion::{FrameSource, GAP, MotionEvent, MotionInfo, is_gap},
+    poses::Pose,
 };
 
 /// The length of a `.npy` header is a multiple of this number of bytes, so that elements are aligned.
@@ -58,7 +63,10 @@ fn write_to(frames: &mut dyn FrameSource, out: &mut &mut dyn WriteSeek) -> Resul
     write_metadata(&info, &mut archive)?;
     write_events(&info, &mut archive)?;
     for mut table in SampledTable::all(&info)? {
-        write_table(&mut table, frames, &mut archive)?;
+        match table.kind() {
+            SampledKind::Poses => write_poses(&info, frames, &mut archive)?,
+            _ => write_table(&mut table, frames, &mut archive)?,
+        }
     }
     let times_s = (0..info.n_frames).map(|index| index as f64 / info.rate_hz);
     write_times("time_s.npy", info.n_frames, times_s, &mut archive)?;
@@ -134,6 +142,8 @@ fn write_table(
             archive.put(&format!("{plate}_corners_mm.npy"), &corners)?;
             vec![n_rows, n_plates, 4, 3]
         }
+        // They have arrays of their own.
+        SampledKind::Poses => return Ok(()),
     };
     let header = npy_header(F32, &shape);
     let n_bytes = array_bytes(&header, &[n_rows, n_columns, 4]);
@@ -145,6 +155,51 @@ fn write_table(
         })?;
         out.flush()
     })?)
+}
+
+/// Appends the numbers of a pose that an array has.
+type PutPose = fn(&Pose, &mut Vec<u8>);
+
+/// Writes the arrays of the poses of rigid bodies, at the times of the frames.
+fn write_poses(
+    info: &MotionInfo,
+    frames: &dyn FrameSource,
+    archive: &mut Archive<'_, impl Write + Seek>,
+) -> Result<()> {
+    let bodies = info.recording.as_ref().map_or(&[][..], |recording| recording.bodies());
+    let names: Vec<&str> = bodies.iter().map(|body| body.name.as_str()).collect();
+    archive.put("body_names.npy", &text_array(&names)?)?;
+    let (n_frames, n_bodies) = (info.n_frames, bodies.len() as u64);
+    let arrays: [(&str, &str, &[u64], PutPose); 4] = [
+        ("pose_positions_mm", F32, &[3], |pose, out| {
+            out.extend_from_slice(pose.position_mm.map(f32::to_le_bytes).as_flattened());
+        }),
+        ("pose_quaternions", F32, &[4], |pose, out| {
+            out.extend_from_slice(pose.quaternion.map(f32::to_le_bytes).as_flattened());
+        }),
+        ("pose_residuals_mm", F32, &[], |pose, out| out.extend(pose.residual_mm.to_le_bytes())),
+        ("pose_states", U8, &[], |pose, out| out.push(pose.state.code())),
+    ];
+    for (name, kind, per_pose, put) in arrays {
+        let Some(mut poses) = FramePoses::open(info) else { return Ok(()) };
+        let shape = [&[n_frames, n_bodies][..], per_pose].concat();
+        let header = npy_header(kind, &shape);
+        let bytes_each = if kind == U8 { 1 } else { 4 };
+        let n_bytes = array_bytes(&header, &[&shape[..], &[bytes_each]].concat());
+        archive.stream(&format!("{name}.npy"), n_bytes, |out| {
+            let mut out = BufWriter::new(out);
+            out.write_all(&header)?;
+            let mut bytes = Vec::new();
+            for _ in 0..n_frames {
+                bytes.clear();
+                poses.next_frame()?.iter().for_each(|pose| put(pose, &mut bytes));
+                out.write_all(&bytes)?;
+            }
+            out.flush()
+        })?;
+    }
+    frames.count_sampled(n_frames);
+    Ok(())
 }
 
 /// The size of a `.npy` file with this header, in bytes; its data has as many bytes as the product of `factors`.
@@ -185,6 +240,7 @@ fn write_events(info: &MotionInfo, archive: &mut Archive<'_, impl Write + Seek>)
 
 // Element types in NumPy's notation. Texts are UTF-32 of a fixed number of characters: `<U8`.
 const BOOL: &str = "|b1";
+const U8: &str = "|u1";
 const I64: &str = "<i8";
 const F32: &str = "<f4";
 const F64: &str = "<f8";

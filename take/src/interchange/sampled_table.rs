@@ -1,5 +1,6 @@
 //! The sampled channels of a take as tables for export: the analog channels of a C3D file, or the groups of a recording,
-//! and the loads of force plates. A table has a row for each sample, with a time of its own. The rows of an imported file
+//! the loads of force plates, and the poses of rigid bodies. A table has a row for each sample, with a time of its own. The
+//! rows of an imported file
 //! start at the first frame and follow at the analog rate; [`Recording`] says when those of a recording were taken.
 
 use std::io::{self, Write};
@@ -7,6 +8,7 @@ use std::io::{self, Write};
 use super::{
     Result, c3d,
     csv::quote,
+    frame_poses::{ABOUT_STATE, FramePoses, STATE, body_names},
     recorded_rows::{RecordedRows, as_analog, recorded_plates},
     text::{unique_names, without_tabs},
 };
@@ -17,6 +19,7 @@ use crate::{
         force_plates::{Baseline, ForcePlate, PlateLoad, PlateLoads},
     },
     motion::{FrameSource, MotionInfo},
+    poses::{CHANNEL_NAMES, CHANNEL_UNITS},
     sampled::Recording,
 };
 
@@ -44,6 +47,8 @@ pub enum SampledKind {
     /// and free moment, in laboratory axes. With a number they are the plates whose channels are in this group of a
     /// recording, if several groups have such channels.
     ForcePlates(Option<u32>),
+    /// The poses of the rigid bodies of a recording, a row for each frame.
+    Poses,
 }
 
 impl SampledKind {
@@ -57,10 +62,11 @@ impl SampledKind {
             Self::ForcePlates(Some(number)) => {
                 format!("the loads of the force plates of group {number}")
             }
+            Self::Poses => "the poses of rigid bodies".to_owned(),
         }
     }
 
-    /// Its name in files: `analog`, `sampled_0` or `force_plates`.
+    /// Its name in files: `analog`, `sampled_0`, `force_plates` or `poses`.
     #[must_use]
     pub fn name(self) -> String {
         match self {
@@ -68,6 +74,7 @@ impl SampledKind {
             Self::Group(number) => format!("sampled_{number}"),
             Self::ForcePlates(None) => "force_plates".to_owned(),
             Self::ForcePlates(Some(number)) => format!("force_plates_{number}"),
+            Self::Poses => "poses".to_owned(),
         }
     }
 
@@ -78,6 +85,7 @@ impl SampledKind {
         let kind = match name {
             "analog" => Self::Analog,
             "force_plates" => Self::ForcePlates(None),
+            "poses" => Self::Poses,
             _ => match (name.strip_prefix("sampled_"), name.strip_prefix("force_plates_")) {
                 (Some(text), _) => Self::Group(number(text)?),
                 (_, Some(text)) => Self::ForcePlates(Some(number(text)?)),
@@ -139,11 +147,12 @@ enum TableSource<'a> {
     Analog(Box<AnalogSamples<'a>>, Vec<f64>),
     ForcePlates(Box<PlateLoads<'a>>, Vec<PlateLoad>),
     Recorded(Box<RecordedRows<'a>>),
+    Poses(Box<FramePoses<'a>>),
 }
 
 impl<'a> SampledTable<'a> {
-    /// The tables of a take, or of a part of one: none, the analog channels, or these and the force plates. What cannot be
-    /// read, because the take is damaged, has no table.
+    /// The tables of a take, or of a part of one: none, the analog channels, these and the force plates, and poses. What
+    /// cannot be read, because the take is damaged, has no table.
     ///
     /// # Errors
     /// Those of the scratch file that the samples may be in.
@@ -171,6 +180,10 @@ impl<'a> SampledTable<'a> {
         if let Some(recording) = &info.recording {
             all.extend(Self::all_recorded(info, recording)?);
         }
+        all.extend(FramePoses::open(info).map(|poses| {
+            let (columns, source) = (pose_columns(info), TableSource::Poses(Box::new(poses)));
+            Self::new(SampledKind::Poses, columns, (info.rate_hz, 1), info.n_frames, source)
+        }));
         Ok(all)
     }
 
@@ -218,7 +231,7 @@ impl<'a> SampledTable<'a> {
         let warnings = match &source {
             TableSource::Analog(samples, _) => samples.warnings().to_vec(),
             TableSource::ForcePlates(loads, _) => loads.plates().warnings.clone(),
-            TableSource::Recorded(_) => Vec::new(),
+            TableSource::Recorded(_) | TableSource::Poses(_) => Vec::new(),
         };
         Self {
             kind,
@@ -291,11 +304,11 @@ impl<'a> SampledTable<'a> {
         if !self.is_recorded() || span_s <= 0.0 { self.rate_hz } else { (n - 1) as f64 / span_s }
     }
 
-    /// The force plates; none in the table of the analog channels.
+    /// The force plates; none in other tables.
     #[must_use]
     pub fn plates(&self) -> &[ForcePlate] {
         match &self.source {
-            TableSource::Analog(..) => &[],
+            TableSource::Analog(..) | TableSource::Poses(_) => &[],
             TableSource::ForcePlates(loads, _) => &loads.plates().plates,
             TableSource::Recorded(rows) => rows.plates(),
         }
@@ -371,6 +384,7 @@ impl<'a> SampledTable<'a> {
                 });
                 self.block.extend(values.flatten().map(|value| value as f32));
             }
+            TableSource::Poses(poses) => poses.next_row(&mut self.block)?,
             TableSource::Recorded(_) => {}
         }
         Ok(())
@@ -471,6 +485,20 @@ fn analog_columns(channels: &[AnalogChannel]) -> Vec<SampledColumn> {
         description: text(&channel.description),
     });
     columns.collect()
+}
+
+/// The columns of the bodies of a recording.
+fn pose_columns(info: &MotionInfo) -> Vec<SampledColumn> {
+    let channels = CHANNEL_NAMES.into_iter().zip(CHANNEL_UNITS).chain([(STATE, "")]);
+    let of_body = |name: &String| {
+        let column = |(channel, unit): (&str, &str)| SampledColumn {
+            name: format!("{name}.{channel}"),
+            unit: unit.to_owned(),
+            description: if channel == STATE { ABOUT_STATE } else { "" }.to_owned(),
+        };
+        channels.clone().map(column).collect::<Vec<_>>()
+    };
+    body_names(info).iter().flat_map(of_body).collect()
 }
 
 fn plate_columns(plates: &[ForcePlate]) -> Vec<SampledColumn> {

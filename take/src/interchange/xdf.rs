@@ -1,10 +1,16 @@
 //! XDF, the recording format of Lab Streaming Layer (github.com/sccn/xdf, version 1.0): interleaved chunks of streams,
 //! each with an XML header. Positions are a stream of the type `MoCap`, events one of the type `Markers`, analog channels
-//! one of the type `Analog`, the loads of force plates one of the type `Force`.
+//! one of the type `Analog`, the loads of force plates one of the type `Force`, and poses of rigid bodies another one of
+//! the type `MoCap`.
 
 use std::io::{self, Write};
 
-use super::{Result, check_frame_count, sampled_table::SampledTable, text::column_labels};
+use super::{
+    Result, check_frame_count,
+    frame_poses::BODY_COLUMNS,
+    sampled_table::{SampledColumn, SampledKind, SampledTable},
+    text::column_labels,
+};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
 /// Chunk tags.
@@ -63,7 +69,7 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     Ok(out.flush()?)
 }
 
-/// A stream of analog channels, or of the loads of force plates.
+/// A stream of analog channels, of the loads of force plates, or of poses.
 struct SampledStream<'a> {
     table: SampledTable<'a>,
     samples: SampleChunk,
@@ -242,20 +248,53 @@ fn motion_header(info: &MotionInfo) -> String {
     )
 }
 
+/// The types of a body's channels: those of the metadata convention of motion capture, in which A is the real part of a
+/// quaternion, and two of our own.
+const BODY_TYPES: [&str; BODY_COLUMNS] = [
+    "PositionX",
+    "PositionY",
+    "PositionZ",
+    "OrientationA",
+    "OrientationB",
+    "OrientationC",
+    "OrientationD",
+    "Residual",
+    "State",
+];
+
+/// The channels of a stream of poses, which name their bodies.
+fn body_channels(table: &SampledTable<'_>) -> String {
+    let channel = |(column, of_body): (&SampledColumn, &str)| {
+        let body = column.name.rsplit_once('.').map_or("", |(body, _)| body);
+        let [label, body] = [&column.name, body].map(escaped);
+        let unit = match column.unit.as_str() {
+            "mm" => "millimeters",
+            _ if of_body == "State" => "none",
+            _ => "quaternion",
+        };
+        format!(
+            "<channel><label>{label}</label><object>{body}</object><type>{of_body}</type><unit>{unit}</unit></channel>"
+        )
+    };
+    table.columns().iter().zip(BODY_TYPES.into_iter().cycle()).map(channel).collect()
+}
+
 /// The header of a stream of sampled channels.
 fn sampled_header(table: &SampledTable<'_>) -> String {
-    let kind = if table.kind().is_of_plates() { "Force" } else { "Analog" };
+    let kind = match table.kind() {
+        SampledKind::Poses => "MoCap",
+        SampledKind::ForcePlates(_) => "Force",
+        SampledKind::Analog | SampledKind::Group(_) => "Analog",
+    };
     let name = format!("mocapd {}", table.kind().name().replace('_', " "));
-    let channels: String = table
-        .columns()
-        .iter()
-        .map(|column| {
-            let [label, unit] = [&column.name, &column.unit].map(|text| escaped(text));
-            format!(
-                "<channel><label>{label}</label><type>{kind}</type><unit>{unit}</unit></channel>"
-            )
-        })
-        .collect();
+    let channel = |column: &SampledColumn| {
+        let [label, unit] = [&column.name, &column.unit].map(|text| escaped(text));
+        format!("<channel><label>{label}</label><type>{kind}</type><unit>{unit}</unit></channel>")
+    };
+    let channels = match table.kind() {
+        SampledKind::Poses => body_channels(table),
+        _ => table.columns().iter().map(channel).collect(),
+    };
     format!(
         "<?xml version=\"1.0\"?><info><name>{name}</name><type>{kind}</type><channel_count>{}</channel_count>\
          <nominal_srate>{}</nominal_srate><channel_format>float32</channel_format><source_id>{name}</source_id>\

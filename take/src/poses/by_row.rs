@@ -16,11 +16,15 @@ use crate::{
 };
 
 /// Most rows with the time of an anchor that are remembered, in 96 MiB: a recorder writes two anchors in half a second, so
-/// these are those of twelve days.
+/// these are those of twelve days. The rows of later poses count on from these.
 const ANCHORED_ROWS_MAX: usize = 1 << 22;
 
 /// Rows beyond these are in no take: no recorder numbers as many, and sums with numbers of samples must not overflow.
 const ROW_MAX: i64 = 1 << 53;
+
+/// Most epochs of the clock in which rows with the time of an anchor are counted: a clock that begins again at equal times
+/// does so a few times, and a few bytes can claim that it always does.
+const EPOCHS_COUNTED: usize = 16;
 
 /// A rigid body of a take.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -33,7 +37,7 @@ pub struct PoseBody {
 
 /// Samples of a group that follow each other, as their rows do.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Piece {
+struct RowPiece {
     numbers: Range<u64>,
     /// The row of the first of them.
     first_row: u64,
@@ -41,7 +45,7 @@ struct Piece {
     is_exact: bool,
 }
 
-impl Piece {
+impl RowPiece {
     /// The row after the last one.
     fn end_row(&self) -> u64 {
         self.first_row + (self.numbers.end - self.numbers.start)
@@ -101,40 +105,52 @@ impl RowTimes {
         Ok(Self { anchored, clock, tick_hz })
     }
 
-    /// The rows that have the time of an anchor: one in each epoch at most.
-    fn rows_at(&self, anchor: &SampleAnchor) -> impl Iterator<Item = &AnchoredRow> {
+    /// The rows that have the time of an anchor, from an epoch on: one in each epoch at most.
+    fn rows_from(&self, anchor: &SampleAnchor, epoch: usize) -> impl Iterator<Item = &AnchoredRow> {
         let ticks = anchor.device_ticks;
-        let from = self.anchored.partition_point(|found| found.ticks < ticks);
+        let is_before = |found: &AnchoredRow| (found.ticks, found.epoch) < (ticks, epoch);
+        let from = self.anchored.partition_point(is_before);
         let rest = self.anchored.get(from..).unwrap_or_default().iter();
         rest.take_while(move |found| found.ticks == ticks)
     }
 
-    /// The epoch of a run: the one whose rows have most of its times. `nearest` is the one that the places of the blocks in
-    /// the file tell; it decides between equal ones, as the clock may have counted alike before and after it began again.
-    fn epoch_of(&self, run: &[SampleAnchor], nearest: Option<usize>) -> Option<usize> {
+    /// The row that has the time of an anchor in an epoch.
+    fn row_in(&self, anchor: &SampleAnchor, epoch: usize) -> Option<u64> {
+        self.rows_from(anchor, epoch).next().filter(|found| found.epoch == epoch).map(|of| of.row)
+    }
+
+    /// The epoch of a run, not before the epoch `from`: `nearest`, which the places of the blocks in the file tell, unless
+    /// another one has rows with more than twice as many of its times. A clock may count alike before and after it began
+    /// again, and rows are lost in either.
+    fn epoch_of(&self, run: &[SampleAnchor], nearest: Option<usize>, from: usize) -> Option<usize> {
         let mut counts: Vec<(usize, u64)> = Vec::new();
-        for found in run.iter().flat_map(|anchor| self.rows_at(anchor)) {
-            match counts.iter_mut().find(|(epoch, _)| *epoch == found.epoch) {
-                Some((_, n)) => *n += 1,
-                None => counts.push((found.epoch, 1)),
+        let of_nearest = nearest.filter(|nearest| *nearest >= from).map_or(0, |nearest| {
+            run.iter().filter(|anchor| self.row_in(anchor, nearest).is_some()).count() as u64
+        });
+        for anchor in run {
+            for found in self.rows_from(anchor, from).take(EPOCHS_COUNTED) {
+                match counts.iter().position(|(epoch, _)| *epoch == found.epoch) {
+                    Some(at) => counts[at].1 += 1,
+                    None if counts.len() < EPOCHS_COUNTED => counts.push((found.epoch, 1)),
+                    None => {}
+                }
             }
         }
-        let most = counts.iter().map(|(_, n)| *n).max();
-        let mut best = counts.iter().filter(|(_, n)| Some(*n) == most).map(|(epoch, _)| *epoch);
-        match nearest {
-            Some(nearest) if best.clone().any(|epoch| epoch == nearest) => Some(nearest),
-            _ => best.next().or(nearest),
+        let most = counts.iter().map(|(_, n)| *n).max().unwrap_or(0);
+        if nearest.is_some_and(|nearest| nearest >= from) && 2 * of_nearest >= most {
+            return nearest;
         }
+        counts.iter().find(|(_, n)| *n == most).map(|(epoch, _)| *epoch)
     }
 
     /// The samples of a group whose rows are in the take.
-    fn pieces(&self, samples: &GroupSamples, n_rows: u64) -> Vec<Piece> {
+    fn pieces(&self, samples: &GroupSamples, n_rows: u64) -> Vec<RowPiece> {
         let nearest = epochs_of(samples, &self.clock, self.tick_hz);
         let nearest_of = |start: u64| {
             let found = nearest.binary_search_by_key(&start, |(start, _)| *start).ok();
             found.and_then(|at| nearest.get(at)?.1)
         };
-        let mut pieces: Vec<Piece> = Vec::new();
+        let (mut pieces, mut from): (Vec<RowPiece>, usize) = (Vec::new(), 0);
         let mut runs = samples.anchors().chunk_by(|a, b| a.run_start == b.run_start).peekable();
         while let Some(run) = runs.next() {
             let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
@@ -143,7 +159,9 @@ impl RowTimes {
             let block = samples.block_of(last.number);
             let end = block.map_or(last.number + 1, |block| block.end);
             let end = next.map_or(end, |next| next.min(end));
-            let Some(epoch) = self.epoch_of(run, nearest_of(first.run_start)) else { continue };
+            let nearest = nearest_of(first.run_start);
+            let Some(epoch) = self.epoch_of(run, nearest, from) else { continue };
+            from = epoch;
             self.add_run(samples, (run, end), epoch, &mut pieces);
         }
         in_order(pieces, n_rows)
@@ -155,11 +173,11 @@ impl RowTimes {
         samples: &GroupSamples,
         (run, end): (&[SampleAnchor], u64),
         epoch: usize,
-        pieces: &mut Vec<Piece>,
+        pieces: &mut Vec<RowPiece>,
     ) {
         let exact = run.iter().filter_map(|anchor| {
-            let found = self.rows_at(anchor).find(|found| found.epoch == epoch)?;
-            Some((anchor, i64::try_from(found.row).ok().filter(|row| *row <= ROW_MAX)?))
+            let row = self.row_in(anchor, epoch)?;
+            Some((anchor, i64::try_from(row).ok().filter(|row| *row <= ROW_MAX)?))
         });
         let mut known: Vec<(&SampleAnchor, i64)> = exact.collect();
         let is_exact = !known.is_empty();
@@ -171,6 +189,7 @@ impl RowTimes {
             }));
         }
         let mut start = run.first().map_or(end, |first| first.run_start);
+        let of_others = pieces.len();
         let ends = known.iter().skip(1).map(|(anchor, _)| anchor.number).chain([end]);
         for ((anchor, row), end) in known.iter().zip(ends) {
             let row_of_start = row - (anchor.number as i64 - start as i64);
@@ -178,24 +197,20 @@ impl RowTimes {
             let before = row_of_start.min(0).unsigned_abs().min(end.saturating_sub(start));
             let (numbers, first_row) = (start + before..end, row_of_start.max(0).cast_unsigned());
             start = end.max(start);
-            match pieces.last_mut() {
-                Some(last)
-                    if last.numbers.end == numbers.start
-                        && last.end_row() == first_row
-                        && last.is_exact == is_exact =>
-                {
+            match pieces.get_mut(of_others..).and_then(<[RowPiece]>::last_mut) {
+                Some(last) if last.numbers.end == numbers.start && last.end_row() == first_row => {
                     last.numbers.end = numbers.end;
                 }
                 _ if numbers.is_empty() => {}
-                _ => pieces.push(Piece { numbers, first_row, is_exact }),
+                _ => pieces.push(RowPiece { numbers, first_row, is_exact }),
             }
         }
     }
 }
 
 /// Pieces whose rows ascend, and are in the take: of two that have the same rows the exact one keeps them, else the first.
-fn in_order(pieces: Vec<Piece>, n_rows: u64) -> Vec<Piece> {
-    let mut kept: Vec<Piece> = Vec::with_capacity(pieces.len());
+fn in_order(pieces: Vec<RowPiece>, n_rows: u64) -> Vec<RowPiece> {
+    let mut kept: Vec<RowPiece> = Vec::with_capacity(pieces.len());
     for mut piece in pieces {
         piece.end_before(n_rows);
         if piece.is_exact && !piece.is_empty() {
@@ -207,7 +222,7 @@ fn in_order(pieces: Vec<Piece>, n_rows: u64) -> Vec<Piece> {
                 kept.pop();
             }
         }
-        piece.begin_at(kept.last().map_or(0, Piece::end_row));
+        piece.begin_at(kept.last().map_or(0, RowPiece::end_row));
         if !piece.is_empty() {
             kept.push(piece);
         }
@@ -219,7 +234,7 @@ fn in_order(pieces: Vec<Piece>, n_rows: u64) -> Vec<Piece> {
 struct GroupByRow {
     samples: GroupSamples,
     /// In ascending order of numbers and rows.
-    pieces: Vec<Piece>,
+    pieces: Vec<RowPiece>,
 }
 
 /// Where the poses of a take are among its rows: an index that is read once and then serves any rows.
@@ -277,14 +292,13 @@ impl PosesByRow {
         self.groups.iter().map(of_group).sum()
     }
 
-    /// The sample of a group that belongs to a row, by the group's place among those of poses; `None` if none does. It may
-    /// be lost.
-    #[must_use]
-    pub fn number_of(&self, group: usize, row: u64) -> Option<u64> {
+    /// The samples of a run of a group, by the group's place among those of poses, that belong to rows one after another of
+    /// which `row` is one, and these rows; `None` if no sample belongs to it, or it is only the nearest one.
+    pub(crate) fn piece_at(&self, group: usize, row: u64) -> Option<(Range<u64>, Range<u64>)> {
         let pieces = &self.groups.get(group)?.pieces;
         let at = pieces.partition_point(|piece| piece.end_row() <= row);
-        let piece = pieces.get(at).filter(|piece| piece.first_row <= row)?;
-        Some(piece.numbers.start + (row - piece.first_row))
+        let piece = pieces.get(at).filter(|piece| piece.first_row <= row && piece.is_exact)?;
+        Some((piece.numbers.clone(), piece.first_row..piece.end_row()))
     }
 
     /// The first sample of a group that belongs to this row or to one after it; `None` behind the last one.
@@ -300,14 +314,14 @@ impl PosesByRow {
     #[must_use]
     pub fn rows(&self, rows: Range<u64>) -> RowPoses<'_> {
         let rows = rows.start.min(self.n_rows)..rows.end.min(self.n_rows);
-        let groups = self.groups.iter().map(|group| Cursor::new(group, rows.start));
+        let groups = self.groups.iter().map(|group| GroupCursor::new(group, rows.start));
         RowPoses { groups: groups.collect(), n_bodies: self.bodies.len(), rows }
     }
 }
 
 /// A group that is read row by row.
-struct Cursor<'a> {
-    pieces: &'a [Piece],
+struct GroupCursor<'a> {
+    pieces: &'a [RowPiece],
     poses: PoseReader,
     n_bodies: usize,
     reader: GroupReader<'a>,
@@ -318,11 +332,11 @@ struct Cursor<'a> {
     is_at_end: bool,
 }
 
-impl<'a> Cursor<'a> {
+impl<'a> GroupCursor<'a> {
     fn new(group: &'a GroupByRow, row: u64) -> Self {
         let at = group.pieces.partition_point(|piece| piece.end_row() <= row);
         let pieces = group.pieces.get(at..).unwrap_or_default();
-        let of_piece = |piece: &Piece| piece.numbers.start + row.saturating_sub(piece.first_row);
+        let of_piece = |piece: &RowPiece| piece.numbers.start + row.saturating_sub(piece.first_row);
         Self {
             reader: group.samples.reader_from(pieces.first().map_or(0, of_piece)),
             poses: PoseReader::new(&group.samples.group),
@@ -399,7 +413,7 @@ impl<'a> Cursor<'a> {
 
 /// The poses of some rows, one range after another.
 pub struct RowPoses<'a> {
-    groups: Vec<Cursor<'a>>,
+    groups: Vec<GroupCursor<'a>>,
     n_bodies: usize,
     /// Those that were not returned yet.
     rows: Range<u64>,

@@ -14,6 +14,7 @@ use std::{
 use super::{GroupReader, GroupSamples, RecordingClock, SampleRun, SampleTimeLine};
 use crate::{
     TakeError, TakeMap,
+    poses::{Pose, PoseBody, PoseTurn, PosesByRow, RowPoses},
     record::{RecordedPlate, SampledChannel},
 };
 
@@ -41,6 +42,7 @@ type FoundNumbers = (RowsOfGroup, Arc<[Range<u64>]>);
 /// What all copies of a recording share.
 struct Shared {
     line: SampleTimeLine,
+    poses: Option<PosesByRow>,
     rate_hz: f64,
     n_rows: u64,
     first_frame: u64,
@@ -49,10 +51,12 @@ struct Shared {
     found: Mutex<Vec<FoundNumbers>>,
 }
 
-/// The sampled channels of a recording, and its force plates.
+/// The sampled channels of a recording, its force plates, and the poses of its rigid bodies.
 #[derive(Clone)]
 pub struct Recording {
     shared: Arc<Shared>,
+    /// The rotation of the poses, if the laboratory was rotated.
+    turn: Option<PoseTurn>,
     plates: Vec<RecordedPlate>,
     warnings: Vec<String>,
     resamples: bool,
@@ -70,12 +74,13 @@ impl PartialEq for Recording {
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.shared, &other.shared)
             && self.plates == other.plates
+            && self.turn == other.turn
             && self.resamples == other.resamples
     }
 }
 
 impl Recording {
-    /// The sampled channels of a take, whose file `input` reads; `None` if it has none.
+    /// The sampled channels and poses of a take, whose file `input` reads; `None` if it has none.
     ///
     /// # Errors
     /// Those of [`SampleTimeLine::read`].
@@ -83,20 +88,22 @@ impl Recording {
         map: &TakeMap,
         mut input: impl Read + Seek + Send + 'static,
     ) -> Result<Option<Self>, TakeError> {
-        if map.recorded_groups().next().is_none() {
+        if map.sample_groups().next().is_none() {
             return Ok(None);
         }
         let line = SampleTimeLine::read(&mut input, map)?;
+        let poses = PosesByRow::read(&mut input, map)?;
         let (plates, warnings) = map.force_plates();
         let shared = Arc::new(Shared {
             line,
+            poses,
             rate_hz: map.header.rate_hz,
             n_rows: map.n_rows,
             first_frame: map.header.source.as_ref().map_or(1, |source| source.first_frame),
             input: Mutex::new(Box::new(input)),
             found: Mutex::default(),
         });
-        Ok(Some(Self { shared, plates, warnings, resamples: false }))
+        Ok(Some(Self { shared, turn: None, plates, warnings, resamples: false }))
     }
 
     /// The same, for an export that may resample channels where the format needs it.
@@ -111,16 +118,33 @@ impl Recording {
         self.resamples
     }
 
-    /// The force plates in the axes after a rotation.
+    /// The force plates and poses in the axes after a rotation.
     pub(crate) fn turned(&self, turned: impl Fn([f64; 3]) -> [f64; 3] + Copy) -> Self {
         let mut all = self.clone();
         for plate in &mut all.plates {
             plate.geometry = plate.geometry.turned(turned);
         }
+        all.turn = Some(match self.turn {
+            Some(before) => PoseTurn::new(|vector| turned(before.vector(vector))),
+            None => PoseTurn::new(turned),
+        });
         all
     }
 
-    /// The groups, in order of their numbers.
+    /// The rigid bodies; none if the recording has no poses.
+    #[must_use]
+    pub fn bodies(&self) -> &[PoseBody] {
+        self.shared.poses.as_ref().map_or(&[], PosesByRow::bodies)
+    }
+
+    /// The poses of all bodies in these rows.
+    #[must_use]
+    pub fn poses(&self, rows: Range<u64>) -> RecordedPoses<'_> {
+        let poses = self.shared.poses.as_ref().map(|poses| poses.rows(rows));
+        RecordedPoses { recording: self, poses }
+    }
+
+    /// The groups of scalar channels, in order of their numbers.
     #[must_use]
     pub fn groups(&self) -> &[GroupSamples] {
         self.shared.line.groups()
@@ -272,6 +296,29 @@ impl Recording {
             next_range: 0,
             lost: None,
         }
+    }
+}
+
+/// The poses of some rows of a recording, one range of rows after another.
+#[derive(Debug)]
+pub struct RecordedPoses<'a> {
+    recording: &'a Recording,
+    poses: Option<RowPoses<'a>>,
+}
+
+impl RecordedPoses<'_> {
+    /// Replaces `poses` by those of the next rows, as [`RowPoses::next`]: at most [`RowPoses::ROWS_AT_ONCE`] rows.
+    ///
+    /// # Errors
+    /// Those of reading the take.
+    pub fn next(&mut self, poses: &mut Vec<Pose>) -> io::Result<Option<Range<u64>>> {
+        let Some(of_rows) = &mut self.poses else { return Ok(None) };
+        let mut input = self.recording.shared.input.lock().unwrap_or_else(PoisonError::into_inner);
+        let rows = of_rows.next(&mut &mut **input, RowPoses::ROWS_AT_ONCE, poses);
+        if let Some(turn) = &self.recording.turn {
+            poses.iter_mut().for_each(|pose| *pose = turn.apply(pose));
+        }
+        rows.map_err(io::Error::other)
     }
 }
 

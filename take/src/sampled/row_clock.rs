@@ -15,6 +15,10 @@ const OFF_LINE: f64 = 0.125;
 /// Most knots, in half a GiB: days of a clock that is even. Of rows beyond them only the first of each stretch is kept.
 const KNOTS_MAX: usize = 1 << 25;
 
+/// Most times that a clock begins again: devices are switched off a few times. A few bytes can claim that it does at every
+/// row; rows behind the last one of these have no place for samples.
+const EPOCHS_MAX: usize = 1 << 12;
+
 /// Steps from row to row of which the median is the period of a clock.
 const STEPS_MAX: usize = 1 << 12;
 
@@ -126,6 +130,7 @@ impl RowClock {
                 };
                 match open.as_mut().filter(|of| ascends(of)) {
                     Some(of) => of.push(next, is_first),
+                    None if epochs.len() + 1 >= EPOCHS_MAX => continue,
                     None => {
                         let ended = open.take().map(EpochBuilder::finish);
                         n_knots += ended.as_ref().map_or(0, |epoch| epoch.knots.len());

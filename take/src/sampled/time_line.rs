@@ -87,9 +87,10 @@ impl SampleTimeLine {
     /// # Errors
     /// Those of [`RowClock::read`].
     pub fn read(input: impl Read + Seek, map: &TakeMap) -> Result<Self, TakeError> {
-        let clock = RowClock::read(input, map)?;
-        let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
         let groups: Vec<GroupSamples> = map.recorded_groups().cloned().collect();
+        let has_groups = !groups.is_empty();
+        let clock = if has_groups { RowClock::read(input, map)? } else { RowClock::default() };
+        let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
         let places = groups.iter().map(|samples| GroupPlaces {
             anchors: ascending(samples, tick_hz),
             epochs: epochs_of(samples, &clock, tick_hz),

@@ -4,14 +4,17 @@ use std::io::Cursor;
 
 use mocapd_codec::Position;
 use mocapd_take::{
-    ChannelOrder, TakeError, TakeEvent, TakeFrames,
+    ChannelOrder, TakeError, TakeEvent, TakeFrames, TakeMap,
     motion::{Foreign, FrameSource},
+    poses::{Pose, PoseState, PosesByRow, RowPoses},
     reader::read_events,
-    record::{Channel, Event, Ledger, SampledGroup},
+    record::{Channel, Event, GroupLedger, Ledger, SampledGroup},
     statistics::TakeStatistics,
     stretch::{Stretch, StretchDecoder},
     timeline::{LossCauses, RowTime},
 };
+
+use super::text::digest;
 
 /// The decoded content of a take.
 #[derive(Debug, Default)]
@@ -34,6 +37,8 @@ pub(crate) struct Decoded {
     /// The statistics as the take states them.
     pub(crate) statistics: Option<TakeStatistics>,
     pub(crate) groups: Vec<SampledGroup>,
+    /// Of a recording: the content of its groups, of the ledger of samples, and the poses by row; see `text.rs`.
+    pub(crate) recorded: Vec<String>,
     /// The foreign parts that are stored as groups.
     pub(crate) parts: Vec<Foreign>,
 }
@@ -69,7 +74,8 @@ impl Decoded {
                 }
                 TakeEvent::Footer(footer) => assert_eq!(footer.n_rows, found.n_rows),
                 TakeEvent::SampledGroup(group) => found.groups.push(*group),
-                TakeEvent::Samples(_) | TakeEvent::Foreign(_) => {}
+                TakeEvent::Samples(_) | TakeEvent::SampleTimes(_) => {}
+                TakeEvent::SampleLedger(_) | TakeEvent::Foreign(_) => {}
                 TakeEvent::End { finished, .. } => assert!(finished),
                 other => panic!("{other:?}"),
             }
@@ -77,6 +83,7 @@ impl Decoded {
         })?;
         let frames = TakeFrames::open_with(Cursor::new(take), |_| true, || unreachable!())?;
         assert_eq!(frames.problems(), []);
+        found.recorded = recorded(take);
         let is_sampled = |part: &&Foreign| found.groups.iter().any(|group| group.kind == part.kind);
         found.parts = frames.info().foreign.iter().filter(is_sampled).cloned().collect();
         let n_rows = found.n_rows as usize;
@@ -112,4 +119,70 @@ impl Decoded {
             self.stated_mm = self.stated_mm.max(rows.max_error_mm);
         }
     }
+}
+
+/// Of a group each sample, of a body each pose, and of a row the poses of all bodies, as lines.
+fn recorded(take: &[u8]) -> Vec<String> {
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let mut lines = Vec::new();
+    let input = || Cursor::new(take);
+    for group in map.sample_groups() {
+        let (number, width) = (group.group.number, group.group.channels.len());
+        let mut columns = vec![Vec::new(); width];
+        let undecodable = group.read(&mut input(), |_, n, samples| {
+            for (channel, column) in columns.iter_mut().enumerate() {
+                let from = channel * n as usize;
+                let block = samples.map(|samples| &samples[from..from + n as usize]);
+                let bits = |i: usize| block.map_or(f32::NAN, |block| block[i]).to_bits();
+                column.extend((0..n as usize).flat_map(|i| bits(i).to_le_bytes()));
+            }
+            Ok(())
+        });
+        assert_eq!(undecodable.unwrap(), []);
+        let n = columns.first().map_or(0, |column| column.len() / 4);
+        lines.push(format!(
+            "samples of group {number}: {n}, {}",
+            digest(columns.concat().into_iter())
+        ));
+    }
+    for group in map.pose_groups() {
+        let (mut bytes, n_bodies) = (Vec::new(), group.group.bodies().count());
+        let undecodable = group.read_poses(&mut input(), |_, n, poses| {
+            let lost = vec![Pose::without(PoseState::Missing); n as usize * n_bodies];
+            poses.unwrap_or(&lost).iter().for_each(|pose| put(pose, &mut bytes));
+            Ok(())
+        });
+        assert_eq!(undecodable.unwrap(), []);
+        let number = group.group.number;
+        lines.push(format!("poses of group {number}: {}", digest(bytes.into_iter())));
+    }
+    if let Some(by_row) = PosesByRow::read(input(), &map).unwrap() {
+        let (mut bytes, mut poses) = (Vec::new(), Vec::new());
+        let mut rows = by_row.rows(0..by_row.n_rows());
+        while rows.next(&mut input(), RowPoses::ROWS_AT_ONCE, &mut poses).unwrap().is_some() {
+            poses.iter().for_each(|pose| put(pose, &mut bytes));
+        }
+        lines.push(format!("rows of poses: {}", digest(bytes.into_iter())));
+    }
+    if let Some(ledger) = &map.sample_ledger {
+        lines.push(format!("sample ledger: refused {}", ledger.batches_refused));
+        let of = |group: &GroupLedger| {
+            let counts = [group.taken, group.stored, group.lost(), group.duplicates, group.jumps];
+            let errors = group.errors.map(|of| [of.position_nm, of.angle_nanodegrees]);
+            format!("sample ledger of group {}: {counts:?} {errors:?}", group.group)
+        };
+        lines.extend(ledger.groups.iter().map(of));
+        let (plates, why_not) = map.force_plates();
+        assert_eq!(why_not, [""; 0]);
+        lines.extend(plates.iter().map(|plate| format!("sample ledger: plate {plate:?}")));
+    }
+    lines
+}
+
+/// The number of its state, and eight float32.
+fn put(pose: &Pose, out: &mut Vec<u8>) {
+    out.push(pose.state.code());
+    let numbers = pose.position_mm.into_iter().chain(pose.quaternion).chain([pose.residual_mm]);
+    let bits = numbers.map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() });
+    out.extend(bits.flat_map(u32::to_le_bytes));
 }

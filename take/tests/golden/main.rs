@@ -16,6 +16,7 @@
 mod decoded;
 mod folders;
 mod motion;
+mod poses;
 mod recording;
 mod sampled;
 mod takes;

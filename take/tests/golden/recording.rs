@@ -3,7 +3,7 @@
 use mocapd_codec::GROUP_CHANNELS;
 use mocapd_take::{
     TakeWriter,
-    record::{ClockFit, Device, Event, EventKind, Header, Ledger},
+    record::{ClockFit, Device, Event, EventKind, Header, Ledger, StatedPlate},
     statistics::{BlockTally, StretchTally},
     stretch::{Span, StretchHeaderWriter, put_block},
     timeline::{Timeline, TimelineEncoder},
@@ -11,6 +11,7 @@ use mocapd_take::{
 
 use super::{
     motion::{Column, markers},
+    poses::{self, SampledParts},
     takes::{Golden, Written, channel, encode},
     times::{PLANS, STRETCH_ROWS, TICK_HZ, n_rows, timelines},
 };
@@ -43,7 +44,14 @@ impl Golden {
 
         let settings = self.settings();
         let mut groups = [settings.encoder(), settings.encoder()];
+        let mut header = header;
+        let tolerance = (!settings.kind.is_lossless()).then_some(settings.tolerance);
+        let mut sampled = self.has_poses().then(|| SampledParts::new(tolerance));
+        if sampled.is_some() {
+            header.settings = poses::plates().iter().map(StatedPlate::setting).collect();
+        }
         let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
+        sampled.iter().for_each(|sampled| sampled.begin(&mut take));
         let times = TimelineEncoder::new(TICK_HZ, header.rate_hz);
         let mut front = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
         let mut ledger = Ledger::default();
@@ -75,6 +83,9 @@ impl Golden {
                 ledger.samples_present += n;
             }
             take.stretch(span, &payload, &StretchTally::of(&all)).unwrap();
+            if let Some(sampled) = &mut sampled {
+                sampled.stretch(i, timeline, &mut take);
+            }
             add_counts(&mut ledger, timeline, if alone { early } else { self.n_markers });
             if i == 0 {
                 let contradictions = vec!["a counter that jumped".to_owned()];
@@ -89,6 +100,7 @@ impl Golden {
             residual_us: 0.1,
             n_fitted: ledger.recorded,
         });
+        sampled.iter().for_each(|sampled| sampled.finish(&mut take));
         timelines.retain(|timeline| timeline.n_rows() > 0);
         let places = (0..early).chain(GROUP_CHANNELS..GROUP_CHANNELS + LATE);
         let (bytes, _) = take.finish(&ledger).unwrap();

@@ -40,7 +40,7 @@ pub(crate) struct Written {
 }
 
 /// All golden takes, with as many markers as keep them small in total.
-pub(crate) const GOLDENS: [Golden; 11] = [
+pub(crate) const GOLDENS: [Golden; 13] = [
     Golden {
         name: "dense-0.1mm",
         resampler: "dense",
@@ -129,6 +129,22 @@ pub(crate) const GOLDENS: [Golden; 11] = [
         has_samples: true,
         is_ordered: false,
     },
+    Golden {
+        name: "poses-0.5mm",
+        resampler: "dense",
+        tolerance_mm: 0.5,
+        n_markers: 4,
+        has_samples: false,
+        is_ordered: false,
+    },
+    Golden {
+        name: "poses-lossless",
+        resampler: "lossless",
+        tolerance_mm: 0.0,
+        n_markers: 3,
+        has_samples: false,
+        is_ordered: false,
+    },
 ];
 
 /// An import whose first stretch is its only key, of the version for that.
@@ -155,6 +171,11 @@ impl Golden {
     pub(crate) fn file(&self) -> String {
         // Not .take: git ignores that extension, because recordings never belong here.
         format!("{}.mtake", self.name)
+    }
+
+    /// Whether it has poses of rigid bodies, and force plates.
+    pub(crate) fn has_poses(&self) -> bool {
+        self.name.starts_with("poses")
     }
 
     pub(crate) fn settings(&self) -> Settings {

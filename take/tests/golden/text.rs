@@ -34,6 +34,7 @@ impl Decoded {
             line(format!("lost from row {row}: {n_rows}, causes {}", causes.0));
         }
         self.groups.iter().for_each(|group| line(of_group(group)));
+        self.recorded.iter().for_each(|item| line(item.clone()));
         for part in &self.parts {
             let bytes = part.data.to_vec(u64::MAX).unwrap().unwrap();
             line(format!(
@@ -60,7 +61,10 @@ pub(crate) const PREFACE: &str = "\
 # - the times: for every recorded row its number, device ticks and arrival in 10 us (u64), and five bytes:
 #   1 and the timecode, or zeros;
 # - the channels of a group: for each a line of its name, unit, index, scale and offset, with spaces between;
-# - a part: its block of columns (docs/foreign.md).
+# - a part: its block of columns (docs/foreign.md);
+# - the samples of a group: by channel the bits of each sample, 7fc00000 for a lost one;
+# - the poses of a group: for each sample and body the number of its state in outputs (docs/poses.md) and eight float32, with
+#   7fc00000 for every NaN; the rows of poses: the same for each row of the take and all bodies.
 # Events and ledgers have the fields of docs/take-format.md, in order.
 ";
 
@@ -139,7 +143,7 @@ fn of_times(times: &[(u64, RowTime)]) -> String {
     }))
 }
 
-fn digest(bytes: impl Iterator<Item = u8>) -> String {
+pub(super) fn digest(bytes: impl Iterator<Item = u8>) -> String {
     let hash = Sha256::digest(bytes.collect::<Vec<_>>());
     hash.iter().take(8).fold(String::new(), |digits, byte| digits + &format!("{byte:02x}"))
 }

@@ -10,6 +10,8 @@ mod events;
 mod forces;
 mod hostile;
 #[cfg(test)]
+mod poses;
+#[cfg(test)]
 mod recorded;
 mod restored;
 mod round_trip;

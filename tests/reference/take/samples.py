@@ -2,6 +2,7 @@
 channels", and docs/foreign.md."""
 
 import math
+import struct
 import zlib
 from dataclasses import dataclass
 
@@ -13,6 +14,9 @@ from .sampled import SampledDecoder, is_finite
 KEY, LOST = 1, 2
 FLOAT32, INT16, UINT16 = range(3)
 NAN = 0x7FC00000
+POSES = "poses"
+# States of poses in outputs.
+OTHER, MISSING = 3, 253
 ROWS_MAX, SAMPLES_MAX = 1 << 17, 1 << 20
 
 
@@ -90,6 +94,33 @@ def read_samples(payload, groups):
         group.read(head == KEY, first, n, cursor.rest())
     else:
         raise Corrupt("samples of an unknown form")
+
+
+def poses(group):
+    """The poses of a group, docs/poses.md: for each sample and body the number of its state in outputs, and eight float32."""
+    number = struct.Struct("<f")
+    value = lambda bits: number.unpack(bits.to_bytes(4, "little"))[0]
+    is_nan = lambda bits: bits & 0x7FFFFFFF > 0x7F800000
+    for numbers in zip(*group.samples):
+        for first in range(0, len(numbers), 8):
+            body = numbers[first : first + 8]
+            if body[0] is None:
+                yield bytes([MISSING]) + NAN.to_bytes(4, "little") * 8
+                continue
+            code = body[7] - NAN if NAN < body[7] < NAN + 256 else 0
+            turn = [value(bits) for bits in body[3:7]]
+            if not code and group.bounds:
+                w, x, y, z = turn
+                length = math.sqrt((w * w + x * x) + (y * y + z * z))
+                turn = [value(int.from_bytes(number.pack(q / length), "little")) for q in turn] if length else [math.nan] * 4
+            finite = all(map(math.isfinite, turn)) and all(is_finite(bits) for bits in body[:3])
+            if code or not finite:
+                state = code if code in (1, 2, 254, 255) else OTHER
+                yield bytes([state]) + NAN.to_bytes(4, "little") * 8
+                continue
+            residual = NAN if is_nan(body[7]) else body[7]
+            words = [*body[:3], *(int.from_bytes(number.pack(q), "little") for q in turn), residual]
+            yield b"\0" + b"".join(word.to_bytes(4, "little") for word in words)
 
 
 def integer(bits, form):

@@ -44,7 +44,7 @@ pub fn check_repacked(
         return Ok(Some(format!("the {} differ", difference.field)));
     }
     // A joined take may have other runs of samples, and other segments of the clock; a repacked one has the same.
-    let pairs = source.map().recorded_groups().zip(found.map().recorded_groups());
+    let pairs = source.map().sample_groups().zip(found.map().sample_groups());
     if pairs.into_iter().any(|(a, b)| a.anchors() != b.anchors()) {
         return Ok(Some("the times of sampled channels differ".to_owned()));
     }

@@ -1,5 +1,7 @@
 //! The 512-byte header of a C3D file, and the number formats of the three processor types.
 
+use crate::motion::MotionInfo;
+
 /// Bytes of a block, in which C3D counts offsets.
 pub(super) const BLOCK: usize = 512;
 /// The value of header word 150 if event labels have four characters.
@@ -174,6 +176,14 @@ fn vax_f_float([b0, b1, b2, b3]: [u8; 4]) -> f32 {
     let fraction = f64::from(bits & 0x007F_FFFF | 0x0080_0000) / f64::from(1 << 24);
     let magnitude = fraction * f64::from(exponent - 128).exp2();
     (if negative { -magnitude } else { magnitude }) as f32
+}
+
+/// Whether a reader counts the frames by the length of the file and so would read padding as frames. ezc3d does if
+/// POINT:FRAMES is 65535, which stands for every larger count; py-c3d does if the number of the first frame exceeds 16
+/// bits, because it then computes that number one too low and expects one frame more.
+pub(super) fn is_counted_by_length(info: &MotionInfo) -> bool {
+    let max = u64::from(u16::MAX);
+    info.n_frames >= max || info.source.first_frame > max
 }
 
 #[cfg(test)]

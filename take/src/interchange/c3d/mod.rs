@@ -18,6 +18,7 @@ mod parameter_values;
 mod parameters;
 mod read;
 mod recorded;
+mod rotations;
 pub(crate) mod sample_parts;
 mod sampled_channels;
 mod stride;

@@ -440,6 +440,13 @@ impl Parameters {
         Ok(())
     }
 
+    /// Removes a group with its parameters.
+    pub(super) fn remove_group(&mut self, group: &str) {
+        let Some(id) = self.group_id(group) else { return };
+        self.groups.retain(|group| group.id != id);
+        self.parameters.retain(|parameter| parameter.group != id);
+    }
+
     /// Removes NAME and its continuations NAME2, NAME3...
     pub(super) fn remove_list(&mut self, group: &str, name: &str) {
         let Some(id) = self.group_id(group) else { return };

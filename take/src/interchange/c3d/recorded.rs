@@ -10,6 +10,7 @@ use super::{
     analog::ANALOG,
     force_platform::{FORCE_PLATFORM, factor_of_unit},
     parameters::Parameters,
+    rotations::Rotations,
     stride::ANALOG_MAX,
 };
 use crate::{
@@ -144,6 +145,14 @@ impl RecordedPlan {
             };
             n_channels += more;
             plan.groups.push((index, placement));
+        }
+        let frame_bytes = 16 * info.markers.len() as u64 + 4 * (ratio * n_channels) as u64;
+        if !recording.bodies().is_empty() && Rotations::of(info, frame_bytes).is_none() {
+            let part_s = (Rotations::frames_max(frame_bytes) as f64 / info.rate_hz).floor();
+            plan.left_out.push(format!(
+                "the poses of rigid bodies: in C3D they begin within the first 16 MiB; --from and --to export them in \
+                 parts of up to {part_s} s"
+            ));
         }
         plan
     }

@@ -8,9 +8,10 @@ use super::{
     foreign::{PartSamples, kept_parameters},
     frames::is_missing,
     gap_coordinates::PartCoordinates,
-    header::{BLOCK, C3dHeader},
+    header::{BLOCK, C3dHeader, is_counted_by_length},
     parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records},
     recorded::RecordedAnalog,
+    rotations::{ROTATION, Rotations},
 };
 use crate::{
     interchange::{InterchangeError, Result, check_frame_count, write_frames},
@@ -27,10 +28,16 @@ pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     let mut body = Body::new(&info, &parameters)?;
     fill_parameters(&mut parameters, &info, &mut body)?;
     set_header(&mut header, &parameters, &info, &body);
-    let leading_blocks = leading_blocks(header, parameters)?;
-    // The file is padded to whole blocks, unless a reader counts the frames by its length.
+    let rotations = body.rotations.take();
+    let leading_blocks = leading_blocks(header, parameters, rotations.as_ref())?;
     let mut n_bytes = leading_blocks.len() as u64;
-    let n_written = write_frames(frames, out, leading_blocks, |buffer, _, row| {
+    out.write_all(&leading_blocks)?;
+    if let Some(rotations) = rotations.as_ref().filter(|rotations| !rotations.is_behind()) {
+        rotations.write(out)?;
+        n_bytes += rotations.n_bytes();
+    }
+    // The file is padded to whole blocks, unless a reader counts the frames by its length.
+    let n_written = write_frames(frames, out, Vec::new(), |buffer, _, row| {
         let before = buffer.len();
         body.push_frame(row, buffer)?;
         n_bytes += (buffer.len() - before) as u64;
@@ -40,17 +47,12 @@ pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     if !is_counted_by_length(&info) {
         let padding = n_bytes.next_multiple_of(BLOCK as u64) - n_bytes;
         out.write_all(&[0; BLOCK][..padding as usize])?;
+        if let Some(rotations) = rotations.filter(Rotations::is_behind) {
+            rotations.write(out)?;
+        }
         out.flush()?;
     }
     Ok(body.recorded.map(|all| all.remarks()).unwrap_or_default())
-}
-
-/// Whether a reader counts the frames by the length of the file and so would read padding as frames. ezc3d does if
-/// POINT:FRAMES is 65535, which stands for every larger count; py-c3d does if the number of the first frame exceeds 16
-/// bits, because it then computes that number one too low and expects one frame more.
-fn is_counted_by_length(info: &MotionInfo) -> bool {
-    let max = u64::from(u16::MAX);
-    info.n_frames >= max || info.source.first_frame > max
 }
 
 /// The labels of all points of the written file.
@@ -119,6 +121,11 @@ fn fill_parameters(
         && recorded.n_channels() > 0
     {
         recorded.fill_parameters(parameters, recording)?;
+    }
+    match &body.rotations {
+        Some(rotations) => rotations.fill_parameters(parameters)?,
+        // The data of an imported file's section is not kept.
+        None => parameters.remove_group(ROTATION),
     }
     let (ratio, n_channels) = body.analog_shape();
     if n_channels == 0 {
@@ -329,7 +336,11 @@ fn analog_ratio_without_channels(parameters: &Parameters) -> u16 {
 ///
 /// # Errors
 /// `Unsupported` if the section exceeds 255 blocks even so.
-fn leading_blocks(mut header: C3dHeader, mut parameters: Parameters) -> Result<Vec<u8>> {
+fn leading_blocks(
+    mut header: C3dHeader,
+    mut parameters: Parameters,
+    rotations: Option<&Rotations<'_>>,
+) -> Result<Vec<u8>> {
     let mut records = Vec::new();
     encode_records(&parameters, &mut records);
     if section_blocks(&records) > 255 {
@@ -345,13 +356,16 @@ fn leading_blocks(mut header: C3dHeader, mut parameters: Parameters) -> Result<V
         ))
     })?;
     header.data_block = u16::from(n_blocks) + 2;
+    if let Some(rotations) = rotations {
+        header.data_block = rotations.set_place(&mut parameters, header.data_block);
+    }
     parameters.set_integer("POINT", "DATA_START", header.data_block);
     records.clear();
     encode_records(&parameters, &mut records);
     let mut leading_blocks = header.to_bytes().to_vec();
     leading_blocks.extend([1, 0x50, n_blocks, INTEL]);
     leading_blocks.extend(records);
-    leading_blocks.resize(usize::from(header.data_block - 1) * BLOCK, 0);
+    leading_blocks.resize((usize::from(n_blocks) + 1) * BLOCK, 0);
     Ok(leading_blocks)
 }
 
@@ -376,6 +390,8 @@ struct Body<'a> {
     analog: Option<PartSamples<'a>>,
     /// The sampled channels of a recording, which has no kept analog samples.
     recorded: Option<RecordedAnalog<'a>>,
+    /// The poses of a recording, unless they do not fit.
+    rotations: Option<Rotations<'a>>,
     residuals: Option<PartSamples<'a>>,
     outputs: Option<PartSamples<'a>>,
     gap_coordinates: Option<PartCoordinates<'a>>,
@@ -393,18 +409,21 @@ impl<'a> Body<'a> {
         let (foreign, first_frame) = (&info.foreign, info.source.first_frame);
         let outputs = PartSamples::outputs(foreign, first_frame)?;
         let n_markers = info.markers.len();
-        Ok(Self {
+        let mut body = Self {
             gap_coordinates: PartCoordinates::parse(foreign, n_markers, first_frame)?,
             gap_words: vec![None; n_markers],
             analog_offsets: Vec::new(),
             points: ordered_points(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
             analog: PartSamples::analog(foreign, first_frame)?,
             recorded: RecordedAnalog::open(info)?,
+            rotations: None,
             residuals: PartSamples::residuals(foreign, first_frame)?
                 .filter(|kept| kept.header.n_signals == n_markers),
             outputs,
             unsigned_analog: is_unsigned(parameters),
-        })
+        };
+        body.rotations = Rotations::of(info, body.bytes_per_frame());
+        Ok(body)
     }
 
     /// The analog samples of a channel in a frame, and the number of channels.
@@ -412,6 +431,12 @@ impl<'a> Body<'a> {
         let of_recording = self.recorded.as_ref().map(|all| (all.ratio, all.n_channels()));
         let kept = self.analog.as_ref().map(|kept| (kept.header.ratio, kept.header.n_signals));
         kept.or(of_recording.filter(|(_, n)| *n > 0)).unwrap_or((0, 0))
+    }
+
+    /// Bytes of a frame: four floats for each point, and one for each analog sample.
+    fn bytes_per_frame(&self) -> u64 {
+        let (ratio, n_channels) = self.analog_shape();
+        16 * self.points.len() as u64 + 4 * ratio as u64 * n_channels as u64
     }
 
     /// Appends a frame.

@@ -1,7 +1,9 @@
 //! Foxglove messages in a minimal Protocol Buffers encoder (protobuf.dev, "Encoding").
 
 use crate::{
+    interchange::text::unique_names,
     motion::{Position, UpAxis, is_gap},
+    poses::Pose,
     varint,
 };
 
@@ -137,6 +139,25 @@ pub(super) fn label_scene(row: &[Position], labels: &[String], time_ns: u64) -> 
         entity = entity.message(13, &text);
     }
     Message::default().message(2, &entity)
+}
+
+/// The names of the bodies' frames of reference: none is that of the positions or of the world.
+pub(super) fn child_frames(names: Vec<String>) -> Vec<String> {
+    let all = [FRAME, ROOT].map(str::to_owned).into_iter().chain(names);
+    unique_names(all).into_iter().skip(2).collect()
+}
+
+/// The `foxglove.FrameTransforms` of the bodies that have a pose; rotations are of length 1.
+pub(super) fn transforms(poses: &[Pose], names: &[String], time_ns: u64) -> Message {
+    let tracked = poses.iter().zip(names).filter(|(pose, _)| pose.is_tracked());
+    tracked.fold(Message::default(), |all, (pose, name)| {
+        let [w, x, y, z] = pose.quaternion.map(f64::from);
+        let length = (w * w + x * x + y * y + z * z).sqrt();
+        let rotation = [x, y, z, w].map(|number| number / length);
+        let transform = stamped(time_ns, FRAME).text(3, name);
+        let transform = transform.message(4, &doubles(metres(pose.position_mm)));
+        all.message(1, &transform.message(5, &doubles(rotation)))
+    })
 }
 
 /// The `foxglove.FrameTransform` that rotates the take's up axis to z.

@@ -21,6 +21,7 @@ use mcap::{
 use self::{messages::Message, schema::descriptor_set};
 use super::{
     InterchangeError, Result,
+    frame_poses::{FramePoses, body_names},
     metadata::metadata,
     sampled_table::{SampledColumn, SampledKind, SampledTable},
     text::column_labels,
@@ -33,8 +34,9 @@ const CHUNK_BYTES: u64 = 1 << 20;
 /// Update rate of the labels: as texts they are larger than the points.
 const NAMES_HZ: f64 = 10.0;
 
-/// Writes the topics `/markers`, `/names` and `/tf`, and if there are such samples `/analog` and `/force_plates`. A message has the time of its frame, counted from the start of the
-/// recording, or from 1970 if that is unknown.
+/// Writes the topics `/markers`, `/names` and `/tf`, and if there are such samples `/analog` and `/force_plates`, and of
+/// rigid bodies `/bodies`, their frames of reference, and `/poses`, all their numbers. A message has the time of its
+/// frame, counted from the start of the recording, or from 1970 if that is unknown.
 pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let header = frames.take().map(|take| &take.header);
@@ -67,6 +69,12 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     for table in SampledTable::all(&info)? {
         tables.push((file.sampled_channel(&table)?, table));
     }
+    let mut bodies = FramePoses::open(&info);
+    let of_bodies = match &bodies {
+        Some(_) => Some(file.channel("/bodies", "foxglove.FrameTransforms")?),
+        None => None,
+    };
+    let names = messages::child_frames(body_names(&info));
     let labels = column_labels(&info);
     let label_interval = (info.rate_hz / NAMES_HZ).ceil().max(1.0) as u64;
     let mut row = vec![GAP; info.markers.len()];
@@ -77,6 +85,10 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         if index.is_multiple_of(label_interval) {
             file.message(scene, time_ns, &messages::label_scene(&row, &labels, time_ns))?;
         }
+        if let (Some(poses), Some(channel)) = (&mut bodies, of_bodies) {
+            let poses = poses.next_frame()?;
+            file.message(channel, time_ns, &messages::transforms(poses, &names, time_ns))?;
+        }
         for (channel, table) in &mut tables {
             let width = table.columns().len().max(1);
             while let Some((rows, times)) = table.next_rows(index)? {
@@ -85,7 +97,6 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
                     file.message(*channel, time_ns, &messages::sampled(row, time_ns))?;
                 }
             }
-
             frames.count_sampled(1);
         }
         index += 1;
@@ -113,6 +124,7 @@ impl McapFile<'_> {
             SampledKind::Group(number) => format!("mocapd.Sampled{number}"),
             SampledKind::ForcePlates(None) => "mocapd.ForcePlates".to_owned(),
             SampledKind::ForcePlates(Some(number)) => format!("mocapd.ForcePlates{number}"),
+            SampledKind::Poses => "mocapd.Poses".to_owned(),
         };
         let fields = field_names(table.columns());
         let schema = schema::sampled_descriptor(&message, &fields);

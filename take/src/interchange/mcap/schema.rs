@@ -89,6 +89,7 @@ const MESSAGES: &[MessageType] = &[
             ("rotation", 5, Nested("foxglove.Quaternion")),
         ],
     ),
+    ("foxglove.FrameTransforms", &[("transforms", 1, Repeated("foxglove.FrameTransform"))]),
     (
         "foxglove.PointCloud",
         &[
