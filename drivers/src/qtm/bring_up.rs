@@ -8,7 +8,7 @@ use super::{
     packet::{Packet, PacketKind, printable},
     settings::Settings,
 };
-use crate::device::Hello;
+use crate::device::{BODIES_MAX, Hello};
 
 /// Frame rates that QTM's cameras have, in Hz: 1 Hz, to more than the fastest at a reduced image.
 const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=100_000.0;
@@ -93,7 +93,7 @@ impl QtmHost {
     /// The reply to `ByteOrder`, or to what was requested before it during a stream that is stopped now.
     fn on_byte_order(&mut self, packet: &Packet<'_>, text: &str) {
         if !is_byte_order(packet) {
-            let was_requested = std::mem::take(&mut self.awaits_labels);
+            let was_requested = self.renewal.forget_one();
             if !was_requested && packet.kind == Some(PacketKind::Error) {
                 self.ask(Step::State);
             }
@@ -175,10 +175,11 @@ impl QtmHost {
     fn on_other_settings(&mut self, step: Step, settings: &Settings) {
         match step {
             Step::Bodies => {
-                if settings.n_bodies > 0 {
-                    let n = settings.n_bodies;
-                    self.remarks
-                        .push(format!("QTM has {n} rigid bodies, which mocapd does not record"));
+                let n_excess = self.bodies.update(settings.bodies.as_deref().unwrap_or_default());
+                if n_excess > 0 {
+                    self.remarks.push(format!(
+                        "{n_excess} rigid bodies are too many, and are not recorded: at most {BODIES_MAX} can be"
+                    ));
                 }
                 self.sampled.clear();
                 self.ask(Step::Analog);

@@ -2,10 +2,12 @@
 
 use super::{
     axis::FrameAxis,
+    body_table::BodyTable,
     command::VERSIONS,
     groups::SampledGroups,
     labels::{LabelTable, UnlabelledIds},
     packet::{OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader, printable, put_text},
+    renewal::Renewal,
     stream_run::StreamRun,
 };
 use crate::{
@@ -110,10 +112,8 @@ pub struct QtmHost {
     pub(super) labels: LabelTable,
     pub(super) unlabelled: UnlabelledIds,
     pub(super) sampled: SampledGroups,
-    /// Whether the labels were requested again, because frames have another number of them.
-    pub(super) awaits_labels: bool,
-    /// When they were requested last.
-    pub(super) labels_request_ns: u64,
+    pub(super) bodies: BodyTable,
+    pub(super) renewal: Renewal,
     /// Whether frames came, on this connection or an earlier one.
     pub(super) had_frames: bool,
     pub(super) samples: Vec<MarkerSample>,
@@ -152,8 +152,8 @@ impl QtmHost {
             labels: LabelTable::default(),
             unlabelled: UnlabelledIds::default(),
             sampled: SampledGroups::default(),
-            awaits_labels: false,
-            labels_request_ns: 0,
+            bodies: BodyTable::default(),
+            renewal: Renewal::default(),
             had_frames: false,
             samples: Vec::new(),
             axis: FrameAxis::default(),
@@ -292,8 +292,9 @@ impl QtmHost {
     fn on_reply(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
         match self.state {
             SessionState::BringUp(step) => self.on_bring_up_reply(step, packet),
-            _ if self.awaits_labels && packet.kind == Some(PacketKind::Xml) => {
-                self.on_new_labels(packet, on_event);
+            // An error before the stream is accepted is about its request.
+            _ if self.renewal.is_awaited() && packet.kind != Some(PacketKind::Command) => {
+                self.on_renewed(packet, on_event);
             }
             _ if packet.kind == Some(PacketKind::Error) => self.on_error(packet, on_event),
             _ if is_byte_order(packet) => self.on_fence(on_event),
@@ -309,13 +310,14 @@ impl QtmHost {
             (SessionState::Streaming, Some(Fence::Started)) => {
                 self.fail(&format!("QTM does not send frames ({text}): check its version"));
             }
-            _ => {
-                self.awaits_labels = false;
-                self.release_held(on_event);
-                if !std::mem::replace(&mut self.run.is_refusal_noted, true) {
-                    self.note(&format!("QTM refuses a request: {text}"), on_event);
-                }
-            }
+            _ => self.note_refusal(&text, on_event),
+        }
+    }
+
+    /// Reports a request that was refused, once in a stream.
+    pub(super) fn note_refusal(&mut self, text: &str, on_event: EventSink<'_>) {
+        if !std::mem::replace(&mut self.run.is_refusal_noted, true) {
+            self.note(&format!("QTM refuses a request: {text}"), on_event);
         }
     }
 
@@ -369,6 +371,10 @@ impl QtmHost {
         if std::mem::take(&mut self.todo.hello) {
             on_event(DeviceEvent::Hello(&self.hello));
             on_event(DeviceEvent::Markers(&self.labels.markers()));
+            let bodies = self.bodies.infos();
+            if !bodies.is_empty() {
+                on_event(DeviceEvent::Bodies(&bodies));
+            }
             self.sampled.infos().for_each(|group| on_event(DeviceEvent::SampledGroup(group)));
         }
         if std::mem::take(&mut self.todo.stop) {
@@ -412,8 +418,7 @@ impl Protocol for QtmHost {
         self.state = SessionState::Off;
         self.todo = UnfinishedCommands::default();
         (self.fence, self.fences_due) = (None, 0);
-        self.awaits_labels = false;
-        self.labels_request_ns = 0;
+        self.renewal = Renewal::default();
         self.last_packet_ns = 0;
         self.reader.clear();
         self.unsent_end = None;

@@ -1,6 +1,9 @@
 //! Settings as XML, in both directions: what a client needs of them, and what a server states.
 
-use super::command::SettingsRequest;
+use super::{
+    body_settings::{BodySettings, put_bodies, put_general_angles, read_angles, read_bodies},
+    command::SettingsRequest,
+};
 use roxmltree::{Document, Node, ParsingOptions};
 
 pub use crate::marker_ids::LABELS_MAX;
@@ -28,8 +31,10 @@ pub struct Settings {
     pub up_axis: Option<String>,
     /// Labels of the markers, in the order of frames; empty strings for markers without one.
     pub labels: Option<Vec<String>>,
-    /// Rigid bodies.
-    pub n_bodies: usize,
+    /// Rigid bodies, in the order of frames.
+    pub bodies: Option<Vec<BodySettings>>,
+    /// Names of the angles by which rotations are shown, such as roll, pitch and yaw.
+    pub angles: Option<[String; 3]>,
     /// Analog devices.
     pub analog: Vec<AnalogDevice>,
     /// Force plates.
@@ -88,13 +93,15 @@ impl Settings {
         if let Some(general) = child(root, "General") {
             settings.frequency_hz =
                 text_of(general, "Frequency").and_then(|text| text.parse().ok());
+            settings.angles = read_angles(general);
         }
         if let Some(markers) = child(root, "The_3D") {
             settings.up_axis = text_of(markers, "AxisUpwards").map(str::to_owned);
             settings.labels = Some(labels(markers)?);
         }
         if let Some(bodies) = child(root, "The_6D") {
-            settings.n_bodies = children(bodies, "Body").count();
+            settings.bodies = Some(read_bodies(bodies));
+            settings.angles = read_angles(bodies).or(settings.angles);
         }
         if let Some(analog) = child(root, "Analog") {
             let devices = children(analog, "Device").take(SAMPLED_DEVICES_MAX);
@@ -148,7 +155,7 @@ fn number_of<T: std::str::FromStr>(parent: Node<'_, '_>, name: &'static str) -> 
 }
 
 /// A text of QTM's as a label: not too long, and without control characters.
-fn label_text(text: &str) -> String {
+pub(super) fn label_text(text: &str) -> String {
     text.trim().chars().filter(|c| !c.is_control()).take(LABEL_CHARS_MAX).collect()
 }
 
@@ -167,18 +174,21 @@ fn labels(markers: Node<'_, '_>) -> Result<Vec<String>, String> {
     Ok(children(markers, "Label").map(label).collect())
 }
 
-fn children<'a, 'input>(
+pub(super) fn children<'a, 'input>(
     parent: Node<'a, 'input>,
     name: &'static str,
 ) -> impl Iterator<Item = Node<'a, 'input>> {
     parent.children().filter(move |node| node.tag_name().name() == name)
 }
 
-fn child<'a, 'input>(parent: Node<'a, 'input>, name: &'static str) -> Option<Node<'a, 'input>> {
+pub(super) fn child<'a, 'input>(
+    parent: Node<'a, 'input>,
+    name: &'static str,
+) -> Option<Node<'a, 'input>> {
     children(parent, name).next()
 }
 
-fn text_of<'a>(parent: Node<'a, '_>, name: &'static str) -> Option<&'a str> {
+pub(super) fn text_of<'a>(parent: Node<'a, '_>, name: &'static str) -> Option<&'a str> {
     Some(child(parent, name)?.text().unwrap_or_default().trim())
 }
 
@@ -191,6 +201,8 @@ pub struct ServedSettings {
     pub up_axis: &'static str,
     /// Labels of the markers, in the order of frames.
     pub labels: Vec<String>,
+    /// Rigid bodies, in the order of frames.
+    pub bodies: Vec<BodySettings>,
     /// Analog devices.
     pub analog: Vec<AnalogDevice>,
     /// Force plates.
@@ -198,7 +210,7 @@ pub struct ServedSettings {
 }
 
 /// Colours of labels, one after the other: red, green, blue, yellow, in the documents' order of bits.
-const COLOURS: [u32; 4] = [0x0000_00FF, 0x0000_FF00, 0x00FF_0000, 0x0000_FFFF];
+pub(super) const COLOURS: [u32; 4] = [0x0000_00FF, 0x0000_FF00, 0x00FF_0000, 0x0000_FFFF];
 
 impl ServedSettings {
     /// The document with the requested parts, as version `1.minor` has them; `None` if the system has none of them.
@@ -206,7 +218,8 @@ impl ServedSettings {
     pub fn to_xml(&self, minor: u32, request: SettingsRequest) -> Option<String> {
         let analog = request.analog && !self.analog.is_empty();
         let force = request.force && !self.plates.is_empty();
-        if !(request.general || request.markers || analog || force) {
+        let bodies = request.bodies && !self.bodies.is_empty();
+        if !(request.general || request.markers || bodies || analog || force) {
             return None;
         }
         let mut xml = format!("<QTM_Parameters_Ver_1.{minor}>\n");
@@ -215,6 +228,9 @@ impl ServedSettings {
         }
         if request.markers {
             self.put_markers(&mut xml);
+        }
+        if bodies {
+            put_bodies(&self.bodies, minor, &mut xml);
         }
         if analog {
             self.put_analog(minor, &mut xml);
@@ -337,6 +353,7 @@ impl ServedSettings {
             put_actions("RealTime_Processing_Actions", true, minor, xml);
             put_actions("Reprocessing_Actions", false, minor, xml);
         }
+        put_general_angles(minor, xml);
         xml.push_str("    </General>\n");
     }
 }
@@ -375,7 +392,7 @@ fn put_point(xml: &mut String, depth: usize, name: &str, point: [f64; 3]) {
 }
 
 /// Appends an element with text, indented so deep.
-fn put(xml: &mut String, depth: usize, name: &str, text: &str) {
+pub(super) fn put(xml: &mut String, depth: usize, name: &str, text: &str) {
     xml.push_str(&format!("{:1$}<{name}>", "", 4 * depth));
     for c in text.chars() {
         match c {

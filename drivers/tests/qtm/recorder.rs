@@ -75,7 +75,8 @@ impl Connected {
         let labelled = [WireMarker { position_mm: [1.0; 3], id: 0, residual_mm: 0.0 }];
         for number in numbers {
             let header = FrameHeader { time_us: u64::from(number) * 10_000, number };
-            let frame = ServedFrame { header, rates: [0; 2], labelled: &labelled, unlabelled: &[] };
+            let frame =
+                ServedFrame { header, rates: [0; 2], labelled: &labelled, ..Default::default() };
             self.server.frame(&frame);
         }
     }

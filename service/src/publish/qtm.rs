@@ -368,7 +368,7 @@ impl PublishWorker {
             self.map.fill(&self.markers);
             let header = header_of(&frame, tick_hz);
             let MarkerMap { labelled, unlabelled, .. } = &self.map;
-            server.frame(&ServedFrame { header, rates: [0; 2], labelled, unlabelled });
+            server.frame(&ServedFrame { header, labelled, unlabelled, ..ServedFrame::default() });
         }
     }
 

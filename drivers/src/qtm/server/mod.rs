@@ -67,7 +67,7 @@ struct Client {
     minor: u32,
     stream: Option<Stream>,
     one_frame: Option<Components>,
-    /// Where the samples of its next frame begin, by device.
+    /// Places at which the samples of its next frame begin, by device.
     samples_from: Vec<u64>,
     outbox: Outbox,
     is_out_of_step: bool,
@@ -75,6 +75,8 @@ struct Client {
     awaits_owner: bool,
     /// Frames that it requested and did not get.
     frames_missed: u64,
+    /// Samples that were not kept until its next frame.
+    samples_missed: u64,
     /// Frames that left in datagrams, and whether a datagram of the present one was lost.
     datagram_frames: u64,
     is_part_lost: bool,
@@ -162,6 +164,7 @@ impl QtmServer {
             is_out_of_step: false,
             awaits_owner: false,
             frames_missed: 0,
+            samples_missed: 0,
             datagram_frames: 0,
             is_part_lost: false,
         };
@@ -183,6 +186,23 @@ impl QtmServer {
             self.master = None;
         }
         report
+    }
+
+    /// Changes the settings while frames are sent. Clients learn of it, in front of the first frame with the new ones.
+    pub fn change_settings(&mut self, settings: ServedSettings) {
+        if self.settings != settings {
+            self.use_settings(settings);
+            self.send_event(Event::CameraSettingsChanged);
+        }
+    }
+
+    fn use_settings(&mut self, settings: ServedSettings) {
+        let devices = |of: &ServedSettings| (of.analog.clone(), of.plates.clone());
+        if devices(&self.settings) != devices(&settings) {
+            self.histories = SampleHistory::of(&settings);
+            self.clients.iter_mut().for_each(|client| client.samples_from.fill(0));
+        }
+        self.settings = settings;
     }
 
     /// Forgets all clients; the measurement goes on.

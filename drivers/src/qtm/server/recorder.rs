@@ -48,6 +48,8 @@ pub struct ClientReport {
     pub frames_sent: u64,
     /// Frames that it requested and did not get, because it read too slowly or the network took no more.
     pub frames_missed: u64,
+    /// Samples of analog devices and force plates that no frame had: its stream has too few frames for them.
+    pub samples_missed: u64,
 }
 
 impl QtmServer {
@@ -73,16 +75,12 @@ impl QtmServer {
             }
             return;
         };
-        let has_changed = self.settings != settings;
-        if has_changed {
-            self.histories = super::SampleHistory::of(&settings);
-        }
-        self.settings = settings;
         if self.measurement == Measurement::Closed {
+            self.use_settings(settings);
             self.measurement = Measurement::Live;
             self.send_event(Event::Connected);
-        } else if has_changed {
-            self.send_event(Event::CameraSettingsChanged);
+        } else {
+            self.change_settings(settings);
         }
     }
 
@@ -135,6 +133,7 @@ impl QtmServer {
             is_master: self.master == Some(client.id),
             frames_sent: client.outbox.frames_sent() + client.datagram_frames,
             frames_missed: client.frames_missed,
+            samples_missed: client.samples_missed,
         }
     }
 

@@ -18,6 +18,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         looping: args.looping,
         faults: input::script(args)?,
         sampled: input::sampled(args)?,
+        bodies: input::bodies(args)?,
     };
     let mut device = QtmDevice::new(motion, settings).map_err(|error| match error {
         QtmError::Device(error) => refused(error),
