@@ -61,6 +61,8 @@ pub struct ForcePlate {
     pub id: u32,
     /// Forces per second.
     pub rate_hz: f64,
+    /// The corners of its surface in laboratory axes, in millimetres, if a server knows them.
+    pub corners_mm: Option<[[f32; 3]; 4]>,
 }
 
 /// The units of forces.
@@ -110,7 +112,7 @@ impl Settings {
         if let Some(force) = child(root, "Force") {
             let plate = |plate| {
                 let id = number_of(plate, "Plate_ID")?;
-                Some(ForcePlate { id, rate_hz: number_of(plate, "Frequency")? })
+                Some(ForcePlate { id, rate_hz: number_of(plate, "Frequency")?, corners_mm: None })
             };
             let plates = children(force, "Plate").take(SAMPLED_DEVICES_MAX);
             settings.plates = plates.filter_map(plate).collect();
@@ -282,25 +284,18 @@ impl ServedSettings {
         xml.push_str("    <Force>\n");
         put(xml, 2, "Unit_Length", "mm");
         put(xml, 2, "Unit_Force", "N");
-        for (index, plate) in self.plates.iter().enumerate() {
-            // Plates of 600 by 400 mm, side by side.
-            let (left, right) = (600.0 * index as f64, 600.0 * (index + 1) as f64);
+        for plate in &self.plates {
             xml.push_str("        <Plate>\n");
             put(xml, 3, "Plate_ID", &plate.id.to_string());
-            put(xml, 3, "Analog_Device_ID", "0");
             put(xml, 3, "Frequency", &plate.rate_hz.to_string());
-            put(xml, 3, "Type", "AMTI");
             put(xml, 3, "Name", &format!("Force plate {}", plate.id));
-            put(xml, 3, "Length", "600.0");
-            put(xml, 3, "Width", "400.0");
-            xml.push_str("            <Location>\n");
-            for (corner, (x, y)) in
-                [(left, 0.0), (right, 0.0), (right, 400.0), (left, 400.0)].into_iter().enumerate()
-            {
-                put_point(xml, 4, &format!("Corner{}", corner + 1), [x, y, 0.0]);
+            if let Some(corners) = plate.corners_mm {
+                xml.push_str("            <Location>\n");
+                for (number, corner) in (1..).zip(corners) {
+                    put_point(xml, 4, &format!("Corner{number}"), corner);
+                }
+                xml.push_str("            </Location>\n");
             }
-            xml.push_str("            </Location>\n");
-            put_point(xml, 3, "Origin", [0.0; 3]);
             xml.push_str("        </Plate>\n");
         }
         xml.push_str("    </Force>\n");
@@ -383,7 +378,7 @@ fn put_actions(name: &str, real_time: bool, minor: u32, xml: &mut String) {
 }
 
 /// Appends an element with three coordinates.
-fn put_point(xml: &mut String, depth: usize, name: &str, point: [f64; 3]) {
+fn put_point(xml: &mut String, depth: usize, name: &str, point: [f32; 3]) {
     xml.push_str(&format!("{:1$}<{name}>\n", "", 4 * depth));
     for (axis, value) in ["X", "Y", "Z"].into_iter().zip(point) {
         put(xml, depth + 1, axis, &format!("{value:.2}"));

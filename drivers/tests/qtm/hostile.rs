@@ -243,7 +243,7 @@ fn a_client_that_does_not_read_costs_a_bounded_memory_and_only_its_own_frames() 
     let markers = [marker(1, 0); 1000];
     let mut read = 0;
     for number in 0..1000 {
-        server.frame(&mocapd_drivers::qtm::ServedFrame {
+        server.frame(&ServedFrame {
             header: FrameHeader { time_us: 0, number },
             rates: [0; 2],
             labelled: &markers,

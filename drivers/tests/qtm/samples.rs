@@ -18,7 +18,7 @@ fn settings() -> ServedSettings {
             AnalogDevice { id: 4, rate_hz: 1000.0, channels: channels(3) },
             AnalogDevice { id: 1, rate_hz: 200.0, channels: channels(70) },
         ],
-        plates: vec![ForcePlate { id: 2, rate_hz: 500.0 }],
+        plates: vec![ForcePlate { id: 2, rate_hz: 500.0, corners_mm: None }],
         ..ServedSettings::default()
     }
 }

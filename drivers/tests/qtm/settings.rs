@@ -234,7 +234,7 @@ fn settings_read_back() {
         rate_hz: 2000.0,
         channels: (0..id).map(channel).collect(),
     });
-    let plates = [1, 2].map(|id| ForcePlate { id, rate_hz: 1000.0 });
+    let plates = [1, 2].map(|id| ForcePlate { id, rate_hz: 1000.0, corners_mm: None });
     let served = ServedSettings { analog: analog.to_vec(), plates: plates.to_vec(), ..served() };
     for minor in [8, 10, 11, 28] {
         let xml = served.to_xml(minor, sampled).unwrap();
@@ -262,7 +262,7 @@ fn analog_devices_without_labels_have_channels() {
     let channels = vec![pair("Channel 1", "volts"), pair("analog 7.2", "")];
     assert_eq!(settings.bodies, Some(vec![BodySettings::default(); 2]));
     assert_eq!(settings.analog, [AnalogDevice { id: 7, rate_hz: 2400.0, channels }]);
-    assert_eq!(settings.plates, [ForcePlate { id: 1, rate_hz: 1000.0 }]);
+    assert_eq!(settings.plates, [ForcePlate { id: 1, rate_hz: 1000.0, corners_mm: None }]);
     assert_eq!(settings.labels, None);
 }
 

@@ -30,6 +30,8 @@ pub struct Datagram {
     pub to: SocketAddr,
     /// Its content.
     pub bytes: Vec<u8>,
+    /// Whether it has a part of a frame, and not the end of a measurement.
+    pub is_of_frame: bool,
     /// Whether a frame ends with it.
     pub ends_frame: bool,
 }
@@ -138,8 +140,13 @@ impl QtmServer {
             let content = self.content(frame, wanted, Some(from));
             let Some(parts) = divided(frame.header, &content) else { return Delivery::Dropped };
             let n = parts.len();
-            let datagram =
-                |(at, bytes)| Datagram { client: client.id, to, bytes, ends_frame: at + 1 == n };
+            let datagram = |(at, bytes)| Datagram {
+                client: client.id,
+                to,
+                bytes,
+                is_of_frame: true,
+                ends_frame: at + 1 == n,
+            };
             self.datagrams.extend(parts.into_iter().enumerate().map(datagram));
             return Delivery::Datagrams(n);
         }
@@ -166,7 +173,13 @@ impl QtmServer {
     /// Whether a frame of so many bytes may wait for a client. For one of a recorder, the oldest frames make room.
     fn make_room(&self, client: &mut Client, bytes: usize) -> bool {
         if let Role::Recorder { .. } = self.role {
-            let frames_max = ((BACKLOG_S * self.settings.frequency_hz) as usize).max(1);
+            let hz = self.settings.frequency_hz;
+            let hz = match client.stream.map(|stream| stream.rate) {
+                Some(StreamRate::Frequency(wanted)) => hz.min(f64::from(wanted)),
+                Some(StreamRate::Divisor(n)) => hz / f64::from(n),
+                Some(StreamRate::All) | None => hz,
+            };
+            let frames_max = ((BACKLOG_S * hz) as usize).max(1);
             while client.outbox.frames_waiting() >= frames_max || !client.outbox.has_room_for(bytes)
             {
                 if !client.outbox.drop_oldest_frame() {
@@ -194,7 +207,7 @@ impl QtmServer {
     /// The system took a datagram, or not.
     pub fn datagram_sent(&mut self, datagram: &Datagram, is_sent: bool) {
         let Some(client) = self.client(datagram.client) else { return };
-        client.is_part_lost |= !is_sent;
+        client.is_part_lost |= !is_sent && datagram.is_of_frame;
         if datagram.ends_frame {
             let is_whole = !std::mem::take(&mut client.is_part_lost);
             client.datagram_frames += u64::from(is_whole);

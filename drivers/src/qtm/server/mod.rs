@@ -11,6 +11,7 @@ mod samples;
 
 use std::net::SocketAddr;
 
+use self::recorder::Password;
 pub use self::{
     delivery::{Datagram, Delivery, ServedFrame},
     recorder::{ClientReport, OwnerCommand, OwnerRequest},
@@ -55,7 +56,7 @@ enum Role {
     /// A simulated QTM, which every client may control.
     Simulated,
     /// A recorder, which executes what a client with this password requests; without one, nobody controls it.
-    Recorder { password: Option<String> },
+    Recorder { password: Option<Password> },
 }
 
 #[derive(Debug)]
@@ -80,6 +81,7 @@ struct Client {
     /// Frames that left in datagrams, and whether a datagram of the present one was lost.
     datagram_frames: u64,
     is_part_lost: bool,
+    wrong_passwords: u32,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -112,6 +114,8 @@ pub struct QtmServer {
     requests: Vec<OwnerRequest>,
     /// Frames that clients missed which are gone.
     missed_by_gone: u64,
+    /// Clients that gave a wrong password.
+    wrong_passwords: Vec<SocketAddr>,
 }
 
 impl QtmServer {
@@ -133,6 +137,7 @@ impl QtmServer {
             clients_max: CLIENTS_MAX,
             requests: Vec::new(),
             missed_by_gone: 0,
+            wrong_passwords: Vec::new(),
         }
     }
 
@@ -167,6 +172,7 @@ impl QtmServer {
             samples_missed: 0,
             datagram_frames: 0,
             is_part_lost: false,
+            wrong_passwords: 0,
         };
         client.outbox.put(|out| put_text(PacketKind::Command, WELCOME, out));
         self.clients.push(client);
@@ -246,7 +252,7 @@ impl QtmServer {
         let Some(client) = self.client(id) else { return };
         client.reader = reader;
         if is_garbage {
-            client.is_out_of_step = true;
+            client.set_out_of_step();
             client.outbox.put(|out| put_text(PacketKind::Error, "Parse error", out));
         }
     }
@@ -377,6 +383,7 @@ impl QtmServer {
                     client: client.id,
                     to,
                     bytes: bytes.clone(),
+                    is_of_frame: false,
                     ends_frame: false,
                 }),
                 Some(None) => client.put_unasked(|out| out.extend_from_slice(&bytes)),
@@ -466,7 +473,12 @@ impl QtmServer {
             Some(DatagramTarget { address: Some(other), .. }) if other.to_canonical() != own => {
                 return self.reply(id, Err("Parse error"));
             }
-            Some(DatagramTarget { port, .. }) => Some(SocketAddr::new(client.peer.ip(), port)),
+            Some(DatagramTarget { port, .. }) => {
+                // With the interface of a link-local address.
+                let mut to = client.peer;
+                to.set_port(port);
+                Some(to)
+            }
         };
         let StreamRequest { rate, components, .. } = *request;
         client.stream = Some(Stream { rate, components, target, number, frames: 0 });
@@ -506,10 +518,16 @@ impl QtmServer {
 }
 
 impl Client {
+    /// It sends no packets, or reads none: it gets what waits, and is disconnected.
+    fn set_out_of_step(&mut self) {
+        self.is_out_of_step = true;
+        (self.stream, self.one_frame) = (None, None);
+    }
+
     /// Appends what the client did not ask for. One that reads nothing is disconnected, since it would miss it.
     fn put_unasked(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
         if self.outbox.is_full() {
-            self.is_out_of_step = true;
+            self.set_out_of_step();
             self.frames_missed += self.outbox.frames_waiting() as u64;
             self.outbox.clear();
         } else if !self.is_out_of_step {
