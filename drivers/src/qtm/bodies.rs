@@ -95,7 +95,8 @@ impl WireBody {
         let Some(quaternion) = quaternion_of(self.matrix) else {
             return Pose::without(body, PoseStatus::Rejected);
         };
-        let Self { position_mm, residual_mm, .. } = *self;
+        let position_mm = self.position_mm;
+        let residual_mm = if self.residual_mm.is_finite() { self.residual_mm } else { f32::NAN };
         Pose { body, status: PoseStatus::Tracked, position_mm, quaternion, residual_mm }.checked()
     }
 }

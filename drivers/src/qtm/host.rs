@@ -31,6 +31,9 @@ const REPLY_TIMEOUT_NS: u64 = 3_000 * MS;
 /// A connection on which nothing has arrived for this long is checked, which tells a silent QTM from an idle one.
 const CHECK_AFTER_NS: u64 = 2_000 * MS;
 
+/// Longest reply of one line: QTM's have some tens of bytes. A longer one is a sign that its size was misread.
+const LINE_BYTES_MAX: usize = 4096;
+
 /// How long frames that were sent before the end may still arrive in datagrams, which overtake the stream and each other.
 const STRAGGLERS_NS: u64 = 250 * MS;
 
@@ -270,6 +273,11 @@ impl QtmHost {
     }
 
     fn on_packet(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
+        let is_line = matches!(packet.kind, Some(PacketKind::Error | PacketKind::Command));
+        if is_line && packet.body.len() > LINE_BYTES_MAX {
+            self.counters.messages_damaged += 1;
+            return self.out_of_step(OutOfStep::Size(packet.body.len() as u32));
+        }
         self.counters.messages += 1;
         self.last_packet_ns = self.line.now_ns();
         match (packet.kind, self.state) {
@@ -340,6 +348,7 @@ impl QtmHost {
         if let Some(command) = self.unsent_end.take() {
             self.end_connection(command);
         }
+        self.release_excess(on_event);
         let now_ns = self.line.now_ns();
         if self.run.is_part_overdue(now_ns) {
             self.flush_frame(on_event);

@@ -17,6 +17,9 @@ const INTERVAL_NS: u64 = 1_000 * MS;
 /// network.
 const HELD_MAX: usize = 64;
 
+/// How long they wait, at low rates.
+const HELD_NS: u64 = 1_000 * MS;
+
 /// Settings that name what frames have in their order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Named {
@@ -31,8 +34,9 @@ pub(super) struct Renewal {
     awaited: VecDeque<Named>,
     /// When each was requested last.
     requested_ns: [Option<u64>; 2],
-    /// Frames that wait for the replies.
+    /// Frames that wait for the replies, and since when.
     held: Vec<Vec<u8>>,
+    held_since_ns: u64,
 }
 
 impl Renewal {
@@ -60,13 +64,19 @@ impl QtmHost {
         if !self.renewal.is_awaited() {
             return false;
         }
+        if self.renewal.held.is_empty() {
+            self.renewal.held_since_ns = self.line.now_ns();
+        }
         self.renewal.held.push(body.to_vec());
         true
     }
 
-    /// Decodes the frames that wait when there are too many: the replies are late, and may never come.
+    /// Decodes the frames that wait when there are too many, or for too long: the replies are late, and may never come.
     pub(super) fn release_excess(&mut self, on_event: EventSink<'_>) {
-        if self.renewal.held.len() >= HELD_MAX {
+        let Renewal { held, held_since_ns, .. } = &self.renewal;
+        let is_overdue =
+            !held.is_empty() && self.line.now_ns().saturating_sub(*held_since_ns) > HELD_NS;
+        if is_overdue || held.len() >= HELD_MAX {
             self.renewal.awaited.clear();
             self.release_held(on_event);
         }
