@@ -415,7 +415,7 @@ fn bodies_and_samples_are_published_as_the_source_sent_them() {
     let plates = client.ask("GetParameters Force");
     assert_mentions(&plates, &["<Plate_ID>1</Plate_ID>", "<Plate_ID>2</Plate_ID>"]);
     client.send("StreamFrames AllFrames 3D 6DRes Analog Force");
-    let (mut frames, mut poses, mut n_values) = (0, Vec::new(), [0; 2]);
+    let (mut frames, mut n_components, mut poses, mut n_values) = (0, 0, Vec::new(), [0; 2]);
     while frames < 300 {
         let Some((PacketKind::Data, body)) = client.packet() else { continue };
         frames += 1;
@@ -423,9 +423,19 @@ fn bodies_and_samples_are_published_as_the_source_sent_them() {
             FrameComponent::Bodies(component) => {
                 bodies.poses(u64::from(header.number), 100.0, &mut poses);
                 assert_eq!(component.n_bodies(), 3);
+                n_components += 1;
                 for (found, sent) in component.bodies().zip(&poses) {
                     assert_eq!(found.position_mm, sent.position_mm, "{header:?}");
                     assert_eq!(found.residual_mm, sent.residual_mm);
+                    // Its first column is the image of the x axis.
+                    let [w, x, y, z] = sent.quaternion;
+                    let image = [
+                        w * w + x * x - y * y - z * z,
+                        2.0 * (x * y + w * z),
+                        2.0 * (x * z - w * y),
+                    ];
+                    let apart = found.matrix.iter().zip(image).map(|(a, b)| (a - b).abs());
+                    assert!(apart.fold(0.0, f32::max) < 1e-5, "{found:?} {sent:?}");
                 }
             }
             FrameComponent::Samples(samples) => {
@@ -446,6 +456,7 @@ fn bodies_and_samples_are_published_as_the_source_sent_them() {
         })
         .unwrap();
     }
+    assert_eq!(n_components, 300);
     // Three seconds of each: 2000 samples of five channels, and 1000 forces of two plates.
     assert!(n_values[0] > 25_000 && n_values[1] > 45_000, "{n_values:?}");
 }

@@ -6,6 +6,7 @@ use super::{
     host::{Fence, QtmHost, SessionState, Step, is_byte_order},
     labels::UNLABELLED_MAX,
     packet::{Packet, PacketKind, printable},
+    renewal::Renewal,
     settings::Settings,
 };
 use crate::device::{BODIES_MAX, Hello};
@@ -84,7 +85,11 @@ impl QtmHost {
             Step::General | Step::Markers => self.on_required_settings(step, packet),
             Step::Bodies | Step::Analog | Step::Force => {
                 // What does not exist is an error, and no reason not to record the markers.
-                let settings = if is_error { Settings::default() } else { Settings::parse(&text).unwrap_or_default() };
+                let settings = if is_error { Ok(Settings::default()) } else { Settings::parse(&text) };
+                let settings = settings.unwrap_or_else(|problem| {
+                    self.remarks.push(format!("a part of QTM's settings cannot be read, and is not recorded: {}", printable(&problem)));
+                    Settings::default()
+                });
                 self.on_other_settings(step, &settings);
             }
         }
@@ -103,6 +108,8 @@ impl QtmHost {
         if self.fences_due > 0 {
             return;
         }
+        // All earlier requests have been replied to.
+        self.renewal = Renewal::default();
         if text.starts_with("Byte order is big") {
             return self.fail(
                 "QTM sends in the other byte order: give its little-endian port, the base port + 1 (22223 by default)",

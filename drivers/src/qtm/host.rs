@@ -301,7 +301,11 @@ impl QtmHost {
         match self.state {
             SessionState::BringUp(step) => self.on_bring_up_reply(step, packet),
             // An error before the stream is accepted is about its request.
-            _ if self.renewal.is_awaited() && packet.kind != Some(PacketKind::Command) => {
+            _ if packet.kind == Some(PacketKind::Xml)
+                || self.renewal.is_awaited()
+                    && packet.kind == Some(PacketKind::Error)
+                    && self.fence != Some(Fence::Started) =>
+            {
                 self.on_renewed(packet, on_event);
             }
             _ if packet.kind == Some(PacketKind::Error) => self.on_error(packet, on_event),
@@ -348,7 +352,9 @@ impl QtmHost {
         if let Some(command) = self.unsent_end.take() {
             self.end_connection(command);
         }
-        self.release_excess(on_event);
+        if matches!(self.state, SessionState::Streaming | SessionState::Ending(_)) {
+            self.release_excess(on_event);
+        }
         let now_ns = self.line.now_ns();
         if self.run.is_part_overdue(now_ns) {
             self.flush_frame(on_event);

@@ -3,8 +3,9 @@
 use std::collections::VecDeque;
 
 use super::{
+    body_settings::BodySettings,
     host::{EventSink, MS, QtmHost},
-    packet::{Packet, PacketKind, printable},
+    packet::{PACKET_BYTES_MAX, Packet, PacketKind, printable},
     settings::Settings,
     stream_run::FrameParts,
 };
@@ -13,9 +14,9 @@ use crate::device::DeviceEvent;
 /// Least time between two requests for the same settings, if frames keep having other numbers than QTM states.
 const INTERVAL_NS: u64 = 1_000 * MS;
 
-/// Frames that wait for settings: a sixteenth of a second at 1000 Hz, and many times what a request takes on a local
-/// network.
+/// Frames that wait for settings, and their bytes: a sixteenth of a second at 1000 Hz, and the largest packet.
 const HELD_MAX: usize = 64;
+const HELD_BYTES_MAX: usize = PACKET_BYTES_MAX;
 
 /// How long they wait, at low rates.
 const HELD_NS: u64 = 1_000 * MS;
@@ -30,13 +31,16 @@ enum Named {
 /// The requests of a connection.
 #[derive(Debug, Default)]
 pub(super) struct Renewal {
-    /// Those without a reply. QTM answers in order.
+    /// Those without a reply. QTM answers in order, however late.
     awaited: VecDeque<Named>,
     /// When each was requested last.
     requested_ns: [Option<u64>; 2],
-    /// Frames that wait for the replies, and since when.
+    /// Frames that wait for the replies, their bytes, and since when.
     held: Vec<Vec<u8>>,
+    held_bytes: usize,
     held_since_ns: u64,
+    /// Whether the replies are late, so that no frame waits for them any more.
+    is_late: bool,
 }
 
 impl Renewal {
@@ -45,7 +49,7 @@ impl Renewal {
         !self.awaited.is_empty()
     }
 
-    /// Forgets one request, whose reply is of no use any more. Returns whether there was one.
+    /// The oldest request was replied to, which is of no use any more.
     pub(super) fn forget_one(&mut self) -> bool {
         self.awaited.pop_front().is_some()
     }
@@ -61,23 +65,27 @@ impl QtmHost {
         if parts.n_bodies.is_some_and(|n| n != self.bodies.n_bodies()) {
             self.renew(Named::Bodies, false);
         }
-        if !self.renewal.is_awaited() {
+        let now_ns = self.line.now_ns();
+        let renewal = &mut self.renewal;
+        if !renewal.is_awaited() || renewal.is_late {
             return false;
         }
-        if self.renewal.held.is_empty() {
-            self.renewal.held_since_ns = self.line.now_ns();
+        if renewal.held.is_empty() {
+            (renewal.held_since_ns, renewal.held_bytes) = (now_ns, 0);
         }
-        self.renewal.held.push(body.to_vec());
+        renewal.held_bytes += body.len();
+        renewal.held.push(body.to_vec());
         true
     }
 
-    /// Decodes the frames that wait when there are too many, or for too long: the replies are late, and may never come.
+    /// Decodes the frames that wait when there are too many, or for too long. Later ones do not wait: the replies are used when
+    /// they come.
     pub(super) fn release_excess(&mut self, on_event: EventSink<'_>) {
-        let Renewal { held, held_since_ns, .. } = &self.renewal;
-        let is_overdue =
-            !held.is_empty() && self.line.now_ns().saturating_sub(*held_since_ns) > HELD_NS;
-        if is_overdue || held.len() >= HELD_MAX {
-            self.renewal.awaited.clear();
+        let Renewal { held, held_bytes, held_since_ns, .. } = &self.renewal;
+        let waited_ns = self.line.now_ns().saturating_sub(*held_since_ns);
+        let is_too_much = held.len() >= HELD_MAX || *held_bytes > HELD_BYTES_MAX;
+        if !held.is_empty() && (is_too_much || waited_ns > HELD_NS) {
+            self.renewal.is_late = true;
             self.release_held(on_event);
         }
     }
@@ -92,9 +100,7 @@ impl QtmHost {
     /// QTM states that its settings changed.
     pub(super) fn renew_all(&mut self) {
         self.renew(Named::Markers, true);
-        if self.run.has_bodies {
-            self.renew(Named::Bodies, true);
-        }
+        self.renew(Named::Bodies, true);
     }
 
     /// Requests settings again: at once if they are known to have changed, and else not for every frame.
@@ -102,7 +108,10 @@ impl QtmHost {
         let now_ns = self.line.now_ns();
         let last_ns = &mut self.renewal.requested_ns[settings as usize];
         let is_due = last_ns.is_none_or(|last_ns| now_ns.saturating_sub(last_ns) > INTERVAL_NS);
-        if self.renewal.awaited.contains(&settings) || !(is_due || is_certain) {
+        let is_asked = self.renewal.awaited.contains(&settings) && !is_certain;
+        // An event while one is asked may be behind what its reply states.
+        let n_asked = self.renewal.awaited.iter().filter(|of| **of == settings).count();
+        if is_asked || n_asked >= 2 || !(is_due || is_certain) {
             return;
         }
         *last_ns = Some(now_ns);
@@ -113,29 +122,44 @@ impl QtmHost {
         });
     }
 
-    /// The reply to the oldest request: settings, or an error.
+    /// Settings that were requested, or an error in their place.
     pub(super) fn on_renewed(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
-        let Some(requested) = self.renewal.awaited.pop_front() else { return };
         self.flush_frame(on_event);
-        let is_refused = packet.kind == Some(PacketKind::Error);
-        let settings = match is_refused {
-            // There are none any more.
-            true if requested == Named::Bodies => Ok(Settings::default()),
-            true => Err(printable(&packet.text())),
-            false => Settings::parse(&packet.text()),
-        };
-        match (settings, requested) {
-            (Ok(settings), Named::Bodies) => self.use_bodies(&settings, on_event),
-            (Ok(Settings { labels: Some(labels), .. }), _) => self.use_labels(&labels, on_event),
-            (Ok(_), _) => {}
-            (Err(problem), _) if is_refused => self.note_refusal(&problem, on_event),
-            (Err(problem), _) => {
-                let problem = printable(&problem);
-                self.note(&format!("QTM's new settings cannot be read: {problem}"), on_event);
+        if packet.kind == Some(PacketKind::Error) {
+            match self.renewal.awaited.pop_front() {
+                // There are none any more.
+                Some(Named::Bodies) => self.use_bodies(&[], on_event),
+                _ => self.note_refusal(&printable(&packet.text()), on_event),
+            }
+        } else {
+            match Settings::parse(&packet.text()) {
+                Ok(Settings { labels: Some(labels), .. }) => {
+                    self.forget(Named::Markers);
+                    self.use_labels(&labels, on_event);
+                }
+                // What the document has counts, and not the order of the requests.
+                Ok(Settings { bodies: Some(bodies), .. }) => {
+                    self.forget(Named::Bodies);
+                    self.use_bodies(&bodies, on_event);
+                }
+                Ok(_) => drop(self.renewal.forget_one()),
+                Err(problem) => {
+                    self.renewal.forget_one();
+                    let problem = printable(&problem);
+                    self.note(&format!("QTM's new settings cannot be read: {problem}"), on_event);
+                }
             }
         }
         if !self.renewal.is_awaited() {
+            self.renewal.is_late = false;
             self.release_held(on_event);
+        }
+    }
+
+    fn forget(&mut self, settings: Named) {
+        let awaited = &mut self.renewal.awaited;
+        if let Some(at) = awaited.iter().position(|of| *of == settings) {
+            awaited.remove(at);
         }
     }
 
@@ -150,14 +174,24 @@ impl QtmHost {
         }
     }
 
-    fn use_bodies(&mut self, settings: &Settings, on_event: EventSink<'_>) {
+    fn use_bodies(&mut self, bodies: &[BodySettings], on_event: EventSink<'_>) {
         let before = self.bodies.infos();
-        self.bodies.update(settings.bodies.as_deref().unwrap_or_default());
+        let n_excess = self.bodies.update(bodies);
         let now = self.bodies.infos();
-        if now != before {
-            on_event(DeviceEvent::Bodies(&now));
-            let n = now.len();
-            self.note(&format!("QTM's list of rigid bodies changed: {n} bodies"), on_event);
+        if now == before {
+            return;
         }
+        if !self.run.has_bodies {
+            self.note("QTM has rigid bodies now: record again to have them in the take", on_event);
+            return;
+        }
+        on_event(DeviceEvent::Bodies(&now));
+        let n_new = now.iter().filter(|info| !before.contains(info)).count();
+        let mut text = format!("QTM's list of rigid bodies changed: {} bodies", now.len());
+        if n_new + n_excess > 0 {
+            let n = n_new + n_excess;
+            text += &format!(", of which {n} are recorded only when you record again");
+        }
+        self.note(&text, on_event);
     }
 }

@@ -9,9 +9,11 @@ const ROTATION_ERROR_MAX: f64 = 0.01;
 /// Sine of the second angle from which on the first and the third turn about the same axis, as far as float32 can tell.
 const SINE_MAX: f64 = 1.0 - 1e-9;
 
-/// The matrix of a unit quaternion w, x, y, z.
+/// The matrix of a quaternion w, x, y, z, which may have another length than 1: devices send rounded ones.
 pub(super) fn matrix_of(quaternion: [f32; 4]) -> [f32; 9] {
-    let [w, x, y, z] = quaternion.map(f64::from);
+    let quaternion = quaternion.map(f64::from);
+    let length = quaternion.iter().map(|number| number * number).sum::<f64>().sqrt();
+    let [w, x, y, z] = quaternion.map(|number| number / length);
     let columns = [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
         [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
@@ -110,6 +112,9 @@ mod tests {
         for quaternion in quaternions() {
             let again = quaternion_of(matrix_of(quaternion)).unwrap();
             assert!(angle_between(quaternion, again) < 5e-7, "{quaternion:?} {again:?}");
+            // One with three decimals is the same rotation.
+            let rounded = quaternion_of(matrix_of(quaternion.map(|number| number * 1.009)));
+            assert!(angle_between(quaternion, rounded.unwrap()) < 5e-7, "{quaternion:?}");
         }
     }
 

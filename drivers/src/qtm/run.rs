@@ -18,6 +18,9 @@ const REQUESTED: [MarkerComponentKind; 2] =
 /// Notes of one stream; a QTM whose state changes again and again must fill neither the take nor the screen.
 const NOTES_MAX: u32 = 64;
 
+/// First frames that wait for the datagram of their bodies, by which it is known that there is one.
+const FRAMES_FOR_BODIES: u64 = 16;
+
 /// Ids of labelled markers without a channel: above all that QTM gives to unlabelled ones, which have 32 bits.
 const NO_CHANNEL: u64 = 1 << 32;
 
@@ -122,7 +125,9 @@ impl QtmHost {
             has_labelled: false,
             has_unlabelled: false,
             has_bodies: false,
-            wants_bodies: self.run.has_bodies,
+            // A QTM that has bodies and tracks none sends no component of them.
+            wants_bodies: self.run.has_bodies
+                && (self.run.had_bodies || self.run.frames < FRAMES_FOR_BODIES),
         });
     }
 
@@ -137,6 +142,7 @@ impl QtmHost {
         }
         self.open_frame(header, on_event);
         let Some(open) = &mut self.run.open else { return };
+        self.run.had_bodies = true;
         // The same part again, of a datagram that came twice.
         if !std::mem::replace(&mut open.has_bodies, true) && !self.bodies.read(bodies) {
             self.run.bodies_left_out += bodies.n_bodies() as u64;
@@ -218,8 +224,9 @@ impl QtmHost {
             timecode: None,
             markers: &self.samples,
         }));
-        // Where datagrams are lost, those of the bodies may be.
-        if run.has_bodies && (open.has_bodies || self.datagram_port.is_none()) {
+        // Where datagrams are lost, those of the bodies may be. A QTM that tracks no body sends none.
+        if run.has_bodies && (open.has_bodies || !open.wants_bodies || self.datagram_port.is_none())
+        {
             on_event(DeviceEvent::Poses(PoseFrame {
                 seq,
                 number: seq,

@@ -12,9 +12,10 @@ pub use crate::marker_ids::LABELS_MAX;
 /// takes 20 MB at most while it is read.
 const NODES_MAX: u32 = 200_000;
 
-/// Most attributes of a document, counted by their `=`: QTM writes ten for each of a hundred cameras, and three for each
-/// bone. All in one element, they are compared in a fraction of a second.
-const ATTRIBUTES_MAX: usize = 8192;
+/// Most attributes of a document, and of an element, counted by their `=`: QTM writes six for each point of a body, of which
+/// there may be a thousand. Those of an element are compared with one another, which takes a fraction of a second in all.
+const ATTRIBUTES_MAX: usize = 1 << 16;
+const ELEMENT_ATTRIBUTES_MAX: usize = 1 << 10;
 
 /// Most namespaces; QTM uses none.
 const NAMESPACES_MAX: usize = 16;
@@ -81,8 +82,13 @@ impl Settings {
     /// A phrase that says what is wrong with it.
     pub fn parse(xml: &str) -> Result<Self, String> {
         // The parser compares each attribute with the others of its element, and copies namespaces into every child.
-        let n_equals = xml.bytes().filter(|byte| *byte == b'=').count();
-        if n_equals > ATTRIBUTES_MAX || xml.matches("xmlns").count() > NAMESPACES_MAX {
+        let count = |part: &str| part.bytes().filter(|byte| *byte == b'=').count();
+        // No attribute has a '<'.
+        let is_one_full = xml.split('<').any(|element| count(element) > ELEMENT_ATTRIBUTES_MAX);
+        if is_one_full
+            || count(xml) > ATTRIBUTES_MAX
+            || xml.matches("xmlns").count() > NAMESPACES_MAX
+        {
             return Err("it has more attributes than settings have".to_owned());
         }
         let options =

@@ -67,8 +67,10 @@ pub(super) struct VendorLoss {
 pub(super) struct StreamRun {
     /// Whether the start was reported.
     pub(super) is_reported: bool,
-    /// Whether bodies were requested.
+    /// Whether bodies were requested, and whether any came.
     pub(super) has_bodies: bool,
+    /// Whether any came.
+    pub(super) had_bodies: bool,
     /// The frame that is put together.
     pub(super) open: Option<OpenFrame>,
     /// Counter of the first frame.

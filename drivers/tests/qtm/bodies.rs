@@ -154,6 +154,82 @@ fn a_renamed_list_of_the_same_length_is_followed_when_qtm_tells() {
     (1..4).for_each(|index| assert_eq!(of(index), (vec![3, 1, 0], vec![1, 0]), "{index}"));
 }
 
+/// At 1000 Hz a hundred frames are a tenth of a second, which settings of many cameras take.
+#[test]
+fn settings_that_come_late_are_used_all_the_same() {
+    let mut pair = Pair::with(None, settings(&["cup", "table"]));
+    pair.start();
+    frame(&mut pair, 0, 2);
+    pair.step();
+    let renamed = ServedSettings {
+        labels: vec!["tail".to_owned(), LABELS[1].to_owned(), LABELS[2].to_owned()],
+        ..settings(&["table", "cup"])
+    };
+    pair.server.change_settings(renamed);
+    // The requests wait on their way.
+    for number in 1..=100 {
+        frame(&mut pair, number, 2);
+        let bytes = pair.server.take_pending(pair.client);
+        pair.driver.push(&bytes, false);
+    }
+    assert_eq!(pair.driver.reported.frames.len(), 101, "none waits for long");
+    pair.steps(2);
+    frame(&mut pair, 101, 2);
+    pair.steps(2);
+    let reported = &pair.driver.reported;
+    assert_eq!((reported.frames.len(), reported.poses.len()), (102, 102));
+    let bodies: Vec<_> = reported.poses[101].2.iter().map(|pose| pose.body).collect();
+    let labels: Vec<_> = reported.frames[101].2.iter().map(|sample| sample.id).collect();
+    assert_eq!((labels, bodies), (vec![3, 1, 2], vec![1, 0]));
+    let names: Vec<_> = reported.bodies[1].iter().map(|body| body.name.as_str()).collect();
+    assert_eq!(names, ["table", "cup"], "and no list without bodies");
+}
+
+/// Independent of the driver's own arithmetic: a point of the body, turned by the matrix as QTM's documents and clients read
+/// it, and by the quaternion that is recorded.
+#[test]
+fn a_matrix_turns_points_as_the_quaternion_does() {
+    // A third of a turn about (1, 1, 1) takes x to y; then the nose of the body points along y. Column after column.
+    let matrix = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0];
+    let mut pair = Pair::with(None, settings(&["cup"]));
+    pair.start();
+    let body = WireBody { position_mm: [0.0; 3], matrix, residual_mm: 0.0 };
+    pair.frame_with(header(0), &[], &[body]);
+    pair.step();
+    let [w, x, y, z] = pair.driver.reported.poses[0].2[0].quaternion;
+    // The image of the x axis under a quaternion.
+    let nose = [w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)];
+    assert!(
+        nose.iter().zip([0.0, 1.0, 0.0]).all(|(a, b): (&f32, f32)| (a - b).abs() < 1e-6),
+        "{nose:?}"
+    );
+    let back = WireBody::of_pose(&pair.driver.reported.poses[0].2[0]);
+    assert!(back.matrix.iter().zip(matrix).all(|(a, b)| (a - b).abs() < 1e-6), "{back:?}");
+}
+
+/// By UDP, a QTM that has bodies and tracks none sends frames without them.
+#[test]
+fn frames_without_bodies_do_not_wait_for_them_for_ever() {
+    let mut pair = Pair::with(Some(5000), settings(&["cup"]));
+    let mut other = Pair::new(Some(5000));
+    pair.start();
+    other.start();
+    for number in 0..40 {
+        other.frame(number, header(number).time_us, &[]);
+        for datagram in other.server.take_datagrams() {
+            pair.driver.push(&datagram.bytes, true);
+        }
+        if number < 16 {
+            // Its part is waited for in vain.
+            pair.driver.now_ns += 30 * crate::pair::MS;
+            pair.driver.push(&[], false);
+        }
+        assert_eq!(pair.driver.reported.frames.len(), number as usize + 1, "at once");
+    }
+    stop(&mut pair);
+    assert_eq!(pair.driver.reported.poses.len(), 24, "nothing is known of the bodies");
+}
+
 #[test]
 fn bodies_without_settings_cost_no_marker_and_are_counted() {
     let mut pair = Pair::with(None, settings(&["cup", "table"]));

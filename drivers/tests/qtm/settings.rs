@@ -289,7 +289,8 @@ fn hostile_documents_are_refused() {
         assert!(!problem.contains('\n') && problem.len() < 200, "{problem}");
     }
     // As many attributes as are read, in one element.
-    let most: String = (0..8192).map(|k| format!(" a{k}=\"\"")).collect();
-    assert!(Settings::parse(&format!("<a{most}/>")).is_ok());
+    let most: String = (0..1024).map(|k| format!(" a{k}=\"\"")).collect();
+    let most = format!("<a{most}/>").repeat(60);
+    assert!(Settings::parse(&format!("<a>{most}</a>")).is_ok());
     assert!(began.elapsed() < Duration::from_secs(20), "{:?}", began.elapsed());
 }

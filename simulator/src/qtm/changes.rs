@@ -101,6 +101,11 @@ impl Changes {
             self.broken = None;
         }
     }
+
+    /// All clients are gone.
+    pub(super) fn forget_all(&mut self) {
+        self.broken = None;
+    }
 }
 
 /// Whether a fault can happen to a QTM.

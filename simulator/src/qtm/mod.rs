@@ -355,6 +355,8 @@ impl QtmDevice {
             self.log.cut(Kind::Unplug);
         }
         if !self.state.plugged || !self.state.powered {
+            self.changes.forget_all();
+            self.first_client = None;
             self.late.clear();
             self.out.clear();
             self.out_bytes = 0;
