@@ -104,8 +104,12 @@ impl RateCheck {
     pub(super) fn follow(&mut self, number: u32, time_us: u64, rate_hz: f64) -> Option<f64> {
         let here = (number, time_us);
         let [first, last] = self.window.get_or_insert([here; 2]);
-        let is_next = number.wrapping_sub(last.0).cast_signed() > 0 && time_us > last.1;
-        if here != *last && !is_next {
+        let ahead = number.wrapping_sub(last.0).cast_signed();
+        if (-LATE_MAX..=0).contains(&i64::from(ahead)) && time_us <= last.1 {
+            // A datagram that came late or twice.
+            return None;
+        }
+        if ahead <= 0 || time_us <= last.1 {
             // A number that stands still counts nothing, and one that began again nothing with those before.
             self.window = Some([here; 2]);
             self.n_deviating = 0;

@@ -19,7 +19,10 @@ mod no_allocation {
         },
         link::{DeviceLink, FrameForm, HostLink},
         ndi::{NdiHost, crc16},
-        qtm::{ClientId, FrameHeader, QtmHost, QtmServer, ServedFrame, ServedSettings, WireMarker},
+        qtm::{
+            BodySettings, ClientId, FrameHeader, QtmHost, QtmServer, ServedFrame, ServedSettings,
+            WireBody, WireMarker,
+        },
         transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
         uri::DeviceUri,
     };
@@ -272,6 +275,7 @@ mod no_allocation {
             frequency_hz: 1000.0,
             up_axis: "+Z",
             labels,
+            bodies: vec![BodySettings::default(); 12],
             ..ServedSettings::default()
         };
         let mut server = QtmServer::new(settings, "1".to_owned());
@@ -281,6 +285,7 @@ mod no_allocation {
         for _ in 0..20 {
             qtm_read(&mut host, &commands, &mut server, client);
         }
+        let bodies = [WireBody { position_mm: [1.0; 3], ..WireBody::LOST }; 12];
         // Unlabelled markers come and go.
         let marker = |id| WireMarker { position_mm: [1.0; 3], id, residual_mm: 0.1 };
         let markers: Vec<WireMarker> = (0..100).map(marker).collect();
@@ -291,6 +296,7 @@ mod no_allocation {
                 rates: [1, 0],
                 labelled: &markers,
                 unlabelled: &markers[(number % 40) as usize..60],
+                bodies: &bodies,
             });
             let before = ALLOCATIONS.get();
             let n_markers = qtm_read(&mut host, &commands, &mut server, client);

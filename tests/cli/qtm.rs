@@ -10,17 +10,19 @@ use std::{
     thread::{Builder, JoinHandle},
 };
 
+use mocapd_drivers::device::PoseStatus;
 use mocapd_simulator::{
     NetworkOptions,
     device::SentLog,
     faults::{Fate, FrameFate, Script},
-    generator::{ForcePlates, JumpSpec},
+    generator::{ForcePlates, JumpSpec, Occlusion, RigidBodies},
     qtm::{QtmDevice, QtmListener, QtmSettings, force_of},
     sampled::SampledSource,
 };
 use mocapd_take::{
     TakeMap,
     motion::{Motion, Position, is_gap},
+    poses::{Pose as StoredPose, PoseState},
 };
 use serde_json::Value;
 
@@ -172,8 +174,30 @@ fn ledger_agrees(transport: usize, name: &str, text: &str) -> (Value, String) {
         assert_eq!(count("unknown_after_disconnect"), wanted.unknown, "{context}");
         assert_eq!(count("frames_sent"), fates.len() as u64, "{context}");
     }
+    equals_source(&folder.read("a.take"), &fates, &context);
     let info = folder.run(&["info", "a.take", "--json"]).json();
     (info, context)
+}
+
+/// Every frame that arrived has the positions that the simulator sent, bit for bit, and every other one has none. A QTM that
+/// was switched off plays its file from the start, and `swaps` and `ghosts` change what it sends.
+#[track_caller]
+fn equals_source(take: &[u8], fates: &[FrameFate], context: &str) {
+    let is_changed = ["swaps-and-ghosts", "occlusion-storm", "power-loss"];
+    if is_changed.iter().any(|name| context.starts_with(name)) {
+        return;
+    }
+    let (motion, (rows, problems)) = (motion(), rows(take));
+    assert_eq!(problems.len(), 0, "{context}");
+    let first = fates.iter().position(|fate| fate.fate == Fate::Whole).unwrap();
+    assert_eq!(rows.len(), fates.len() - first, "{context}");
+    for (index, (row, fate)) in (first..).zip(rows.iter().zip(&fates[first..])) {
+        let sent = match fate.fate {
+            Fate::Whole => present(motion.frame(index)),
+            _ => Vec::new(),
+        };
+        assert_eq!(present(row), sent, "row {index}: {context}");
+    }
 }
 
 /// The effects of a script on each of the two transports.
@@ -241,6 +265,152 @@ fn a_frame_number_that_stands_still_loses_nothing() {
     for (info, context) in both("standing number", script) {
         assert!(count(&info, "lost_on_link") > 10, "{context}");
         assert_eq!(info["ledger"]["closes"], true, "{context}");
+    }
+}
+
+/// The label of the last labelled marker comes late: until then it is an unlabelled one.
+#[test]
+fn a_label_that_comes_late_is_followed_and_costs_no_sample() {
+    let script = "seed = 1\n[[fault]]\nkind = \"late-model\"\nfor_s = 0.7\n";
+    for (info, context) in both("late label", script) {
+        assert_eq!(count(&info, "recorded"), 480, "{context}");
+        let events = info["events"].to_string();
+        assert!(events.contains("QTM's list of labels changed: 10 labels"), "{events}");
+        let labels: Vec<_> =
+            motion().info.markers.iter().filter(|m| m.labelled).map(|m| m.label.clone()).collect();
+        let found = |label: &String| {
+            let channels = info["channels"].as_array().unwrap();
+            channels.iter().find(|channel| channel["label"] == label.as_str()).cloned()
+        };
+        assert!(labels.iter().all(|label| found(label).is_some()), "{info:#}");
+        // From 0.7 s on; the marker is seen all the time.
+        let late = found(labels.last().unwrap()).unwrap();
+        let samples = late["samples"].as_u64().unwrap();
+        assert!((300..=320).contains(&samples), "{late:#}");
+    }
+}
+
+/// The number of labels stays as it is: QTM's event tells.
+#[test]
+fn settings_that_change_in_mid_stream_are_followed_and_cost_no_sample() {
+    let script = "seed = 1\n[[fault]]\nkind = \"model-change\"\nat_s = 0.5\n";
+    for (info, context) in both("model change", script) {
+        assert_eq!(count(&info, "recorded"), 480, "{context}");
+        let last = motion().info.markers.iter().rfind(|m| m.labelled).unwrap().label.clone();
+        let channels = info["channels"].as_array().unwrap();
+        let samples = |label: &str| {
+            let channel = channels.iter().find(|channel| channel["label"] == label).unwrap();
+            channel["samples"].as_u64().unwrap()
+        };
+        let column = motion().info.markers.iter().rposition(|m| m.labelled).unwrap();
+        let motion = motion();
+        let seen = |frames: std::ops::Range<usize>| {
+            frames.filter(|frame| !is_gap(motion.frame(*frame)[column])).count() as u64
+        };
+        let (before, after) = (samples(&last), samples(&format!("{last} renamed")));
+        assert_eq!(before + after, seen(0..480), "{context}");
+        // The change is due with the first frame half a second after the first request.
+        assert!((seen(0..115)..=seen(0..125)).contains(&before), "{before} {after}");
+    }
+}
+
+/// A packet with a false size: nothing tells where the next one begins, so that the driver connects again.
+#[test]
+fn a_broken_server_is_connected_to_again_in_the_same_take() {
+    let script = "seed = 1\n[[fault]]\nkind = \"broken-packet\"\nat_s = 0.4\n";
+    for (info, context) in both("broken packet", script) {
+        let events = info["events"].to_string();
+        assert!(events.contains("no packet of the QTM RT protocol"), "{events}");
+        assert!(count(&info, "unknown_after_disconnect") > 0, "{context}");
+        assert_eq!(info["ledger"]["closes"], true, "{context}");
+    }
+}
+
+#[test]
+fn reordered_and_doubled_datagrams_leave_the_frames_as_they_were_sent() {
+    let script = "seed = 4\n[[fault]]\nkind = \"late-frames\"\nrate = 0.1\nby = 3\n\
+                  [[fault]]\nkind = \"doubled-frames\"\nrate = 0.2\n";
+    let (info, context) = ledger_agrees(1, "reordered", script);
+    assert!(count(&info, "duplicates") > 50, "{context}");
+    assert_eq!(info["ledger"]["closes"], true, "{context}");
+}
+
+/// A slow server: it sends nothing for a while, then everything at once, three times.
+#[test]
+fn a_slow_server_costs_nothing_but_time() {
+    let script: String = [0.2, 0.7, 1.3]
+        .map(|at| format!("[[fault]]\nkind = \"stall\"\nat_s = {at}\nfor_s = 0.3\n"))
+        .concat();
+    for (info, context) in both("slow server", &format!("seed = 1\n{script}")) {
+        assert_eq!(count(&info, "recorded"), 480, "{context}");
+        assert_eq!(info["ledger"]["closes"], true, "{context}");
+    }
+}
+
+/// The poses of all bodies in every frame of a take.
+fn recorded_poses(take: &[u8]) -> Vec<Vec<StoredPose>> {
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let mut all: Vec<Vec<StoredPose>> = Vec::new();
+    for (index, group) in map.pose_groups().enumerate() {
+        let n_bodies = group.group.bodies().count();
+        let mut at = 0;
+        let read = |first, _, poses: Option<&[StoredPose]>| {
+            assert_eq!(first, at as u64, "no gap");
+            for poses in poses.unwrap_or_default().chunks_exact(n_bodies) {
+                match index {
+                    0 => all.push(poses.to_vec()),
+                    _ => all[at].extend_from_slice(poses),
+                }
+                at += 1;
+            }
+            Ok(())
+        };
+        assert_eq!(group.read_poses(&mut Cursor::new(take), read).unwrap(), []);
+    }
+    all
+}
+
+#[test]
+fn bodies_are_recorded_as_the_simulator_moved_them() {
+    let folder = Folder::new();
+    let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.2 });
+    let spec = JumpSpec { seconds: Some(SECONDS), occlusion, ..JumpSpec::new(4, RATE_HZ) };
+    let bodies = Arc::new(RigidBodies::new(&spec, 12).unwrap());
+    let settings = QtmSettings { bodies: Some(Arc::clone(&bodies)), ..QtmSettings::default() };
+    let served = Served::new(spec.generate().unwrap().motion, settings);
+    for (index, uri) in transports(&served.uri).iter().enumerate() {
+        let take = format!("{index}.take");
+        let report = record(&folder, uri, &take, &[]).with_code(0).json();
+        assert_eq!(report["ledger"]["recorded"], 480);
+        assert_eq!(report["sample_ledger"]["closes"], true, "{report:#}");
+        let bytes = folder.read(&take);
+        let map = TakeMap::scan(&mut Cursor::new(&bytes)).unwrap();
+        let names: Vec<_> =
+            map.pose_groups().flat_map(|group| group.group.bodies()).map(str::to_owned).collect();
+        assert!(names.iter().eq(bodies.infos().iter().map(|info| &info.name)), "{names:?}");
+        let found = recorded_poses(&bytes);
+        assert_eq!(found.len(), 480);
+        let (mut sent, mut n_tracked) = (Vec::new(), 0);
+        for (number, found) in (0..).zip(&found) {
+            bodies.poses(number, RATE_HZ, &mut sent);
+            for (info, found) in bodies.infos().iter().zip(found) {
+                let sent = sent.iter().find(|pose| pose.body == info.id);
+                let Some(sent) = sent.filter(|pose| pose.status == PoseStatus::Tracked) else {
+                    assert_eq!(found.state, PoseState::Lost, "{number} {info:?}");
+                    continue;
+                };
+                assert_eq!(found.state, PoseState::Tracked, "{number} {info:?}");
+                assert_eq!(found.position_mm, sent.position_mm);
+                assert_eq!(found.residual_mm, sent.residual_mm);
+                let pairs = found.quaternion.iter().zip(sent.quaternion);
+                let product: f32 = pairs.clone().map(|(a, b)| a * b).sum();
+                let apart = pairs.map(|(a, b)| (a - product.signum() * b).abs());
+                assert!(apart.fold(0.0, f32::max) < 5e-7, "{found:?} {sent:?}");
+                n_tracked += 1;
+            }
+        }
+        assert!((4000..5500).contains(&n_tracked), "{n_tracked}");
+        folder.run(&["verify", &take]).with_code(0);
     }
 }
 

@@ -1,5 +1,5 @@
-"""Talks to `mocapd-sim serve --protocol qtm`, and to the service with `[publish.qtm]`, with a client that is not ours:
-Qualisys's own, qtm-rt.
+"""Talks to `mocapd-sim serve --protocol qtm`, and to the service with `[publish.qtm]`, with clients that are not ours:
+Qualisys's own, qtm-rt, and motioncapture, which reads rigid bodies with the C++ SDK.
 
     python check_qtm.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
 
@@ -10,6 +10,7 @@ One line a check; the last line is `N passed, N failed`; exit code 1 when one fa
 
 import argparse
 import asyncio
+import concurrent.futures
 import contextlib
 import csv
 import json
@@ -20,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -335,6 +337,92 @@ async def check_samples(port, _):
     expect(max(loads) > 100, "nobody stands on the plates")
 
 
+N_BODIES = 3
+
+
+def turned(matrix, point):
+    """A point of the body in the laboratory, by a matrix that is sent column after column."""
+    return [sum(matrix[3 * column + row] * point[column] for column in range(3)) for row in range(3)]
+
+
+def matrix_of_angles(roll, pitch, yaw):
+    """By the QTM manual: that of the roll about x, times that of the pitch about y, times that of the yaw about z."""
+    (sx, cx), (sy, cy), (sz, cz) = ((math.sin(a), math.cos(a)) for a in map(math.radians, (roll, pitch, yaw)))
+    rows = [[cy * cz, -cy * sz, sy],
+            [cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy],
+            [sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy]]
+    return [rows[row][column] for column in range(3) for row in range(3)]
+
+
+def read_motioncapture(port, seconds):
+    """Names and poses of the bodies in each frame that motioncapture reads; it wants the base port, one below."""
+    import motioncapture
+
+    client = motioncapture.connect("qualisys", {"hostname": "127.0.0.1", "port": str(port - 1)})
+    frames, ends_at = [], time.monotonic() + seconds
+    while time.monotonic() < ends_at:
+        client.waitForNextFrame()
+        frames.append({
+            name: (tuple(float(v) for v in body.position),
+                   (body.rotation.w, body.rotation.x, body.rotation.y, body.rotation.z))
+            for name, body in client.rigidBodies.items()})
+    return frames
+
+
+async def bodies_beside_motioncapture(port, seconds):
+    """qtm-rt and motioncapture read the same bodies in the same frames."""
+    connection, packets = await connected(port), []
+    root = ET.fromstring(await connection.get_parameters(["6d"]))
+    names = [body.findtext("Name") for body in root.find("The_6D").iter("Body")]
+    expect(len(names) == N_BODIES and len(set(names)) == N_BODIES, names)
+
+    def on_packet(packet):
+        packets.append((packet.framenumber, packet.get_6d_residual(), packet.get_6d_euler()))
+
+    await connection.stream_frames("allframes", ["6dres", "6deuler"], on_packet)
+    with concurrent.futures.ProcessPoolExecutor(max_workers=1) as pool:
+        reading = pool.submit(read_motioncapture, port, seconds)
+        theirs = await asyncio.wait_for(asyncio.wrap_future(reading), 30)
+    await connection.stream_frames_stop()
+    connection.disconnect()
+    numbers = [number for number, _, _ in packets]
+    expect(numbers == list(range(numbers[0], numbers[0] + len(numbers))), "frames are missing")
+    for number, (_, matrices), (_, angles) in packets:
+        expect(len(matrices) == len(angles) == N_BODIES, f"frame {number}: {len(matrices)} bodies")
+        for (place, rotation, _), (same_place, euler) in zip(matrices, angles):
+            expect(tuple(place) == tuple(same_place), f"frame {number}: {place}, {same_place}")
+            for got, wanted in zip(rotation.matrix, matrix_of_angles(euler.a1, euler.a2, euler.a3)):
+                expect(abs(got - wanted) < 1e-5, f"frame {number}: {rotation} {euler}")
+    # It states no number: its frames are those whose bodies are at the same places.
+    first = [tuple(v / 1000 for v in matrices[0][0]) for _, (_, matrices), _ in packets]
+    found = []
+    for bodies in theirs:
+        expect(list(sorted(bodies)) == sorted(names), bodies)
+        place = bodies[names[0]][0]
+        index = min(range(len(first)), key=lambda at: math.dist(first[at], place))
+        found.append(index)
+        for name, (sent, rotation, _) in zip(names, packets[index][1][1]):
+            position, (w, x, y, z) = bodies[name]
+            expect(all(abs(got - mm / 1000) <= 1.2e-7 * max(1, abs(mm / 1000)) for got, mm in zip(position, sent)),
+                   f"{name} is at {position}, and not at {sent}")
+            nose = turned(rotation.matrix, (1, 0, 0))
+            image = (w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y))
+            expect(all(abs(a - b) < 1e-5 for a, b in zip(nose, image)), f"{name} points to {image}, and not {nose}")
+    expect(found == list(range(found[0], found[0] + len(found))), "motioncapture misses frames, or has some twice")
+    expect(len(found) > 0.7 * RATE_HZ * seconds, f"{len(found)} frames")
+
+
+async def check_bodies(port, _):
+    await bodies_beside_motioncapture(port, 2)
+
+
+async def check_published_bodies(port, options):
+    """The same through the service."""
+    with tempfile.TemporaryDirectory() as folder, service(options, port, folder) as (published, _):
+        (await connected_service(published, folder)).disconnect()
+        await bodies_beside_motioncapture(published, 2)
+
+
 async def check_discovery(port, _):
     """Ours answers on the loopback, as the documents say."""
     asking = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -381,18 +469,22 @@ listen = "127.0.0.1:{port}"
         log.close()
 
 
+async def connected_service(published, folder):
+    """A connection to a service that has its device."""
+    for _ in range(100):
+        with contextlib.suppress(OSError, qtm_rt.QRTCommandException):
+            connection = await qtm_rt.connect("127.0.0.1", published)
+            if connection is not None:
+                await connection.get_parameters(["3d"])
+                return connection
+        await asyncio.sleep(0.2)
+    raise AssertionError((Path(folder) / "rig.log").read_text())
+
+
 async def check_service(port, options):
     """What the service records, published: every frame that it gets, with the source's floats."""
     with tempfile.TemporaryDirectory() as folder, service(options, port, folder) as (published, _):
-        connection = None
-        for _ in range(100):
-            with contextlib.suppress(OSError, qtm_rt.QRTCommandException):
-                connection = await qtm_rt.connect("127.0.0.1", published)
-                if connection is not None:
-                    await connection.get_parameters(["3d"])
-                    break
-            await asyncio.sleep(0.2)
-        expect(connection is not None, (Path(folder) / "rig.log").read_text())
+        connection = await connected_service(published, folder)
         root = ET.fromstring(await connection.get_parameters(["3d"]))
         expect([label.findtext("Name") for label in root.iter("Label")] == list(LABELS), "the labels")
         # The row of a frame is the number that the source gave it, counted from the first.
@@ -523,6 +615,8 @@ def main():
                check_datagrams, check_control, check_crowd, check_discovery, check_service, check_recorder_beside]
     jobs = [(check, ("--loop",)) for check in endless] + [(check_end, ())]
     jobs += [(check_samples, ("--plates", "--emg", "5@2kHz"))]
+    moved = ("--bodies", str(N_BODIES), "--rate", str(RATE_HZ), "--seconds", "30s")
+    jobs += [(check, moved) for check in (check_bodies, check_published_bodies)]
     passed = 0
     with tempfile.TemporaryDirectory() as folder:
         motion = Path(folder) / "motion.csv"
@@ -530,7 +624,8 @@ def main():
         for check, more in jobs:
             name = check.__name__.removeprefix("check_")
             try:
-                played = ["--generate", "jump"] if check is check_samples else [motion]
+                is_generated = check in (check_samples, check_bodies, check_published_bodies)
+                played = ["--generate", "jump"] if is_generated else [motion]
                 with simulator(options.mocapd_sim.resolve(), played, *more) as port:
                     asyncio.run(check(port, options))
                 print(f"ok   {name}", flush=True)

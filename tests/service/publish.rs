@@ -13,7 +13,8 @@ use std::{
 
 use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_drivers::qtm::{
-    Event, MarkerComponentKind, PacketKind, PacketReader, put_text, read_frame,
+    Event, FrameComponent, MarkerComponentKind, PacketKind, PacketReader, SampledComponentKind,
+    put_text, read_components, read_frame,
 };
 use mocapd_service::{
     config::{DeviceChoice, QtmPublishConfig},
@@ -24,8 +25,9 @@ use mocapd_service::{
 };
 use mocapd_simulator::{
     NetworkOptions,
-    generator::JumpSpec,
-    qtm::{QtmDevice, QtmListener, QtmSettings},
+    generator::{ForcePlates, JumpSpec, RigidBodies},
+    qtm::{QtmDevice, QtmListener, QtmSettings, force_of},
+    sampled::SampledSource,
 };
 use mocapd_take::motion::{Motion, is_gap};
 
@@ -39,8 +41,7 @@ struct Source {
 }
 
 impl Source {
-    fn new(motion: Motion) -> Self {
-        let settings = QtmSettings { looping: true, ..QtmSettings::default() };
+    fn new(motion: Motion, settings: QtmSettings) -> Self {
         let mut device = QtmDevice::new(motion, settings).unwrap();
         let listener = QtmListener::open(0).unwrap();
         let (uri, stop) = (listener.uri(), Arc::new(AtomicBool::new(false)));
@@ -67,8 +68,16 @@ struct Published {
 
 impl Published {
     fn new(motion: Motion, change: impl FnOnce(&mut QtmPublishConfig)) -> Self {
+        Self::with(motion, QtmSettings { looping: true, ..QtmSettings::default() }, change)
+    }
+
+    fn with(
+        motion: Motion,
+        settings: QtmSettings,
+        change: impl FnOnce(&mut QtmPublishConfig),
+    ) -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let source = Source::new(motion);
+        let source = Source::new(motion, settings);
         let mut publish =
             QtmPublishConfig { enabled: true, clients_max: 10, ..QtmPublishConfig::default() };
         change(&mut publish);
@@ -355,4 +364,99 @@ fn clients_are_bounded_and_only_read_unless_told_otherwise() {
     drop(second);
     wait_until("the place", || published.status().clients.len() == 1);
     drop(Client::ready(address));
+}
+
+/// The values of the source: of electrodes, and of a force plate.
+struct SentSamples {
+    electrodes: Vec<f32>,
+    plates: [Vec<f32>; 2],
+}
+
+impl SentSamples {
+    fn new(sources: &[SampledSource], seconds: f64) -> Self {
+        let physical = |index: usize, rate_hz: f64| -> Vec<Vec<f64>> {
+            let (mut counts, info) = (Vec::new(), sources[index].info());
+            sources[index].samples(0, (seconds * rate_hz) as u64, &mut counts);
+            let scaled = |sample: &[f32]| {
+                let all = sample.iter().zip(&info.channels);
+                all.map(|(count, c)| (f64::from(*count) - c.offset) * c.scale).collect()
+            };
+            counts.chunks(info.channels.len()).map(scaled).collect()
+        };
+        let (loads, emg) = (physical(0, 1000.0), physical(1, 2000.0));
+        let plates = [0, 6]
+            .map(|at| loads.iter().flat_map(|sample| force_of(&sample[at..at + 6])).collect());
+        Self { electrodes: emg.concat().iter().map(|value| *value as f32).collect(), plates }
+    }
+}
+
+/// Bodies, analog channels and forces of the source reach the clients with their names, numbers and bits.
+#[test]
+fn bodies_and_samples_are_published_as_the_source_sent_them() {
+    const SECONDS: f64 = 30.0;
+    let spec = JumpSpec { seconds: Some(SECONDS), ..JumpSpec::new(4, 100.0) };
+    let plates = Arc::new(ForcePlates::new(&spec).unwrap());
+    let sampled = vec![
+        SampledSource::plates(0, plates, 1000.0).unwrap(),
+        SampledSource::electrodes(1, "5@2kHz".parse().unwrap(), 9).unwrap(),
+    ];
+    let bodies = Arc::new(RigidBodies::new(&spec, 3).unwrap());
+    let sent = SentSamples::new(&sampled, SECONDS);
+    let settings =
+        QtmSettings { sampled, bodies: Some(Arc::clone(&bodies)), ..QtmSettings::default() };
+    let published = Published::with(spec.generate().unwrap().motion, settings, |_| {});
+    published.engine.arm(&Request::default()).unwrap();
+    let mut client = Client::ready(published.address());
+    wait_until("the device", || client.ask("GetParameters General").contains("<Frequency>100"));
+    let named = client.ask("GetParameters 6D");
+    let names: Vec<String> = bodies.infos().into_iter().map(|body| body.name).collect();
+    assert!(names.iter().all(|name| named.contains(&format!("<Name>{name}</Name>"))), "{named}");
+    assert_mentions(&client.ask("GetParameters Analog"), &["EMG5", "<Unit>V</Unit>", "COPz2"]);
+    let plates = client.ask("GetParameters Force");
+    assert_mentions(&plates, &["<Plate_ID>1</Plate_ID>", "<Plate_ID>2</Plate_ID>"]);
+    client.send("StreamFrames AllFrames 3D 6DRes Analog Force");
+    let (mut frames, mut n_components, mut poses, mut n_values) = (0, 0, Vec::new(), [0; 2]);
+    while frames < 300 {
+        let Some((PacketKind::Data, body)) = client.packet() else { continue };
+        frames += 1;
+        read_components(&body, &mut |header, component| match component {
+            FrameComponent::Bodies(component) => {
+                bodies.poses(u64::from(header.number), 100.0, &mut poses);
+                assert_eq!(component.n_bodies(), 3);
+                n_components += 1;
+                for (found, sent) in component.bodies().zip(&poses) {
+                    assert_eq!(found.position_mm, sent.position_mm, "{header:?}");
+                    assert_eq!(found.residual_mm, sent.residual_mm);
+                    // Its first column is the image of the x axis.
+                    let [w, x, y, z] = sent.quaternion;
+                    let image = [
+                        w * w + x * x - y * y - z * z,
+                        2.0 * (x * y + w * z),
+                        2.0 * (x * z - w * y),
+                    ];
+                    let apart = found.matrix.iter().zip(image).map(|(a, b)| (a - b).abs());
+                    assert!(apart.fold(0.0, f32::max) < 1e-5, "{found:?} {sent:?}");
+                }
+            }
+            FrameComponent::Samples(samples) => {
+                let (sent, is_force) = match (samples.kind, samples.id) {
+                    (SampledComponentKind::Analog, 1) => (&sent.electrodes, 0),
+                    (SampledComponentKind::Force, id) => (&sent.plates[id as usize - 1], 1),
+                    // The nine channels of the plates, as of an analog device.
+                    _ => return,
+                };
+                let mut values = Vec::new();
+                samples.put_interleaved(0..samples.n_channels, 0..samples.n_samples, &mut values);
+                let from = samples.first as usize * samples.n_channels;
+                let sent = &sent[from..from + values.len()];
+                assert!(values.iter().zip(sent).all(|(a, b)| a.to_bits() == b.to_bits()));
+                n_values[is_force] += values.len();
+            }
+            _ => {}
+        })
+        .unwrap();
+    }
+    assert_eq!(n_components, 300);
+    // Three seconds of each: 2000 samples of five channels, and 1000 forces of two plates.
+    assert!(n_values[0] > 25_000 && n_values[1] > 45_000, "{n_values:?}");
 }

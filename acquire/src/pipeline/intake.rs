@@ -333,11 +333,6 @@ impl Intake {
         }
     }
 
-    /// Sends a heartbeat while the reader waits for a device.
-    pub(crate) fn keep_alive(&self) {
-        self.heartbeat.beat();
-    }
-
     /// Records an event at the current row.
     pub fn event(&mut self, event: Event) {
         self.event_at(self.next_row, event);

@@ -1,6 +1,6 @@
 //! Reconnecting: waits for a device that was disconnected, finds it and starts it again, so that the take continues.
 
-use std::time::Duration;
+use std::{cell::RefCell, time::Duration};
 
 use anyhow::ensure;
 use crossbeam_channel::{RecvTimeoutError, bounded};
@@ -88,12 +88,15 @@ impl Rig {
         let mut watch = UsbWatch::new();
         while !is_over(reader) && monotonic_ns() - lost_ns < self.replug_timeout.as_nanos() as u64 {
             let give_up_ns = lost_ns.saturating_add(self.replug_timeout.as_nanos() as u64);
-            let cancel = |reader: &Reader<'_>| {
-                // Called between any two attempts: a handshake may take longer than the watchdog's limit.
-                reader.intake.keep_alive();
-                is_over(reader) || monotonic_ns() > give_up_ns
+            let shared = RefCell::new(&mut *reader);
+            let cancel = || {
+                let mut reader = shared.borrow_mut();
+                // Called between any two attempts, which take seconds: meanwhile what was recorded goes to disk, marks are
+                // executed, and the watchdog sees that the thread lives.
+                reader.intake.tick(monotonic_ns());
+                is_over(&reader) || monotonic_ns() > give_up_ns
             };
-            let (message, wait) = match self.attempt(reader, options, &cancel) {
+            let (message, wait) = match self.attempt(&shared, options, &cancel) {
                 ReconnectAttempt::Back => {
                     // The first frame shows how long it was away.
                     (options.notify)("the device is back");
@@ -104,7 +107,6 @@ impl Rig {
             };
             obstacle.update(message, options.notify);
             watch.wait(wait);
-            // Meanwhile what was recorded goes to disk.
             reader.intake.tick(monotonic_ns());
         }
         false
@@ -112,11 +114,11 @@ impl Rig {
 
     fn attempt(
         &mut self,
-        reader: &mut Reader<'_>,
+        reader: &RefCell<&mut Reader<'_>>,
         options: &ReadOptions<'_>,
-        cancel: &dyn Fn(&Reader<'_>) -> bool,
+        cancel: &dyn Fn() -> bool,
     ) -> ReconnectAttempt {
-        let Some(opened) = self.reopen_line(&|| cancel(reader)) else {
+        let Some(opened) = self.reopen_line(cancel) else {
             return ReconnectAttempt::Absent("no answer yet".to_owned());
         };
         match opened {
@@ -162,7 +164,12 @@ impl Rig {
             match receiver.recv_timeout(CONNECT_POLL_INTERVAL) {
                 Ok(opened) => return Some(opened),
                 Err(RecvTimeoutError::Timeout) if !cancel() => {}
-                Err(_) => return None,
+                Err(RecvTimeoutError::Timeout) => return None,
+                Err(RecvTimeoutError::Disconnected) => {
+                    let source = std::io::Error::other("the thread that connects has failed");
+                    let (device, action) = (self.uri.to_string(), "connecting");
+                    return Some(Err(TransportError::Io { device, action, source }));
+                }
             }
         }
     }
@@ -179,12 +186,12 @@ impl Rig {
     /// Checks that it is the same device, restores its rate and starts it.
     fn rejoin(
         &mut self,
-        reader: &mut Reader<'_>,
+        reader: &RefCell<&mut Reader<'_>>,
         options: &ReadOptions<'_>,
-        cancel: &dyn Fn(&Reader<'_>) -> bool,
+        cancel: &dyn Fn() -> bool,
     ) -> anyhow::Result<()> {
         let before = self.hello.clone();
-        let queried = self.query_identity(&|| cancel(reader));
+        let queried = self.query_identity(cancel);
         let now = std::mem::replace(&mut self.hello, before);
         queried?;
         let was = &self.hello;
@@ -194,10 +201,11 @@ impl Rig {
             self.another_device(&now)
         );
         if now.rate_millihertz != was.rate_millihertz {
-            self.try_set_rate(self.rate_hz(), &|| cancel(reader))?;
+            self.try_set_rate(self.rate_hz(), cancel)?;
         }
+        let mut reader = reader.borrow_mut();
         reader.restart(&self.channels);
-        self.start(reader, options).map(drop)
+        self.start(&mut reader, options).map(drop)
     }
 }
 

@@ -6,9 +6,10 @@ use super::{
     host::{Fence, QtmHost, SessionState, Step, is_byte_order},
     labels::UNLABELLED_MAX,
     packet::{Packet, PacketKind, printable},
+    renewal::Renewal,
     settings::Settings,
 };
-use crate::device::Hello;
+use crate::device::{BODIES_MAX, Hello};
 
 /// Frame rates that QTM's cameras have, in Hz: 1 Hz, to more than the fastest at a reduced image.
 const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=100_000.0;
@@ -84,7 +85,11 @@ impl QtmHost {
             Step::General | Step::Markers => self.on_required_settings(step, packet),
             Step::Bodies | Step::Analog | Step::Force => {
                 // What does not exist is an error, and no reason not to record the markers.
-                let settings = if is_error { Settings::default() } else { Settings::parse(&text).unwrap_or_default() };
+                let settings = if is_error { Ok(Settings::default()) } else { Settings::parse(&text) };
+                let settings = settings.unwrap_or_else(|problem| {
+                    self.remarks.push(format!("a part of QTM's settings cannot be read, and is not recorded: {}", printable(&problem)));
+                    Settings::default()
+                });
                 self.on_other_settings(step, &settings);
             }
         }
@@ -93,7 +98,7 @@ impl QtmHost {
     /// The reply to `ByteOrder`, or to what was requested before it during a stream that is stopped now.
     fn on_byte_order(&mut self, packet: &Packet<'_>, text: &str) {
         if !is_byte_order(packet) {
-            let was_requested = std::mem::take(&mut self.awaits_labels);
+            let was_requested = self.renewal.forget_one();
             if !was_requested && packet.kind == Some(PacketKind::Error) {
                 self.ask(Step::State);
             }
@@ -103,6 +108,8 @@ impl QtmHost {
         if self.fences_due > 0 {
             return;
         }
+        // All earlier requests have been replied to.
+        self.renewal = Renewal::default();
         if text.starts_with("Byte order is big") {
             return self.fail(
                 "QTM sends in the other byte order: give its little-endian port, the base port + 1 (22223 by default)",
@@ -175,10 +182,11 @@ impl QtmHost {
     fn on_other_settings(&mut self, step: Step, settings: &Settings) {
         match step {
             Step::Bodies => {
-                if settings.n_bodies > 0 {
-                    let n = settings.n_bodies;
-                    self.remarks
-                        .push(format!("QTM has {n} rigid bodies, which mocapd does not record"));
+                let n_excess = self.bodies.update(settings.bodies.as_deref().unwrap_or_default());
+                if n_excess > 0 {
+                    self.remarks.push(format!(
+                        "{n_excess} rigid bodies are too many, and are not recorded: at most {BODIES_MAX} can be"
+                    ));
                 }
                 self.sampled.clear();
                 self.ask(Step::Analog);

@@ -2,7 +2,7 @@
 
 use std::{fmt, net::IpAddr, str::SplitAsciiWhitespace};
 
-use super::{frame::MarkerComponentKind, sampled::SampledComponentKind};
+use super::{bodies::BodyComponentKind, frame::MarkerComponentKind, sampled::SampledComponentKind};
 
 /// Versions of the protocol that both ends speak, as the number after `1.`.
 pub const VERSIONS: std::ops::RangeInclusive<u32> = 8..=28;
@@ -18,6 +18,8 @@ const UDP_PORT_MIN: u16 = 1023;
 pub struct Components {
     /// Which of [`MarkerComponentKind::ALL`].
     markers: [bool; 4],
+    /// Which of [`BodyComponentKind::ALL`].
+    bodies: [bool; 4],
     /// Which of [`SampledComponentKind::ALL`].
     samples: [bool; 4],
     /// How many others, which a server without them leaves out.
@@ -38,11 +40,32 @@ impl Components {
         Self { markers, ..Self::default() }
     }
 
+    /// The components of bodies, in the order of their numbers.
+    pub fn bodies(&self) -> impl Iterator<Item = BodyComponentKind> + use<> {
+        let named = self.bodies;
+        BodyComponentKind::ALL.into_iter().zip(named).filter(|(_, named)| *named).map(|(k, _)| k)
+    }
+
+    /// The same with a component of bodies, if there is any.
+    #[must_use]
+    pub fn with_bodies(mut self, kind: Option<BodyComponentKind>) -> Self {
+        for (named, of) in self.bodies.iter_mut().zip(BodyComponentKind::ALL) {
+            *named |= kind == Some(of);
+        }
+        self
+    }
+
     /// The components of samples, in the order of their numbers.
     pub fn samples(&self) -> impl Iterator<Item = SampledComponentKind> + use<> {
         let named = self.samples;
         let all = SampledComponentKind::ALL.into_iter().zip(named);
         all.filter(|(_, named)| *named).map(|(kind, _)| kind)
+    }
+
+    /// Whether there are components of samples.
+    #[must_use]
+    pub fn has_samples(&self) -> bool {
+        self.samples.contains(&true)
     }
 
     /// The same with components of samples, if there are any.
@@ -61,27 +84,18 @@ impl Components {
     /// Reads names; `None` for one that the protocol does not have, or when there is none.
     fn parse(names: SplitAsciiWhitespace<'_>) -> Option<Self> {
         // Of these a channel list or a frame of reference may follow after ':'.
-        const OTHERS: [&str; 12] = [
-            "2d",
-            "2dlin",
-            "6d",
-            "6dres",
-            "6deuler",
-            "6deulerres",
-            "image",
-            "gazevector",
-            "eyetracker",
-            "timecode",
-            "skeleton",
-            "all",
-        ];
+        const OTHERS: [&str; 8] =
+            ["2d", "2dlin", "image", "gazevector", "eyetracker", "timecode", "skeleton", "all"];
         let mut found = Self::default();
         for name in names {
             let marker =
                 MarkerComponentKind::ALL.iter().position(|k| k.name().eq_ignore_ascii_case(name));
             let sampled =
                 SampledComponentKind::ALL.iter().position(|k| k.name().eq_ignore_ascii_case(name));
+            let body =
+                BodyComponentKind::ALL.iter().position(|k| k.name().eq_ignore_ascii_case(name));
             let named = marker.and_then(|at| found.markers.get_mut(at));
+            let named = named.or(body.and_then(|at| found.bodies.get_mut(at)));
             let base = name.split(':').next().unwrap_or(name);
             let has_list =
                 ["analog", "analogsingle"].map(|analog| base.eq_ignore_ascii_case(analog));
@@ -101,7 +115,9 @@ impl Components {
 impl fmt::Display for Components {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let markers = self.markers().map(MarkerComponentKind::name);
-        let names: Vec<_> = markers.chain(self.samples().map(SampledComponentKind::name)).collect();
+        let bodies = self.bodies().map(BodyComponentKind::name);
+        let samples = self.samples().map(SampledComponentKind::name);
+        let names: Vec<_> = markers.chain(bodies).chain(samples).collect();
         f.write_str(&names.join(" "))
     }
 }
@@ -161,6 +177,8 @@ pub struct SettingsRequest {
     pub general: bool,
     /// Of 3D markers.
     pub markers: bool,
+    /// Of rigid bodies.
+    pub bodies: bool,
     /// Of analog devices.
     pub analog: bool,
     /// Of force plates.
@@ -271,8 +289,7 @@ impl ClientCommand {
 }
 
 fn settings(names: SplitAsciiWhitespace<'_>) -> Option<SettingsRequest> {
-    const OTHERS: [&str; 6] =
-        ["6d", "image", "gazevector", "eyetracker", "skeleton", "calibration"];
+    const OTHERS: [&str; 5] = ["image", "gazevector", "eyetracker", "skeleton", "calibration"];
     let mut found = SettingsRequest::default();
     let mut n = 0;
     for name in names {
@@ -280,10 +297,17 @@ fn settings(names: SplitAsciiWhitespace<'_>) -> Option<SettingsRequest> {
         let base = name.split(':').next().unwrap_or(name).to_ascii_lowercase();
         match base.as_str() {
             "all" => {
-                found = SettingsRequest { general: true, markers: true, analog: true, force: true };
+                found = SettingsRequest {
+                    general: true,
+                    markers: true,
+                    bodies: true,
+                    analog: true,
+                    force: true,
+                };
             }
             "general" => found.general = true,
             "3d" => found.markers = true,
+            "6d" => found.bodies = true,
             "analog" => found.analog = true,
             "force" => found.force = true,
             other if OTHERS.contains(&other) => {}
@@ -391,7 +415,7 @@ mod tests {
         else {
             panic!("a frame with a list of channels");
         };
-        assert_eq!((one.to_string(), one.others), ("3DNoLabels".to_owned(), 2));
+        assert_eq!((one.to_string(), one.others), ("3DNoLabels 6D".to_owned(), 1));
     }
 
     #[test]

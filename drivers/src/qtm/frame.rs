@@ -1,6 +1,7 @@
-//! Data packets in both directions: the header of a frame, and its four components of 3D markers.
+//! Data packets in both directions: the header of a frame, its components of 3D markers, and the others by their modules.
 
 use super::{
+    bodies::{BodiesToSend, BodyComponent, BodyComponentKind},
     packet::{PacketKind, put_packet},
     sampled::{self, DeviceSamples, SampledComponentKind, SamplesToSend},
 };
@@ -134,6 +135,10 @@ pub struct FrameHeader {
 pub enum FrameComponent<'a> {
     /// Markers.
     Markers(MarkerComponent<'a>),
+    /// Rigid bodies with matrices.
+    Bodies(BodyComponent<'a>),
+    /// A component of rigid bodies whose size and count differ: it is skipped, and costs the frame no marker.
+    UnreadableBodies,
     /// Samples of an analog device, or of a force plate.
     Samples(DeviceSamples<'a>),
     /// A component of samples whose size and counts differ: it is skipped, and costs the frame no marker.
@@ -153,7 +158,8 @@ pub fn read_frame<'a>(
     })
 }
 
-/// Reads a data packet as [`read_frame`] does, with its samples.
+/// Reads a data packet as [`read_frame`] does, with its bodies and samples. Bodies with angles, whose definition each user of
+/// QTM chooses, are skipped.
 pub fn read_components<'a>(
     body: &'a [u8],
     on_component: &mut dyn FnMut(FrameHeader, FrameComponent<'a>),
@@ -167,6 +173,10 @@ pub fn read_components<'a>(
         let content = body.bytes(size.checked_sub(8)?)?;
         if let Some(kind) = MarkerComponentKind::of(kind) {
             on_component(header, FrameComponent::Markers(MarkerComponent::read(kind, content)?));
+        } else if let Some(kind) = BodyComponentKind::of(kind).filter(|kind| kind.has_matrices()) {
+            let bodies = BodyComponent::read(kind, content);
+            let bodies = bodies.map_or(FrameComponent::UnreadableBodies, FrameComponent::Bodies);
+            on_component(header, bodies);
         } else if let Some(kind) = SampledComponentKind::of(kind) {
             // First as a whole: of one that cannot be read, nothing is.
             if sampled::read(kind, content, &mut |_| {}).is_none() {
@@ -233,23 +243,53 @@ impl SampledComponent<'_> {
     }
 }
 
-/// Appends a data packet.
-pub fn put_frame(header: FrameHeader, components: &[ComponentToSend<'_>], out: &mut Vec<u8>) {
-    put_sampled_frame(header, (components, &[]), out);
+/// A component to send.
+#[derive(Debug, Clone)]
+pub(super) enum AnyComponent<'a> {
+    Markers(ComponentToSend<'a>),
+    Bodies(BodiesToSend<'a>),
+    Samples(SampledComponent<'a>),
 }
 
-/// Appends a data packet with components of markers and of samples.
-pub(super) fn put_sampled_frame(
+impl AnyComponent<'_> {
+    /// Its bytes in a packet.
+    pub(super) fn bytes(&self) -> usize {
+        match self {
+            Self::Markers(component) => component.bytes(),
+            Self::Bodies(component) => component.bytes(),
+            Self::Samples(component) => component.bytes(),
+        }
+    }
+
+    fn put(&self, out: &mut Vec<u8>) {
+        match self {
+            Self::Markers(component) => component.put(out),
+            Self::Bodies(component) => component.put(out),
+            Self::Samples(component) => sampled::put(component.kind, &component.devices, out),
+        }
+    }
+}
+
+/// Bytes of a data packet before its components: packet header, time, number and count.
+pub(super) const FRAME_HEADER_BYTES: usize = 24;
+
+/// Appends a data packet with components of markers.
+pub fn put_frame(header: FrameHeader, components: &[ComponentToSend<'_>], out: &mut Vec<u8>) {
+    let components: Vec<_> = components.iter().map(|c| AnyComponent::Markers(*c)).collect();
+    put_components(header, &components, out);
+}
+
+/// Appends a data packet.
+pub(super) fn put_components(
     header: FrameHeader,
-    (markers, samples): (&[ComponentToSend<'_>], &[SampledComponent<'_>]),
+    components: &[AnyComponent<'_>],
     out: &mut Vec<u8>,
 ) {
     put_packet(PacketKind::Data, out, |out| {
         header.time_us.put(out);
         header.number.put(out);
-        ((markers.len() + samples.len()) as u32).put(out);
-        markers.iter().for_each(|component| component.put(out));
-        samples.iter().for_each(|component| sampled::put(component.kind, &component.devices, out));
+        (components.len() as u32).put(out);
+        components.iter().for_each(|component| component.put(out));
     });
 }
 
@@ -333,11 +373,11 @@ mod tests {
 
     #[test]
     fn components_that_are_not_read_are_skipped() {
-        // A 6D component (5) with one body in front of a 3D component.
+        // A 2D component (7) in front of a 3D component.
         let mut body = Vec::new();
         for part in [
             &[1_u8, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 2, 0, 0, 0][..],
-            &[64, 0, 0, 0, 5, 0, 0, 0],
+            &[64, 0, 0, 0, 7, 0, 0, 0],
             &[0; 56],
         ] {
             body.extend_from_slice(part);

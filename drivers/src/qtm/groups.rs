@@ -235,7 +235,7 @@ const ANCHOR_GAIN: f64 = 1.0 / 64.0;
 const ANCHOR_MAX_US: f64 = 250_000.0;
 
 /// A text of at most so many bytes.
-fn bounded(text: &str, bytes_max: usize) -> String {
+pub(super) fn bounded(text: &str, bytes_max: usize) -> String {
     let mut end = text.len().min(bytes_max);
     while !text.is_char_boundary(end) {
         end -= 1;

@@ -2,10 +2,12 @@
 
 use super::{
     axis::FrameAxis,
+    body_table::BodyTable,
     command::VERSIONS,
     groups::SampledGroups,
     labels::{LabelTable, UnlabelledIds},
     packet::{OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader, printable, put_text},
+    renewal::Renewal,
     stream_run::StreamRun,
 };
 use crate::{
@@ -28,6 +30,9 @@ const REPLY_TIMEOUT_NS: u64 = 3_000 * MS;
 
 /// A connection on which nothing has arrived for this long is checked, which tells a silent QTM from an idle one.
 const CHECK_AFTER_NS: u64 = 2_000 * MS;
+
+/// Longest reply of one line: QTM's have some tens of bytes. A longer one is a sign that its size was misread.
+const LINE_BYTES_MAX: usize = 4096;
 
 /// How long frames that were sent before the end may still arrive in datagrams, which overtake the stream and each other.
 const STRAGGLERS_NS: u64 = 250 * MS;
@@ -110,10 +115,8 @@ pub struct QtmHost {
     pub(super) labels: LabelTable,
     pub(super) unlabelled: UnlabelledIds,
     pub(super) sampled: SampledGroups,
-    /// Whether the labels were requested again, because frames have another number of them.
-    pub(super) awaits_labels: bool,
-    /// When they were requested last.
-    pub(super) labels_request_ns: u64,
+    pub(super) bodies: BodyTable,
+    pub(super) renewal: Renewal,
     /// Whether frames came, on this connection or an earlier one.
     pub(super) had_frames: bool,
     pub(super) samples: Vec<MarkerSample>,
@@ -152,8 +155,8 @@ impl QtmHost {
             labels: LabelTable::default(),
             unlabelled: UnlabelledIds::default(),
             sampled: SampledGroups::default(),
-            awaits_labels: false,
-            labels_request_ns: 0,
+            bodies: BodyTable::default(),
+            renewal: Renewal::default(),
             had_frames: false,
             samples: Vec::new(),
             axis: FrameAxis::default(),
@@ -270,6 +273,11 @@ impl QtmHost {
     }
 
     fn on_packet(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
+        let is_line = matches!(packet.kind, Some(PacketKind::Error | PacketKind::Command));
+        if is_line && packet.body.len() > LINE_BYTES_MAX {
+            self.counters.messages_damaged += 1;
+            return self.out_of_step(OutOfStep::Size(packet.body.len() as u32));
+        }
         self.counters.messages += 1;
         self.last_packet_ns = self.line.now_ns();
         match (packet.kind, self.state) {
@@ -292,8 +300,13 @@ impl QtmHost {
     fn on_reply(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
         match self.state {
             SessionState::BringUp(step) => self.on_bring_up_reply(step, packet),
-            _ if self.awaits_labels && packet.kind == Some(PacketKind::Xml) => {
-                self.on_new_labels(packet, on_event);
+            // An error before the stream is accepted is about its request.
+            _ if packet.kind == Some(PacketKind::Xml)
+                || self.renewal.is_awaited()
+                    && packet.kind == Some(PacketKind::Error)
+                    && self.fence != Some(Fence::Started) =>
+            {
+                self.on_renewed(packet, on_event);
             }
             _ if packet.kind == Some(PacketKind::Error) => self.on_error(packet, on_event),
             _ if is_byte_order(packet) => self.on_fence(on_event),
@@ -309,13 +322,14 @@ impl QtmHost {
             (SessionState::Streaming, Some(Fence::Started)) => {
                 self.fail(&format!("QTM does not send frames ({text}): check its version"));
             }
-            _ => {
-                self.awaits_labels = false;
-                self.release_held(on_event);
-                if !std::mem::replace(&mut self.run.is_refusal_noted, true) {
-                    self.note(&format!("QTM refuses a request: {text}"), on_event);
-                }
-            }
+            _ => self.note_refusal(&text, on_event),
+        }
+    }
+
+    /// Reports a request that was refused, once in a stream.
+    pub(super) fn note_refusal(&mut self, text: &str, on_event: EventSink<'_>) {
+        if !std::mem::replace(&mut self.run.is_refusal_noted, true) {
+            self.note(&format!("QTM refuses a request: {text}"), on_event);
         }
     }
 
@@ -337,6 +351,9 @@ impl QtmHost {
     fn tick(&mut self, on_event: EventSink<'_>) {
         if let Some(command) = self.unsent_end.take() {
             self.end_connection(command);
+        }
+        if matches!(self.state, SessionState::Streaming | SessionState::Ending(_)) {
+            self.release_excess(on_event);
         }
         let now_ns = self.line.now_ns();
         if self.run.is_part_overdue(now_ns) {
@@ -369,6 +386,10 @@ impl QtmHost {
         if std::mem::take(&mut self.todo.hello) {
             on_event(DeviceEvent::Hello(&self.hello));
             on_event(DeviceEvent::Markers(&self.labels.markers()));
+            let bodies = self.bodies.infos();
+            if !bodies.is_empty() {
+                on_event(DeviceEvent::Bodies(&bodies));
+            }
             self.sampled.infos().for_each(|group| on_event(DeviceEvent::SampledGroup(group)));
         }
         if std::mem::take(&mut self.todo.stop) {
@@ -412,8 +433,7 @@ impl Protocol for QtmHost {
         self.state = SessionState::Off;
         self.todo = UnfinishedCommands::default();
         (self.fence, self.fences_due) = (None, 0);
-        self.awaits_labels = false;
-        self.labels_request_ns = 0;
+        self.renewal = Renewal::default();
         self.last_packet_ns = 0;
         self.reader.clear();
         self.unsent_end = None;

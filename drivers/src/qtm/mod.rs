@@ -3,6 +3,9 @@
 //! [`QtmHost`] is the client's end, sans-io; it sends [line commands](crate::transport::polled). What a server says and
 //! understands is in the same modules, so that both ends have one description of every message.
 
+mod bodies;
+mod body_settings;
+mod body_table;
 mod bring_up;
 mod command;
 pub(crate) mod discovery;
@@ -10,6 +13,8 @@ mod frame;
 mod groups;
 mod host;
 mod packet;
+mod renewal;
+mod rotation;
 mod run;
 mod sampled;
 mod server;
@@ -17,6 +22,8 @@ mod settings;
 mod stream_run;
 
 pub use self::{
+    bodies::{BodyComponent, BodyComponentKind, WireBody},
+    body_settings::BodySettings,
     command::{
         ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate, StreamRequest,
         VERSIONS, WELCOME,

@@ -1,15 +1,15 @@
 //! A stream from its start to its end: frames, changes of state, and QTM's own account of loss.
 
 use super::{
+    bodies::{BodyComponent, BodyComponentKind},
     command::{Components, DatagramTarget, StreamRate, StreamRequest},
     frame::{FrameComponent, FrameHeader, MarkerComponent, MarkerComponentKind, read_components},
-    host::{EventSink, Fence, MS, QtmHost, SessionState},
-    packet::{Event, Packet, printable},
+    host::{EventSink, Fence, QtmHost, SessionState},
+    packet::{Event, Packet},
     sampled::SampledComponentKind,
-    settings::Settings,
     stream_run::{FrameParts, OpenFrame, StreamRun, VendorLoss},
 };
-use crate::device::{DeviceEvent, Frame, LinkBudget, MarkerSample};
+use crate::device::{DeviceEvent, EndOfPoses, Frame, LinkBudget, MarkerSample, PoseFrame};
 
 /// Components of a frame that the driver requests.
 const REQUESTED: [MarkerComponentKind; 2] =
@@ -18,11 +18,8 @@ const REQUESTED: [MarkerComponentKind; 2] =
 /// Notes of one stream; a QTM whose state changes again and again must fill neither the take nor the screen.
 const NOTES_MAX: u32 = 64;
 
-/// Least time between two requests for the labels of one stream.
-const LABELS_INTERVAL_NS: u64 = 1_000 * MS;
-
-/// Frames that wait for labels: a sixteenth of a second at 1000 Hz, and many times what a request takes on a local network.
-const HELD_MAX: usize = 64;
+/// First frames that wait for the datagram of their bodies, by which it is known that there is one.
+const FRAMES_FOR_BODIES: u64 = 16;
 
 /// Ids of labelled markers without a channel: above all that QTM gives to unlabelled ones, which have 32 bits.
 const NO_CHANNEL: u64 = 1 << 32;
@@ -30,15 +27,17 @@ const NO_CHANNEL: u64 = 1 << 32;
 impl QtmHost {
     /// Requests frames.
     pub(super) fn start_stream(&mut self) {
+        let has_bodies = self.bodies.n_bodies() > 0;
+        let bodies = has_bodies.then_some(BodyComponentKind::MatricesWithResiduals);
         let request = StreamRequest {
             rate: StreamRate::All,
             datagrams: self.datagram_port.map(|port| DatagramTarget { address: None, port }),
-            components: Components::of(&REQUESTED).with_samples(
+            components: Components::of(&REQUESTED).with_bodies(bodies).with_samples(
                 self.sampled.has(false).then_some(SampledComponentKind::Analog),
                 self.sampled.has(true).then_some(SampledComponentKind::Force),
             ),
         };
-        self.run = StreamRun::default();
+        self.run = StreamRun { has_bodies, ..StreamRun::default() };
         self.state = SessionState::Streaming;
         self.send(&request.to_string());
         self.send_fence(Fence::Started);
@@ -73,33 +72,22 @@ impl QtmHost {
             self.counters.messages_damaged += 1;
             return;
         };
-        let fits = parts.n_labelled.is_none_or(|n| n == self.labels.n_labels());
-        if self.run.held.is_empty() && (fits || !self.request_labels()) {
+        if self.holds(body, parts) {
+            self.release_excess(on_event);
+        } else {
             self.decode(body, on_event);
-            return;
-        }
-        // Its labels are on their way.
-        self.run.held.push(body.to_vec());
-        if self.run.held.len() >= HELD_MAX {
-            self.awaits_labels = false;
-            self.release_held(on_event);
         }
     }
 
-    /// Decodes the frames that waited for labels.
-    pub(super) fn release_held(&mut self, on_event: EventSink<'_>) {
-        for body in std::mem::take(&mut self.run.held) {
-            self.decode(&body, on_event);
-        }
-    }
-
-    fn decode(&mut self, body: &[u8], on_event: EventSink<'_>) {
+    pub(super) fn decode(&mut self, body: &[u8], on_event: EventSink<'_>) {
         let mut n_components = 0;
         let is_lossy = self.datagram_port.is_some();
         let header = read_components(body, &mut |header, component| {
             n_components += 1;
             match component {
                 FrameComponent::Markers(markers) => self.on_component(header, &markers, on_event),
+                FrameComponent::Bodies(bodies) => self.on_bodies(header, &bodies, on_event),
+                FrameComponent::UnreadableBodies => self.run.bodies_unreadable += 1,
                 FrameComponent::UnreadableSamples => self.run.samples_unreadable += 1,
                 FrameComponent::Samples(samples) => {
                     let way = (header.time_us, is_lossy);
@@ -129,10 +117,36 @@ impl QtmHost {
         }
         self.flush_frame(on_event);
         self.samples.clear();
+        self.bodies.begin_frame();
         self.unlabelled.begin_frame();
-        let opened_ns = self.line.now_ns();
-        self.run.open =
-            Some(OpenFrame { header, opened_ns, has_labelled: false, has_unlabelled: false });
+        self.run.open = Some(OpenFrame {
+            header,
+            opened_ns: self.line.now_ns(),
+            has_labelled: false,
+            has_unlabelled: false,
+            has_bodies: false,
+            // A QTM that has bodies and tracks none sends no component of them.
+            wants_bodies: self.run.has_bodies
+                && (self.run.had_bodies || self.run.frames < FRAMES_FOR_BODIES),
+        });
+    }
+
+    fn on_bodies(
+        &mut self,
+        header: FrameHeader,
+        bodies: &BodyComponent<'_>,
+        on_event: EventSink<'_>,
+    ) {
+        if !self.run.has_bodies {
+            return;
+        }
+        self.open_frame(header, on_event);
+        let Some(open) = &mut self.run.open else { return };
+        self.run.had_bodies = true;
+        // The same part again, of a datagram that came twice.
+        if !std::mem::replace(&mut open.has_bodies, true) && !self.bodies.read(bodies) {
+            self.run.bodies_left_out += bodies.n_bodies() as u64;
+        }
     }
 
     fn on_component(
@@ -187,20 +201,6 @@ impl QtmHost {
         }
     }
 
-    /// Requests the labels again; not for every frame, if QTM keeps sending another number of markers than it states.
-    /// Returns whether they are on their way.
-    fn request_labels(&mut self) -> bool {
-        let now_ns = self.line.now_ns();
-        let is_due = self.labels_request_ns == 0
-            || now_ns.saturating_sub(self.labels_request_ns) > LABELS_INTERVAL_NS;
-        if !self.awaits_labels && is_due {
-            self.awaits_labels = true;
-            self.labels_request_ns = now_ns.max(1);
-            self.send("GetParameters 3D");
-        }
-        self.awaits_labels
-    }
-
     /// Passes the open frame on.
     pub(super) fn flush_frame(&mut self, on_event: EventSink<'_>) {
         let Some(open) = self.run.open.take() else { return };
@@ -224,39 +224,23 @@ impl QtmHost {
             timecode: None,
             markers: &self.samples,
         }));
+        // Where datagrams are lost, those of the bodies may be. A QTM that tracks no body sends none.
+        if run.has_bodies && (open.has_bodies || !open.wants_bodies || self.datagram_port.is_none())
+        {
+            on_event(DeviceEvent::Poses(PoseFrame {
+                seq,
+                number: seq,
+                device_ticks: header.time_us,
+                poses: self.bodies.poses(),
+            }));
+        }
         if let Some(hz) = measured_hz {
-            self.note(
-                &format!(
-                    "QTM's frame rate is {hz:.1} Hz by its clock, and was stated as {stated_hz} Hz: lengths and times that \
-                     follow from the rate are wrong; stop, and record again"
-                ),
-                on_event,
-            );
+            // Not among the notes that are counted: there is one, and it matters.
+            on_event(DeviceEvent::Note(&format!(
+                "QTM's frame rate is {hz:.1} Hz by its clock, and was stated as {stated_hz} Hz: lengths and times that \
+                 follow from the rate are wrong; stop, and record again"
+            )));
         }
-    }
-
-    /// The labels that were requested because frames have another number of markers.
-    pub(super) fn on_new_labels(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
-        self.awaits_labels = false;
-        match Settings::parse(&packet.text()) {
-            Ok(Settings { labels: Some(labels), .. }) => {
-                self.flush_frame(on_event);
-                let before = self.labels.markers();
-                self.labels.update(&labels);
-                let now = self.labels.markers();
-                if now != before {
-                    on_event(DeviceEvent::Markers(&now));
-                    let n = labels.len();
-                    self.note(&format!("QTM's list of labels changed: {n} labels"), on_event);
-                }
-            }
-            Ok(_) => {}
-            Err(problem) => {
-                let problem = printable(&problem);
-                self.note(&format!("QTM's new labels cannot be read: {problem}"), on_event);
-            }
-        }
-        self.release_held(on_event);
     }
 
     pub(super) fn on_state_change(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
@@ -277,6 +261,7 @@ impl QtmHost {
                     Event::RtFromFileStopped if has_frames => self.begin_end(),
                     Event::ConnectionClosed if has_frames => self.end_measurement(event.name()),
                     Event::ShuttingDown => self.lose("QTM shuts down".to_owned()),
+                    Event::CameraSettingsChanged => self.renew_all(),
                     _ => {}
                 }
             }
@@ -341,32 +326,45 @@ impl QtmHost {
                 on_event(DeviceEvent::Note(&text));
             }
         }
-        if self.run.whole > 0 && self.run.partial > 0 && self.datagram_port.is_some() {
-            let text = format!(
-                "{} frames are incomplete: datagrams with some of their markers were lost",
-                self.run.partial
-            );
-            on_event(DeviceEvent::Note(&text));
-        }
-        if self.run.samples_unreadable > 0 {
-            let text = format!(
-                "the analog samples or forces of {} frames cannot be read: their layout is not the documented one",
-                self.run.samples_unreadable
-            );
-            on_event(DeviceEvent::Note(&text));
-        }
-        if self.run.samples_left_out > 0 {
-            let text = format!(
-                "{} analog samples or forces were left out: their device was not in QTM's settings, or had other channels",
-                self.run.samples_left_out
-            );
-            on_event(DeviceEvent::Note(&text));
-        }
-        if self.run.excess > 0 {
-            let text =
-                format!("{} unlabelled samples were left out: too many at once", self.run.excess);
-            on_event(DeviceEvent::Note(&text));
+        self.note_what_is_missing(on_event);
+        if self.run.has_bodies && self.run.frames > 0 {
+            let (seq, device_ticks) = (self.run.last.wrapping_add(1), self.run.last_us);
+            on_event(DeviceEvent::EndOfPoses(EndOfPoses { seq, number: seq, device_ticks }));
         }
         on_event(DeviceEvent::EndOfStream(self.run.status()));
+    }
+
+    /// Reports what came and could not be recorded.
+    fn note_what_is_missing(&self, on_event: EventSink<'_>) {
+        let run = &self.run;
+        let is_divided = run.whole > 0 && self.datagram_port.is_some();
+        let counts = [
+            (
+                if is_divided { run.partial } else { 0 },
+                "frames are incomplete: datagrams with some of their markers or bodies were lost",
+            ),
+            (
+                run.samples_unreadable,
+                "components of analog samples or forces cannot be read: their layout is not the documented one",
+            ),
+            (
+                run.samples_left_out,
+                "analog samples or forces were left out: their device was not in QTM's settings, or had other channels",
+            ),
+            (
+                run.bodies_unreadable,
+                "components of rigid bodies cannot be read: their layout is not the documented one",
+            ),
+            (
+                run.bodies_left_out,
+                "poses were left out: their frames have another number of bodies than QTM's settings",
+            ),
+            (run.excess, "unlabelled samples were left out: too many at once"),
+        ];
+        for (count, what) in counts {
+            if count > 0 {
+                on_event(DeviceEvent::Note(&format!("{count} {what}")));
+            }
+        }
     }
 }

@@ -1,6 +1,9 @@
 //! Settings as XML, in both directions: what a client needs of them, and what a server states.
 
-use super::command::SettingsRequest;
+use super::{
+    body_settings::{BodySettings, put_bodies, put_general_angles, read_angles, read_bodies},
+    command::SettingsRequest,
+};
 use roxmltree::{Document, Node, ParsingOptions};
 
 pub use crate::marker_ids::LABELS_MAX;
@@ -9,9 +12,10 @@ pub use crate::marker_ids::LABELS_MAX;
 /// takes 20 MB at most while it is read.
 const NODES_MAX: u32 = 200_000;
 
-/// Most attributes of a document, counted by their `=`: QTM writes ten for each of a hundred cameras, and three for each
-/// bone. All in one element, they are compared in a fraction of a second.
-const ATTRIBUTES_MAX: usize = 8192;
+/// Most attributes of a document, and of an element, counted by their `=`: QTM writes six for each point of a body, of which
+/// there may be a thousand. Those of an element are compared with one another, which takes a fraction of a second in all.
+const ATTRIBUTES_MAX: usize = 1 << 16;
+const ELEMENT_ATTRIBUTES_MAX: usize = 1 << 10;
 
 /// Most namespaces; QTM uses none.
 const NAMESPACES_MAX: usize = 16;
@@ -28,8 +32,10 @@ pub struct Settings {
     pub up_axis: Option<String>,
     /// Labels of the markers, in the order of frames; empty strings for markers without one.
     pub labels: Option<Vec<String>>,
-    /// Rigid bodies.
-    pub n_bodies: usize,
+    /// Rigid bodies, in the order of frames.
+    pub bodies: Option<Vec<BodySettings>>,
+    /// Names of the angles by which rotations are shown, such as roll, pitch and yaw.
+    pub angles: Option<[String; 3]>,
     /// Analog devices.
     pub analog: Vec<AnalogDevice>,
     /// Force plates.
@@ -56,6 +62,8 @@ pub struct ForcePlate {
     pub id: u32,
     /// Forces per second.
     pub rate_hz: f64,
+    /// The corners of its surface in laboratory axes, in millimetres, if a server knows them.
+    pub corners_mm: Option<[[f32; 3]; 4]>,
 }
 
 /// The units of forces.
@@ -74,8 +82,13 @@ impl Settings {
     /// A phrase that says what is wrong with it.
     pub fn parse(xml: &str) -> Result<Self, String> {
         // The parser compares each attribute with the others of its element, and copies namespaces into every child.
-        let n_equals = xml.bytes().filter(|byte| *byte == b'=').count();
-        if n_equals > ATTRIBUTES_MAX || xml.matches("xmlns").count() > NAMESPACES_MAX {
+        let count = |part: &str| part.bytes().filter(|byte| *byte == b'=').count();
+        // No attribute has a '<'.
+        let is_one_full = xml.split('<').any(|element| count(element) > ELEMENT_ATTRIBUTES_MAX);
+        if is_one_full
+            || count(xml) > ATTRIBUTES_MAX
+            || xml.matches("xmlns").count() > NAMESPACES_MAX
+        {
             return Err("it has more attributes than settings have".to_owned());
         }
         let options =
@@ -88,13 +101,15 @@ impl Settings {
         if let Some(general) = child(root, "General") {
             settings.frequency_hz =
                 text_of(general, "Frequency").and_then(|text| text.parse().ok());
+            settings.angles = read_angles(general);
         }
         if let Some(markers) = child(root, "The_3D") {
             settings.up_axis = text_of(markers, "AxisUpwards").map(str::to_owned);
             settings.labels = Some(labels(markers)?);
         }
         if let Some(bodies) = child(root, "The_6D") {
-            settings.n_bodies = children(bodies, "Body").count();
+            settings.bodies = Some(read_bodies(bodies));
+            settings.angles = read_angles(bodies).or(settings.angles);
         }
         if let Some(analog) = child(root, "Analog") {
             let devices = children(analog, "Device").take(SAMPLED_DEVICES_MAX);
@@ -103,7 +118,7 @@ impl Settings {
         if let Some(force) = child(root, "Force") {
             let plate = |plate| {
                 let id = number_of(plate, "Plate_ID")?;
-                Some(ForcePlate { id, rate_hz: number_of(plate, "Frequency")? })
+                Some(ForcePlate { id, rate_hz: number_of(plate, "Frequency")?, corners_mm: None })
             };
             let plates = children(force, "Plate").take(SAMPLED_DEVICES_MAX);
             settings.plates = plates.filter_map(plate).collect();
@@ -148,7 +163,7 @@ fn number_of<T: std::str::FromStr>(parent: Node<'_, '_>, name: &'static str) -> 
 }
 
 /// A text of QTM's as a label: not too long, and without control characters.
-fn label_text(text: &str) -> String {
+pub(super) fn label_text(text: &str) -> String {
     text.trim().chars().filter(|c| !c.is_control()).take(LABEL_CHARS_MAX).collect()
 }
 
@@ -167,18 +182,21 @@ fn labels(markers: Node<'_, '_>) -> Result<Vec<String>, String> {
     Ok(children(markers, "Label").map(label).collect())
 }
 
-fn children<'a, 'input>(
+pub(super) fn children<'a, 'input>(
     parent: Node<'a, 'input>,
     name: &'static str,
 ) -> impl Iterator<Item = Node<'a, 'input>> {
     parent.children().filter(move |node| node.tag_name().name() == name)
 }
 
-fn child<'a, 'input>(parent: Node<'a, 'input>, name: &'static str) -> Option<Node<'a, 'input>> {
+pub(super) fn child<'a, 'input>(
+    parent: Node<'a, 'input>,
+    name: &'static str,
+) -> Option<Node<'a, 'input>> {
     children(parent, name).next()
 }
 
-fn text_of<'a>(parent: Node<'a, '_>, name: &'static str) -> Option<&'a str> {
+pub(super) fn text_of<'a>(parent: Node<'a, '_>, name: &'static str) -> Option<&'a str> {
     Some(child(parent, name)?.text().unwrap_or_default().trim())
 }
 
@@ -191,6 +209,8 @@ pub struct ServedSettings {
     pub up_axis: &'static str,
     /// Labels of the markers, in the order of frames.
     pub labels: Vec<String>,
+    /// Rigid bodies, in the order of frames.
+    pub bodies: Vec<BodySettings>,
     /// Analog devices.
     pub analog: Vec<AnalogDevice>,
     /// Force plates.
@@ -198,7 +218,7 @@ pub struct ServedSettings {
 }
 
 /// Colours of labels, one after the other: red, green, blue, yellow, in the documents' order of bits.
-const COLOURS: [u32; 4] = [0x0000_00FF, 0x0000_FF00, 0x00FF_0000, 0x0000_FFFF];
+pub(super) const COLOURS: [u32; 4] = [0x0000_00FF, 0x0000_FF00, 0x00FF_0000, 0x0000_FFFF];
 
 impl ServedSettings {
     /// The document with the requested parts, as version `1.minor` has them; `None` if the system has none of them.
@@ -206,7 +226,8 @@ impl ServedSettings {
     pub fn to_xml(&self, minor: u32, request: SettingsRequest) -> Option<String> {
         let analog = request.analog && !self.analog.is_empty();
         let force = request.force && !self.plates.is_empty();
-        if !(request.general || request.markers || analog || force) {
+        let bodies = request.bodies && !self.bodies.is_empty();
+        if !(request.general || request.markers || bodies || analog || force) {
             return None;
         }
         let mut xml = format!("<QTM_Parameters_Ver_1.{minor}>\n");
@@ -215,6 +236,9 @@ impl ServedSettings {
         }
         if request.markers {
             self.put_markers(&mut xml);
+        }
+        if bodies {
+            put_bodies(&self.bodies, minor, &mut xml);
         }
         if analog {
             self.put_analog(minor, &mut xml);
@@ -266,25 +290,18 @@ impl ServedSettings {
         xml.push_str("    <Force>\n");
         put(xml, 2, "Unit_Length", "mm");
         put(xml, 2, "Unit_Force", "N");
-        for (index, plate) in self.plates.iter().enumerate() {
-            // Plates of 600 by 400 mm, side by side.
-            let (left, right) = (600.0 * index as f64, 600.0 * (index + 1) as f64);
+        for plate in &self.plates {
             xml.push_str("        <Plate>\n");
             put(xml, 3, "Plate_ID", &plate.id.to_string());
-            put(xml, 3, "Analog_Device_ID", "0");
             put(xml, 3, "Frequency", &plate.rate_hz.to_string());
-            put(xml, 3, "Type", "AMTI");
             put(xml, 3, "Name", &format!("Force plate {}", plate.id));
-            put(xml, 3, "Length", "600.0");
-            put(xml, 3, "Width", "400.0");
-            xml.push_str("            <Location>\n");
-            for (corner, (x, y)) in
-                [(left, 0.0), (right, 0.0), (right, 400.0), (left, 400.0)].into_iter().enumerate()
-            {
-                put_point(xml, 4, &format!("Corner{}", corner + 1), [x, y, 0.0]);
+            if let Some(corners) = plate.corners_mm {
+                xml.push_str("            <Location>\n");
+                for (number, corner) in (1..).zip(corners) {
+                    put_point(xml, 4, &format!("Corner{number}"), corner);
+                }
+                xml.push_str("            </Location>\n");
             }
-            xml.push_str("            </Location>\n");
-            put_point(xml, 3, "Origin", [0.0; 3]);
             xml.push_str("        </Plate>\n");
         }
         xml.push_str("    </Force>\n");
@@ -337,6 +354,7 @@ impl ServedSettings {
             put_actions("RealTime_Processing_Actions", true, minor, xml);
             put_actions("Reprocessing_Actions", false, minor, xml);
         }
+        put_general_angles(minor, xml);
         xml.push_str("    </General>\n");
     }
 }
@@ -366,7 +384,7 @@ fn put_actions(name: &str, real_time: bool, minor: u32, xml: &mut String) {
 }
 
 /// Appends an element with three coordinates.
-fn put_point(xml: &mut String, depth: usize, name: &str, point: [f64; 3]) {
+fn put_point(xml: &mut String, depth: usize, name: &str, point: [f32; 3]) {
     xml.push_str(&format!("{:1$}<{name}>\n", "", 4 * depth));
     for (axis, value) in ["X", "Y", "Z"].into_iter().zip(point) {
         put(xml, depth + 1, axis, &format!("{value:.2}"));
@@ -375,7 +393,7 @@ fn put_point(xml: &mut String, depth: usize, name: &str, point: [f64; 3]) {
 }
 
 /// Appends an element with text, indented so deep.
-fn put(xml: &mut String, depth: usize, name: &str, text: &str) {
+pub(super) fn put(xml: &mut String, depth: usize, name: &str, text: &str) {
     xml.push_str(&format!("{:1$}<{name}>", "", 4 * depth));
     for c in text.chars() {
         match c {

@@ -2,7 +2,7 @@
 
 use super::{
     axis::RateCheck,
-    frame::{FrameHeader, read_frame},
+    frame::{FrameComponent, FrameHeader, read_components},
 };
 use crate::device::Status;
 
@@ -14,12 +14,15 @@ pub(super) struct OpenFrame {
     pub(super) opened_ns: u64,
     pub(super) has_labelled: bool,
     pub(super) has_unlabelled: bool,
+    pub(super) has_bodies: bool,
+    /// Whether bodies were requested.
+    pub(super) wants_bodies: bool,
 }
 
 impl OpenFrame {
     /// Whether all parts are there that were requested.
     pub(super) fn is_whole(&self) -> bool {
-        self.has_labelled && self.has_unlabelled
+        self.has_labelled && self.has_unlabelled && (self.has_bodies || !self.wants_bodies)
     }
 }
 
@@ -28,6 +31,8 @@ impl OpenFrame {
 pub(super) struct FrameParts {
     /// Number of labelled markers, if there is such a component.
     pub(super) n_labelled: Option<usize>,
+    /// Number of bodies, if there is such a component.
+    pub(super) n_bodies: Option<usize>,
 }
 
 impl FrameParts {
@@ -35,13 +40,14 @@ impl FrameParts {
     pub(super) fn of(body: &[u8]) -> Option<Self> {
         let mut parts = Self::default();
         let (mut n_labelled, mut n_unlabelled) = (0, 0);
-        read_frame(body, &mut |_, component| {
-            if component.kind.is_labelled() {
+        read_components(body, &mut |_, component| match component {
+            FrameComponent::Markers(markers) if markers.kind.is_labelled() => {
                 n_labelled += 1;
-                parts.n_labelled = Some(component.n_markers());
-            } else {
-                n_unlabelled += 1;
+                parts.n_labelled = Some(markers.n_markers());
             }
+            FrameComponent::Markers(_) => n_unlabelled += 1,
+            FrameComponent::Bodies(bodies) => parts.n_bodies = Some(bodies.n_bodies()),
+            _ => {}
         })?;
         (n_labelled <= 1 && n_unlabelled <= 1).then_some(parts)
     }
@@ -61,6 +67,10 @@ pub(super) struct VendorLoss {
 pub(super) struct StreamRun {
     /// Whether the start was reported.
     pub(super) is_reported: bool,
+    /// Whether bodies were requested, and whether any came.
+    pub(super) has_bodies: bool,
+    /// Whether any came.
+    pub(super) had_bodies: bool,
     /// The frame that is put together.
     pub(super) open: Option<OpenFrame>,
     /// Counter of the first frame.
@@ -74,8 +84,6 @@ pub(super) struct StreamRun {
     pub(super) rate: RateCheck,
     pub(super) is_idle_noted: bool,
     pub(super) is_refusal_noted: bool,
-    /// Frames that wait for labels.
-    pub(super) held: Vec<Vec<u8>>,
     /// Frames with and without all of their parts.
     pub(super) whole: u64,
     pub(super) partial: u64,
@@ -85,6 +93,10 @@ pub(super) struct StreamRun {
     pub(super) samples_left_out: u64,
     /// Components of samples that cannot be read.
     pub(super) samples_unreadable: u64,
+    /// Poses of frames that have another number of bodies than the settings.
+    pub(super) bodies_left_out: u64,
+    /// Components of bodies that cannot be read.
+    pub(super) bodies_unreadable: u64,
 }
 
 /// How long a frame waits for its other datagram, which was sent at the same time.

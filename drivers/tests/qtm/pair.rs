@@ -4,9 +4,13 @@ use std::net::SocketAddr;
 
 use mocapd_drivers::{
     device::{
-        Command, DeviceEvent, Hello, MarkerInfo, MarkerSample, Protocol, SampledGroupInfo, Status,
+        BodyInfo, Command, DeviceEvent, EndOfPoses, Hello, MarkerInfo, MarkerSample, Pose,
+        Protocol, SampledGroupInfo, Status,
     },
-    qtm::{ClientId, FrameHeader, QtmHost, QtmServer, ServedFrame, ServedSettings, WireMarker},
+    qtm::{
+        ClientId, FrameHeader, QtmHost, QtmServer, ServedFrame, ServedSettings, WireBody,
+        WireMarker,
+    },
     transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
     uri::DeviceUri,
 };
@@ -27,6 +31,10 @@ pub(crate) struct Reported {
     pub(crate) ended: Option<Status>,
     pub(crate) groups: Vec<SampledGroupInfo>,
     pub(crate) batches: Vec<SentBatch>,
+    /// The bodies, each time they were announced.
+    pub(crate) bodies: Vec<Vec<BodyInfo>>,
+    pub(crate) poses: Vec<(u32, u64, Vec<Pose>)>,
+    pub(crate) end_of_poses: Option<EndOfPoses>,
 }
 
 /// A batch of samples.
@@ -51,6 +59,11 @@ impl Reported {
             DeviceEvent::Started(_) => self.started += 1,
             DeviceEvent::Pong(_) => self.pongs += 1,
             DeviceEvent::EndOfStream(status) => self.ended = Some(status),
+            DeviceEvent::Bodies(bodies) => self.bodies.push(bodies.to_vec()),
+            DeviceEvent::Poses(frame) => {
+                self.poses.push((frame.seq, frame.device_ticks, frame.poses.to_vec()));
+            }
+            DeviceEvent::EndOfPoses(end) => self.end_of_poses = Some(end),
             DeviceEvent::SampledGroup(group) => self.groups.push(group.clone()),
             DeviceEvent::Samples(batch) => self.batches.push(SentBatch {
                 group: batch.group,
@@ -178,13 +191,24 @@ impl Pair {
     }
 
     pub(crate) fn frame(&mut self, number: u32, time_us: u64, unlabelled: &[u32]) {
+        self.frame_with(FrameHeader { time_us, number }, unlabelled, &[]);
+    }
+
+    pub(crate) fn frame_with(
+        &mut self,
+        header: FrameHeader,
+        unlabelled: &[u32],
+        bodies: &[WireBody],
+    ) {
+        let number = header.number;
         let labelled = LABELS.map(|_| marker(number, 0));
         let unlabelled: Vec<_> = unlabelled.iter().map(|id| marker(number, *id)).collect();
         self.server.frame(&ServedFrame {
-            header: FrameHeader { time_us, number },
+            header,
             rates: [0; 2],
             labelled: &labelled,
             unlabelled: &unlabelled,
+            bodies,
         });
     }
 }

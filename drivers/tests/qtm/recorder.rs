@@ -75,7 +75,8 @@ impl Connected {
         let labelled = [WireMarker { position_mm: [1.0; 3], id: 0, residual_mm: 0.0 }];
         for number in numbers {
             let header = FrameHeader { time_us: u64::from(number) * 10_000, number };
-            let frame = ServedFrame { header, rates: [0; 2], labelled: &labelled, unlabelled: &[] };
+            let frame =
+                ServedFrame { header, rates: [0; 2], labelled: &labelled, ..Default::default() };
             self.server.frame(&frame);
         }
     }
@@ -145,6 +146,8 @@ fn nobody_controls_a_recorder_without_a_password() {
 fn the_client_with_the_password_starts_and_stops() {
     let mut client = Connected::new(Some(PASSWORD));
     for wrong in ["", "correct horse batter", "correct horse battery!", "Correct horse battery"] {
+        // One guess each: a third one disconnects.
+        let mut client = Connected::new(Some(PASSWORD));
         let refused = error("Wrong or missing password");
         assert_eq!(client.ask(&format!("TakeControl {wrong}")), [refused], "{wrong}");
     }
@@ -180,6 +183,38 @@ fn the_client_with_the_password_starts_and_stops() {
 }
 
 #[test]
+fn a_client_that_guesses_is_disconnected_and_reported() {
+    let mut client = Connected::new(Some(PASSWORD));
+    let refused = || [error("Wrong or missing password")];
+    for _ in 0..3 {
+        assert!(!client.server.is_out_of_step(client.id));
+        assert_eq!(client.ask("TakeControl guess"), refused());
+    }
+    assert!(client.server.is_out_of_step(client.id));
+    assert_eq!(client.ask(&format!("TakeControl {PASSWORD}")), []);
+    assert_eq!(client.server.take_wrong_passwords(), [peer(1); 3]);
+    assert_eq!(client.server.take_wrong_passwords(), []);
+    // Nobody guesses where there is none.
+    let mut client = Connected::new(None);
+    (0..5).for_each(|_| drop(client.ask("TakeControl guess")));
+    assert!(!client.server.is_out_of_step(client.id));
+    assert_eq!(client.server.take_wrong_passwords(), []);
+    assert!(!format!("{:?}", Connected::new(Some(PASSWORD)).server).contains(PASSWORD));
+}
+
+#[test]
+fn a_client_out_of_step_gets_no_more_frames() {
+    let mut client = Connected::new(None);
+    client.server.set_source(Some(settings(&["head"])));
+    client.send("StreamFrames AllFrames 3D");
+    client.read();
+    client.server.receive(client.id, &[255; 8]);
+    client.frames(0..5);
+    assert_eq!(client.read(), [error("Parse error")]);
+    assert!(!client.server.wants_frames());
+}
+
+#[test]
 fn a_slow_client_misses_the_oldest_frames_and_all_are_counted() {
     let mut client = Connected::new(None);
     client.server.set_source(Some(settings(&["head"])));
@@ -191,7 +226,7 @@ fn a_slow_client_misses_the_oldest_frames_and_all_are_counted() {
     assert_eq!(frames.first(), Some(&Received::Frame(150)));
     assert_eq!((frames.len(), frames.last()), (100, Some(&Received::Frame(249))));
     assert_eq!((client.report().frames_sent, client.report().frames_missed), (100, 150));
-    // The rest of a frame that was begun is sent, and what a divisor leaves out is not missed.
+    // The rest of a frame that was begun is sent, and what a divisor leaves out is not missed. A second of its frames are 50.
     client.send("StreamFrames FrequencyDivisor:2 3D");
     client.frames(300..301);
     let first = client.server.pending(client.id)[..1].to_vec();
@@ -199,18 +234,18 @@ fn a_slow_client_misses_the_oldest_frames_and_all_are_counted() {
     client.reader.extend(&first);
     client.frames(301..601);
     let frames = client.read();
-    let expected = [300, 404, 600].map(|number| Some(Received::Frame(number)));
-    assert_eq!(frames.len(), 100);
+    let expected = [300, 504, 600].map(|number| Some(Received::Frame(number)));
+    assert_eq!(frames.len(), 50);
     assert_eq!(
         [frames.first(), frames.get(1), frames.last()],
         expected.each_ref().map(Option::as_ref)
     );
     let report = client.report();
-    assert_eq!((report.frames_sent, report.frames_missed), (200, 150 + 51));
+    assert_eq!((report.frames_sent, report.frames_missed), (150, 150 + 101));
     client.server.left_out(10);
-    assert_eq!(client.report().frames_missed, 201 + 5);
+    assert_eq!(client.report().frames_missed, 251 + 5);
     client.server.disconnect(client.id);
-    assert_eq!(client.server.frames_missed(), 206, "those of clients that left count");
+    assert_eq!(client.server.frames_missed(), 256, "those of clients that left count");
 }
 
 #[test]

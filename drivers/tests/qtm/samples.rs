@@ -18,7 +18,8 @@ fn settings() -> ServedSettings {
             AnalogDevice { id: 4, rate_hz: 1000.0, channels: channels(3) },
             AnalogDevice { id: 1, rate_hz: 200.0, channels: channels(70) },
         ],
-        plates: vec![ForcePlate { id: 2, rate_hz: 500.0 }],
+        plates: vec![ForcePlate { id: 2, rate_hz: 500.0, corners_mm: None }],
+        ..ServedSettings::default()
     }
 }
 
@@ -243,5 +244,5 @@ fn a_component_of_samples_that_cannot_be_read_costs_no_marker() {
     pair.driver.command(mocapd_drivers::device::Command::Stop);
     pair.steps(20);
     let notes = pair.driver.reported.notes.join("\n");
-    assert!(notes.contains("of 1 frames cannot be read"), "{notes}");
+    assert!(notes.contains("1 components of analog samples or forces cannot be read"), "{notes}");
 }

@@ -1,5 +1,7 @@
 //! A server of the QTM RT protocol for what is recorded (docs/qtm.md).
 
+mod samples;
+
 use std::{
     io,
     net::{SocketAddr, UdpSocket},
@@ -14,16 +16,19 @@ use mocapd_acquire::{
     threads,
 };
 use mocapd_drivers::{
+    device::{Pose, PoseStatus},
     qtm::{
-        CLIENTS_MAX, ClientId, DISCOVERY_PORT, OwnerCommand, OwnerRequest, QtmServer, ServedFrame,
-        discovery_reply, read_discovery_request,
+        BodySettings, CLIENTS_MAX, ClientId, DISCOVERY_PORT, OwnerCommand, OwnerRequest, QtmServer,
+        ServedFrame, ServedSettings, WireBody, discovery_reply, read_discovery_request,
     },
     transport::network::{
         responder::Responder,
         server::{StreamServer, TcpServer},
     },
 };
+use mocapd_take::poses::{self, PoseState};
 
+use self::samples::SampleMap;
 use super::{
     LivePublisher, PublishedDevice, PublishedFeed, PublisherName, RunningPublisher, WantedKinds,
     clients::{ClientLimits, NotAccepted},
@@ -74,7 +79,10 @@ pub fn open(
             sockets,
             server: AllowedServer { server, limits, news: Vec::new(), sent_to_gone: 0 },
             map: MarkerMap::default(),
+            samples: SampleMap::default(),
+            bodies: Vec::new(),
             events: owner.events(),
+            rig: owner.status().rig,
             control: Arc::clone(&owner),
             requests: requests.clone(),
             replied: replied.clone(),
@@ -107,7 +115,10 @@ impl Sockets {
                  `ip address` lists the addresses of this machine"
             )
         })?;
-        let datagrams = UdpSocket::bind((listen.ip(), 0)).context("cannot open a UDP socket")?;
+        // With the interface of a link-local address.
+        let mut any_port = listen;
+        any_port.set_port(0);
+        let datagrams = UdpSocket::bind(any_port).context("cannot open a UDP socket")?;
         datagrams.set_nonblocking(true).context("cannot make a UDP socket non-blocking")?;
         Ok(Self { clients, datagrams, responder: Responder::open(DISCOVERY_PORT).ok() })
     }
@@ -138,12 +149,14 @@ impl StreamServer for AllowedServer {
     fn disconnect(&mut self, id: ClientId) {
         let Some(report) = self.server.disconnect(id) else { return };
         self.sent_to_gone += report.frames_sent;
-        if report.frames_missed > 0 {
+        if report.frames_missed > 0 || report.samples_missed > 0 {
             self.news.push(format!(
-                "QTM client {} has left: it read too slowly, and missed {} of {} frames",
+                "QTM client {} has left: it read too slowly, and missed {} of {} frames, and {} analog samples or forces \
+                 of others",
                 report.peer,
                 report.frames_missed,
-                report.frames_missed + report.frames_sent
+                report.frames_missed + report.frames_sent,
+                report.samples_missed
             ));
         }
     }
@@ -175,8 +188,13 @@ struct QtmPublisher {
     sockets: Sockets,
     server: AllowedServer,
     map: MarkerMap,
+    samples: SampleMap,
+    /// The bodies of a frame.
+    bodies: Vec<WireBody>,
     events: EventFeed,
     control: Arc<dyn Control>,
+    /// The name of the rig.
+    rig: String,
     requests: Sender<OwnerRequest>,
     replied: Receiver<OwnerReply>,
     /// Commands that are being executed.
@@ -192,7 +210,8 @@ impl LivePublisher for QtmPublisher {
         let settings = device.map(|device| {
             self.map = MarkerMap::default();
             self.map.follow(device.header.channels.len(), &device.progress);
-            self.map.settings(&device.header)
+            self.samples = SampleMap::new(device);
+            self.settings(device)
         });
         self.server.server.set_source(settings);
         // A take may have begun already; later ones are events.
@@ -201,23 +220,31 @@ impl LivePublisher for QtmPublisher {
     }
 
     fn wanted(&self) -> WantedKinds {
-        WantedKinds { frames: self.server.server.wants_frames(), samples: false }
+        let server = &self.server.server;
+        WantedKinds { frames: server.wants_frames(), samples: server.wants_samples() }
     }
 
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame) {
-        let server = &mut self.server.server;
-        server.left_out(frame.frames_left_out);
+        self.server.server.left_out(frame.frames_left_out);
         if self.map.follow(frame.markers.len(), &device.progress) {
-            server.set_source(Some(self.map.settings(&device.header)));
+            let settings = self.settings(device);
+            self.server.server.set_source(Some(settings));
         }
         self.map.fill(&frame.markers);
+        self.bodies.clear();
+        self.bodies.extend(frame.poses.iter().map(wire_body));
+        // Frames have all bodies of the settings, also without poses.
+        self.bodies.resize(device.bodies.len(), WireBody::LOST);
         let tick_hz = device.header.device.as_ref().map_or(1_000_000, |device| device.tick_hz);
         let header = header_of(frame, tick_hz);
         let MarkerMap { labelled, unlabelled, .. } = &self.map;
-        server.frame(&ServedFrame { header, rates: [0; 2], labelled, unlabelled });
+        let (rates, bodies) = ([0; 2], &self.bodies[..]);
+        self.server.server.frame(&ServedFrame { header, rates, labelled, unlabelled, bodies });
     }
 
-    fn samples(&mut self, _: &PublishedDevice, _: &TappedBatch) {}
+    fn samples(&mut self, _: &PublishedDevice, batch: &TappedBatch) {
+        self.samples.add(batch, &mut self.server.server);
+    }
 
     fn exchange(&mut self, timeout: Duration) -> io::Result<()> {
         self.pass_requests();
@@ -231,6 +258,13 @@ impl LivePublisher for QtmPublisher {
     fn take_news(&mut self) -> Vec<String> {
         let mut news = self.server.limits.take_news();
         news.append(&mut self.server.news);
+        news.extend(
+            self.server
+                .server
+                .take_wrong_passwords()
+                .into_iter()
+                .map(|peer| format!("QTM client {peer} gave a wrong password for control")),
+        );
         news
     }
 
@@ -257,12 +291,33 @@ impl LivePublisher for QtmPublisher {
 }
 
 impl QtmPublisher {
+    /// What the settings of the device state now.
+    fn settings(&self, device: &PublishedDevice) -> ServedSettings {
+        let body = |body: &mocapd_drivers::device::BodyInfo| BodySettings {
+            name: body.name.clone(),
+            ..BodySettings::default()
+        };
+        let (analog, plates) = self.samples.devices();
+        ServedSettings {
+            bodies: device.bodies.iter().map(body).collect(),
+            analog,
+            plates,
+            ..self.map.settings(&device.header)
+        }
+    }
+
     /// Tells clients of takes that began or ended, after the reply to a command that caused it.
     fn follow_takes(&mut self) {
         while self.n_executing == 0
             && let Some(event) = self.events.next(Duration::ZERO)
         {
-            self.server.server.set_capturing(is_recording(&event));
+            if let Some(is_recording) = is_recording(&event) {
+                self.server.server.set_capturing(is_recording);
+            }
+        }
+        if self.n_executing == 0 && self.events.missed() > 0 {
+            let is_recording = self.control.status().state == State::Recording;
+            self.server.server.set_capturing(is_recording);
         }
     }
 
@@ -273,8 +328,7 @@ impl QtmPublisher {
         responder.serve(|from, question| {
             let reply_port = read_discovery_request(question)?;
             let is_allowed = self.server.limits.is_allowed(from);
-            is_allowed
-                .then(|| (reply_port, discovery_reply(&self.control.status().rig, VERSION, port)))
+            is_allowed.then(|| (reply_port, discovery_reply(&self.rig, VERSION, port)))
         });
     }
 
@@ -304,12 +358,19 @@ impl QtmPublisher {
     }
 }
 
-/// Whether a take is recorded after an event.
-fn is_recording(event: &ServiceEvent) -> bool {
+/// A body as QTM sends it: without a pose it is lost.
+fn wire_body(pose: &poses::Pose) -> WireBody {
+    let poses::Pose { state, position_mm, quaternion, residual_mm } = *pose;
+    let status = if state == PoseState::Tracked { PoseStatus::Tracked } else { PoseStatus::Lost };
+    WireBody::of_pose(&Pose { body: 0, status, position_mm, quaternion, residual_mm })
+}
+
+/// Whether a take is recorded after an event; `None` if it says nothing of that. Other events may overtake those of takes.
+fn is_recording(event: &ServiceEvent) -> Option<bool> {
     match event.kind {
-        ServiceEventKind::TakeStarted => true,
-        ServiceEventKind::TakeStopped => false,
-        _ => event.state == State::Recording,
+        ServiceEventKind::TakeStarted => Some(true),
+        ServiceEventKind::TakeStopped => Some(false),
+        _ => None,
     }
 }
 

@@ -158,9 +158,9 @@ kinds! {
     }
     /// The frame counter repeats a number although a frame was produced.
     CounterRepeat = "counter-repeat", windowed: true, { rate: f64 = PER_FRAME }
-    /// NatNet: definitions are not sent for a while.
+    /// NatNet: definitions are not sent for a while. QTM: the last label is missing for a while.
     LateModel = "late-model", windowed: false, { for_s: f64 = FOR }
-    /// NatNet: the last labelled marker gets another name.
+    /// NatNet and QTM: the last labelled marker gets another name.
     ModelChange = "model-change", windowed: false, { at_s: f64 = AT }
     /// NatNet: frames and definitions change to another bitstream.
     BitstreamChange = "bitstream-change", windowed: false, {
@@ -172,6 +172,8 @@ kinds! {
     EarlyFrames = "early-frames", windowed: false, {
         count: u32 = key("count", "frames", 1.0, 1000.0)
     }
+    /// QTM: a packet states a false size, and nothing follows until the client connects again.
+    BrokenPacket = "broken-packet", windowed: false, { at_s: f64 = AT }
     /// Random bytes arrive before the device's Hello.
     Garbage = "garbage", windowed: false, {
         bytes: usize = key("bytes", "bytes", 1.0, 65_536.0),
@@ -193,10 +195,14 @@ impl Kind {
     /// Whether only NatNet has it.
     #[must_use]
     pub fn is_of_natnet(self) -> bool {
-        matches!(
-            self,
-            Self::LateModel | Self::ModelChange | Self::BitstreamChange | Self::EarlyFrames
-        )
+        matches!(self, Self::BitstreamChange | Self::EarlyFrames)
+    }
+
+    /// Whether only systems on the network have it.
+    #[must_use]
+    pub fn is_of_network(self) -> bool {
+        self.is_of_natnet()
+            || matches!(self, Self::LateModel | Self::ModelChange | Self::BrokenPacket)
     }
 
     /// Whether its occurrences are counted, not the frames that it affected.

@@ -221,7 +221,7 @@ impl NatNetDevice {
         let no_faults = || Arc::new(Script { seed: 0, faults: Vec::new(), expect: None });
         let script = settings.faults.clone().unwrap_or_else(no_faults);
         let mut kinds = script.faults.iter().map(|f| f.fault.kind());
-        if let Some(kind) = kinds.find(|kind| !happens(*kind)) {
+        if let Some(kind) = kinds.find(|kind| !happens(*kind) || *kind == Kind::BrokenPacket) {
             return Err(NatNetError::Fault { kind: kind.name() });
         }
         let rates = Rates::new(&motion, settings.rate_hz, settings.speed)?;

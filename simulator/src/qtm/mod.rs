@@ -4,16 +4,17 @@
 //! Labelled markers are sent with their labels, all others as unlabelled markers with ids. The file is played from its first
 //! frame when the first client requests frames.
 
+mod changes;
 pub(crate) mod fates;
 mod samples;
 mod serve;
 
 use std::{net::SocketAddr, sync::Arc};
 
-use mocapd_drivers::device::MarkerSample;
+use mocapd_drivers::device::{MarkerSample, Pose};
 use mocapd_drivers::qtm::{
-    ClientId, Datagram, Delivery, FrameHeader, LABELS_MAX, MISSING, QtmServer, ServedFrame,
-    ServedSettings, WireMarker,
+    BodySettings, ClientId, Datagram, Delivery, FrameHeader, LABELS_MAX, MISSING, QtmServer,
+    ServedFrame, ServedSettings, WireBody, WireMarker,
 };
 use mocapd_take::motion::{Motion, Position, UpAxis, is_gap};
 
@@ -23,8 +24,10 @@ use crate::device::{
 use crate::faults::{
     ConnectionFaults, ConnectionState, Fault, Kind, Kinds, Script, SourceFaults, stream,
 };
+use crate::generator::RigidBodies;
 use crate::replay::Replay;
 use crate::sampled::SampledSource;
+use changes::Changes;
 use fates::DeliveryLog;
 use samples::FileSamples;
 pub use samples::force_of;
@@ -52,11 +55,20 @@ pub struct QtmSettings {
     pub faults: Option<Arc<Script>>,
     /// Analog devices and force plates.
     pub sampled: Vec<SampledSource>,
+    /// Rigid bodies.
+    pub bodies: Option<Arc<RigidBodies>>,
 }
 
 impl Default for QtmSettings {
     fn default() -> Self {
-        Self { rate_hz: None, speed: 1.0, looping: false, faults: None, sampled: Vec::new() }
+        Self {
+            rate_hz: None,
+            speed: 1.0,
+            looping: false,
+            faults: None,
+            sampled: Vec::new(),
+            bodies: None,
+        }
     }
 }
 
@@ -82,6 +94,11 @@ pub enum QtmError {
 pub struct QtmDevice {
     settings: QtmSettings,
     server: QtmServer,
+    /// Its settings, if no label is late.
+    served: ServedSettings,
+    changes: Changes,
+    /// The client with the first stream.
+    first_client: Option<ClientId>,
     samples: FileSamples,
     replay: Replay,
     rates: Rates,
@@ -110,6 +127,8 @@ pub struct QtmDevice {
     row: Vec<Position>,
     ghosts: Vec<MarkerSample>,
     markers: [Vec<WireMarker>; 2],
+    poses: Vec<Pose>,
+    bodies: Vec<WireBody>,
 }
 
 /// A datagram, and the number of its frame among all that were produced; `None` for the end of a measurement.
@@ -150,7 +169,7 @@ impl QtmDevice {
         let no_faults = || Arc::new(Script { seed: 0, faults: Vec::new(), expect: None });
         let script = settings.faults.clone().unwrap_or_else(no_faults);
         if let Some(kind) =
-            script.faults.iter().map(|f| f.fault.kind()).find(|k| !happens(*k) || k.is_of_natnet())
+            script.faults.iter().map(|f| f.fault.kind()).find(|k| !changes::happens(*k))
         {
             return Err(QtmError::Fault { kind: kind.name() });
         }
@@ -168,13 +187,22 @@ impl QtmDevice {
                 UpAxis::Z | UpAxis::Unknown => "+Z",
             },
             labels: labelled.iter().filter_map(|c| Some(markers.get(*c)?.label.clone())).collect(),
+            bodies: settings
+                .bodies
+                .as_ref()
+                .map(|bodies| body_settings(bodies))
+                .unwrap_or_default(),
             analog,
             plates,
         };
+        let changes = Changes::new(Arc::clone(&script));
         let n_columns = markers.len();
         let replay = rates.replay(motion, rates.rate_millihertz);
         Ok(Self {
-            server: QtmServer::new(served, VERSION.to_owned()),
+            server: QtmServer::new(shown(&served, &changes), VERSION.to_owned()),
+            served,
+            changes,
+            first_client: None,
             samples,
             replay,
             rates,
@@ -198,6 +226,8 @@ impl QtmDevice {
             row: Vec::new(),
             ghosts: Vec::new(),
             markers: [Vec::new(), Vec::new()],
+            poses: Vec::new(),
+            bodies: Vec::new(),
             settings,
         })
     }
@@ -222,6 +252,7 @@ impl QtmDevice {
     /// A client has closed its connection.
     pub fn disconnect(&mut self, id: ClientId) {
         self.log.abandon(id);
+        self.changes.forget(id);
         self.server.disconnect(id);
     }
 
@@ -251,7 +282,11 @@ impl QtmDevice {
     /// The bytes to send to a client now.
     #[must_use]
     pub fn pending(&self, id: ClientId) -> &[u8] {
-        if self.state.flows { self.server.pending(id) } else { &[] }
+        match self.server.pending(id) {
+            _ if !self.state.flows => &[],
+            [] => self.changes.pending(id),
+            pending => pending,
+        }
     }
 
     /// Whether no client has bytes pending.
@@ -262,6 +297,9 @@ impl QtmDevice {
 
     /// The connection took the first `n` pending bytes.
     pub fn sent(&mut self, id: ClientId, n: usize) {
+        if self.server.pending(id).is_empty() {
+            return self.changes.sent(id, n);
+        }
         self.server.sent(id, n);
         self.log.taken(id, self.server.bytes_sent(id), n);
     }
@@ -317,6 +355,8 @@ impl QtmDevice {
             self.log.cut(Kind::Unplug);
         }
         if !self.state.plugged || !self.state.powered {
+            self.changes.forget_all();
+            self.first_client = None;
             self.late.clear();
             self.out.clear();
             self.out_bytes = 0;
@@ -377,14 +417,17 @@ impl QtmDevice {
             faults.add_ghosts(since_ns, &mut self.ghosts);
             ahead_ns = faults.clock_offset_ns(since_ns) - faults.stamp_jitter_ns(since_ns);
         }
+        self.apply_changes(since_ns);
         self.fill_markers();
+        self.fill_bodies(index, since_ns);
         let present = self.row.iter().filter(|position| !is_gap(**position)).count();
         let time_ns = at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns));
         let time_us = time_ns.saturating_add_signed(ahead_ns) / 1000;
         let way = self.faults_on_the_way(since_ns);
         let header = FrameHeader { time_us, number };
         let [labelled, unlabelled] = &self.markers;
-        let frame = ServedFrame { header, rates: [0; 2], labelled, unlabelled };
+        let frame =
+            ServedFrame { header, rates: [0; 2], labelled, unlabelled, bodies: &self.bodies };
         let first = self.server.first_stream();
         let sent = SentFrame {
             run: first.unwrap_or(self.server.n_streams()),
@@ -397,6 +440,8 @@ impl QtmDevice {
         };
         self.counters.frames_produced += 1;
         let lost_by = (!self.state.plugged).then_some(Kind::Unplug);
+        let is_broken = self.changes.is_broken(self.first_client);
+        let lost_by = lost_by.or(is_broken.then_some(Kind::BrokenPacket));
         let lost_by = lost_by.or(way.is_lost.then_some(Kind::LostFrames));
         if let Some(kind) = lost_by {
             self.log.lost(sent, kind);
@@ -406,6 +451,11 @@ impl QtmDevice {
             if matches!(delivery, Delivery::Datagrams(_)) && self.out_bytes > DATAGRAM_BYTES_MAX {
                 delivery = Delivery::Dropped;
             }
+            self.first_client = match delivery {
+                Delivery::Queued { client, .. } => Some(client),
+                Delivery::Datagrams(_) => datagrams.first().map(|datagram| datagram.client),
+                _ => None,
+            };
             self.count(sent, &delivery);
             self.log.sent(sent, delivery, self.counters.frames_produced);
             if delivery != Delivery::Dropped {
@@ -487,7 +537,8 @@ impl QtmDevice {
 
     /// The markers of the current frame, labelled and unlabelled.
     fn fill_markers(&mut self) {
-        let Self { row, labelled, unlabelled, ghosts, markers: [with_label, without], .. } = self;
+        let Self { row, labelled, unlabelled, ghosts, changes, .. } = self;
+        let [with_label, without] = &mut self.markers;
         let wire = |column: &usize| {
             let position = row.get(*column).copied().filter(|position| !is_gap(*position));
             WireMarker {
@@ -496,15 +547,40 @@ impl QtmDevice {
                 residual_mm: RESIDUAL_MM,
             }
         };
+        let n_labelled = labelled.len() - usize::from(changes.hides_last() && !labelled.is_empty());
+        let (labelled, late) = labelled.split_at(n_labelled);
         with_label.clear();
         with_label.extend(labelled.iter().map(wire));
         without.clear();
         let is_seen = |marker: &WireMarker| !marker.position_mm.iter().any(|value| value.is_nan());
-        without.extend(unlabelled.iter().map(wire).filter(is_seen));
+        without.extend(late.iter().chain(&*unlabelled).map(wire).filter(is_seen));
         without.extend(ghosts.iter().map(|ghost| WireMarker {
             position_mm: ghost.position_mm,
             id: FIRST_ID + u32::from(ghost.id),
             residual_mm: RESIDUAL_MM,
+        }));
+    }
+
+    /// Applies the faults of settings and packets that are due.
+    fn apply_changes(&mut self, since_ns: u64) {
+        if self.changes.apply(since_ns, self.first_client, &mut self.counts) {
+            self.server.change_settings(shown(&self.served, &self.changes));
+        }
+    }
+
+    /// The bodies of the current frame.
+    fn fill_bodies(&mut self, index: u64, since_ns: u64) {
+        let Some(bodies) = &self.settings.bodies else { return };
+        let rate_hz = f64::from(self.rates.rate_millihertz) / 1000.0;
+        bodies.poses(index, rate_hz, &mut self.poses);
+        if let Some(faults) = &mut self.faults {
+            faults.poses(since_ns, &mut self.poses);
+        }
+        self.bodies.clear();
+        // One that is not listed is lost: frames have all bodies of the settings.
+        self.bodies.extend(bodies.infos().iter().map(|info| {
+            let pose = self.poses.iter().find(|pose| pose.body == info.id);
+            pose.map_or(WireBody::LOST, WireBody::of_pose)
         }));
     }
 
@@ -556,6 +632,28 @@ impl QtmDevice {
     pub fn close(&mut self) {
         self.log.close();
     }
+}
+
+fn body_settings(bodies: &RigidBodies) -> Vec<BodySettings> {
+    let body = |info: mocapd_drivers::device::BodyInfo| BodySettings {
+        name: info.name,
+        ..BodySettings::default()
+    };
+    bodies.infos().into_iter().map(body).collect()
+}
+
+/// The settings that clients see: without a label that is late, and with one that was changed.
+fn shown(served: &ServedSettings, changes: &Changes) -> ServedSettings {
+    let mut shown = served.clone();
+    if changes.is_renamed
+        && let Some(last) = shown.labels.last_mut()
+    {
+        last.push_str(" renamed");
+    }
+    if changes.hides_last() {
+        shown.labels.pop();
+    }
+    shown
 }
 
 /// Whether a fault can happen on a network: the system repairs a stream, and discards a damaged datagram.

@@ -49,7 +49,10 @@ impl FileSamples {
             let info = source.info();
             let rate_hz = f64::from(info.rate_millihertz) / 1000.0;
             if !source.force_plates().is_empty() {
-                plates.extend(ids.iter().map(|id| ForcePlate { id: *id, rate_hz }));
+                let corners = source.force_plates().iter().map(|plate| Some(plate.corners_mm));
+                let plate =
+                    |(id, corners_mm): (&u32, _)| ForcePlate { id: *id, rate_hz, corners_mm };
+                plates.extend(ids.iter().zip(corners).map(plate));
             } else {
                 let channel = |c: &mocapd_drivers::device::SampledChannelInfo| {
                     (c.name.clone(), c.unit.clone())
@@ -95,7 +98,8 @@ impl FileSamples {
                 let is_force = !signal.source.force_plates().is_empty();
                 for sample in counts.chunks_exact(info.channels.len()) {
                     let physical = sample.iter().zip(&info.channels);
-                    let physical = physical.map(|(count, c)| f64::from(*count) * c.scale);
+                    let physical =
+                        physical.map(|(count, c)| (f64::from(*count) - c.offset) * c.scale);
                     if is_force {
                         let of_plate: Vec<f64> = physical.skip(6 * index).take(6).collect();
                         values.extend(force_of(&of_plate));

@@ -58,7 +58,11 @@ impl QtmServer {
 
     fn take_control(&mut self, id: ClientId, password: &str) {
         if let Err(refusal) = self.check_password(password) {
-            return self.reply(id, Err(refusal));
+            self.reply(id, Err(refusal));
+            if self.has_password() {
+                self.count_wrong_password(id);
+            }
+            return;
         }
         match self.master {
             Some(master) if master == id => self.reply(id, Ok("You are already master")),

@@ -4,10 +4,11 @@ use std::{net::SocketAddr, sync::Arc};
 
 use super::{Client, ClientId, QtmServer, Role, Stream};
 use crate::qtm::{
+    bodies::{BodiesToSend, WireBody},
     command::{Components, StreamRate},
     frame::{
-        ComponentToSend, FrameHeader, MarkerComponentKind, SampledComponent, WireMarker,
-        put_sampled_frame,
+        AnyComponent, ComponentToSend, FRAME_HEADER_BYTES, FrameHeader, MarkerComponentKind,
+        WireMarker, put_components,
     },
 };
 
@@ -29,12 +30,14 @@ pub struct Datagram {
     pub to: SocketAddr,
     /// Its content.
     pub bytes: Vec<u8>,
+    /// Whether it has a part of a frame, and not the end of a measurement.
+    pub is_of_frame: bool,
     /// Whether a frame ends with it.
     pub ends_frame: bool,
 }
 
 /// A frame to send to all who want it.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct ServedFrame<'a> {
     /// Its number and time.
     pub header: FrameHeader,
@@ -44,6 +47,8 @@ pub struct ServedFrame<'a> {
     pub labelled: &'a [WireMarker],
     /// The unlabelled markers that are visible.
     pub unlabelled: &'a [WireMarker],
+    /// The rigid bodies, in the order of the settings.
+    pub bodies: &'a [WireBody],
 }
 
 /// What became of a frame for the stream that was started first.
@@ -66,8 +71,8 @@ pub enum Delivery {
     NoStream,
 }
 
-/// A frame as it was encoded for earlier clients.
-type Encoded = Vec<(Components, Arc<[u8]>)>;
+/// A frame as it was encoded for earlier clients: for these components, and samples from these places on.
+type Encoded = Vec<(Components, Vec<u64>, Arc<[u8]>)>;
 
 impl QtmServer {
     /// Sends a frame to all who want it.
@@ -78,10 +83,8 @@ impl QtmServer {
         let mut encoded = Encoded::new();
         for client in &mut clients {
             if let Some(components) = client.one_frame.take() {
-                let samples = self.sampled_components(components, None);
-                let markers = components_of(frame, components);
-                let content = (&markers[..], &samples[..]);
-                client.outbox.put(|out| put_sampled_frame(frame.header, content, out));
+                let content = self.content(frame, components, None);
+                client.outbox.put(|out| put_components(frame.header, &content, out));
             }
             let Some(stream) = &mut client.stream else { continue };
             stream.frames += 1;
@@ -91,8 +94,9 @@ impl QtmServer {
             } else {
                 Delivery::NotRequested
             };
-            if outcome != Delivery::NotRequested {
-                client.samples_from = self.sample_ends_now();
+            if outcome != Delivery::NotRequested && stream.components.has_samples() {
+                client.samples_missed += self.samples_gone(stream.components, &client.samples_from);
+                self.set_sample_ends(&mut client.samples_from);
             }
             client.frames_missed += u64::from(outcome == Delivery::Dropped);
             if Some(stream.number) == first {
@@ -104,36 +108,58 @@ impl QtmServer {
         delivery
     }
 
+    /// The components of a frame that a client wants, with the samples from these places on, or else those of the frame.
+    fn content<'a>(
+        &'a self,
+        frame: &ServedFrame<'a>,
+        wanted: Components,
+        from: Option<&[u64]>,
+    ) -> Vec<AnyComponent<'a>> {
+        let rates = frame.rates;
+        let markers = wanted.markers().map(|kind: MarkerComponentKind| {
+            let markers = if kind.is_labelled() { frame.labelled } else { frame.unlabelled };
+            AnyComponent::Markers(ComponentToSend { kind, rates, markers })
+        });
+        let bodies = wanted
+            .bodies()
+            .map(|kind| AnyComponent::Bodies(BodiesToSend { kind, rates, bodies: frame.bodies }));
+        let samples = self.sampled_components(wanted, from).map(AnyComponent::Samples);
+        // A system without bodies has no such component.
+        let bodies = bodies.filter(|_| !self.settings.bodies.is_empty());
+        markers.chain(bodies).chain(samples).collect()
+    }
+
     fn deliver(
         &mut self,
         client: &mut Client,
         stream: &Stream,
         (frame, encoded): (&ServedFrame<'_>, &mut Encoded),
     ) -> Delivery {
-        let samples = self.sampled_components(stream.components, Some(&client.samples_from));
+        let (wanted, from) = (stream.components, &client.samples_from[..]);
         if let Some(to) = stream.target {
-            let markers = components_of(frame, stream.components);
-            let parts = divided(frame.header, &markers, &samples);
-            let Some(parts) = parts else { return Delivery::Dropped };
+            let content = self.content(frame, wanted, Some(from));
+            let Some(parts) = divided(frame.header, &content) else { return Delivery::Dropped };
             let n = parts.len();
-            let datagram =
-                |(at, bytes)| Datagram { client: client.id, to, bytes, ends_frame: at + 1 == n };
+            let datagram = |(at, bytes)| Datagram {
+                client: client.id,
+                to,
+                bytes,
+                is_of_frame: true,
+                ends_frame: at + 1 == n,
+            };
             self.datagrams.extend(parts.into_iter().enumerate().map(datagram));
             return Delivery::Datagrams(n);
         }
-        // The samples of a stream depend on its last frame.
-        let is_shared = |(components, _): &&(Components, Arc<[u8]>)| {
-            *components == stream.components && samples.is_empty()
-        };
-        let known = encoded.iter().find(is_shared);
+        // Without samples all streams of the same components are equal.
+        let from = if wanted.has_samples() { from } else { &[] };
+        let known = encoded.iter().find(|(of, since, _)| *of == wanted && since == from);
         let bytes = match known {
-            Some((_, bytes)) => Arc::clone(bytes),
+            Some((.., bytes)) => Arc::clone(bytes),
             None => {
                 let mut bytes = Vec::new();
-                let markers = components_of(frame, stream.components);
-                put_sampled_frame(frame.header, (&markers, &samples), &mut bytes);
+                put_components(frame.header, &self.content(frame, wanted, Some(from)), &mut bytes);
                 let bytes: Arc<[u8]> = bytes.into();
-                encoded.push((stream.components, Arc::clone(&bytes)));
+                encoded.push((wanted, from.to_vec(), Arc::clone(&bytes)));
                 bytes
             }
         };
@@ -147,7 +173,13 @@ impl QtmServer {
     /// Whether a frame of so many bytes may wait for a client. For one of a recorder, the oldest frames make room.
     fn make_room(&self, client: &mut Client, bytes: usize) -> bool {
         if let Role::Recorder { .. } = self.role {
-            let frames_max = ((BACKLOG_S * self.settings.frequency_hz) as usize).max(1);
+            let hz = self.settings.frequency_hz;
+            let hz = match client.stream.map(|stream| stream.rate) {
+                Some(StreamRate::Frequency(wanted)) => hz.min(f64::from(wanted)),
+                Some(StreamRate::Divisor(n)) => hz / f64::from(n),
+                Some(StreamRate::All) | None => hz,
+            };
+            let frames_max = ((BACKLOG_S * hz) as usize).max(1);
             while client.outbox.frames_waiting() >= frames_max || !client.outbox.has_room_for(bytes)
             {
                 if !client.outbox.drop_oldest_frame() {
@@ -175,7 +207,7 @@ impl QtmServer {
     /// The system took a datagram, or not.
     pub fn datagram_sent(&mut self, datagram: &Datagram, is_sent: bool) {
         let Some(client) = self.client(datagram.client) else { return };
-        client.is_part_lost |= !is_sent;
+        client.is_part_lost |= !is_sent && datagram.is_of_frame;
         if datagram.ends_frame {
             let is_whole = !std::mem::take(&mut client.is_part_lost);
             client.datagram_frames += u64::from(is_whole);
@@ -199,28 +231,13 @@ impl StreamRate {
     }
 }
 
-fn components_of<'a>(frame: &ServedFrame<'a>, wanted: Components) -> Vec<ComponentToSend<'a>> {
-    let component = |kind: MarkerComponentKind| ComponentToSend {
-        kind,
-        rates: frame.rates,
-        markers: if kind.is_labelled() { frame.labelled } else { frame.unlabelled },
-    };
-    wanted.markers().map(component).collect()
-}
-
 /// The datagrams of a frame: as many components in each as fit. `None` when one does not fit into any.
-fn divided(
-    header: FrameHeader,
-    components: &[ComponentToSend<'_>],
-    samples: &[SampledComponent<'_>],
-) -> Option<Vec<Vec<u8>>> {
-    /// Packet header, time, number and count.
-    const FRAME_HEADER_BYTES: usize = 24;
+fn divided(header: FrameHeader, components: &[AnyComponent<'_>]) -> Option<Vec<Vec<u8>>> {
     let mut parts = Vec::new();
     let mut rest = components;
     loop {
         let mut bytes = FRAME_HEADER_BYTES;
-        let fits = |component: &&ComponentToSend<'_>| {
+        let fits = |component: &&AnyComponent<'_>| {
             bytes += component.bytes();
             bytes <= DATAGRAM_BYTES_MAX
         };
@@ -229,19 +246,9 @@ fn divided(
             return None;
         }
         let (now, later) = rest.split_at(n);
-        let sampled_bytes: usize = samples.iter().map(SampledComponent::bytes).sum();
-        let now_bytes: usize = now.iter().map(ComponentToSend::bytes).sum();
-        // The samples go with the last markers, or in a datagram of their own.
-        let fits = later.is_empty()
-            && FRAME_HEADER_BYTES + now_bytes + sampled_bytes <= DATAGRAM_BYTES_MAX;
         let mut part = Vec::new();
-        put_sampled_frame(header, (now, if fits { samples } else { &[] }), &mut part);
+        put_components(header, now, &mut part);
         parts.push(part);
-        if later.is_empty() && !fits {
-            let mut part = Vec::new();
-            put_sampled_frame(header, (&[], samples), &mut part);
-            (part.len() <= DATAGRAM_BYTES_MAX).then(|| parts.push(part))?;
-        }
         if later.is_empty() {
             return Some(parts);
         }

@@ -11,6 +11,7 @@ mod samples;
 
 use std::net::SocketAddr;
 
+use self::recorder::Password;
 pub use self::{
     delivery::{Datagram, Delivery, ServedFrame},
     recorder::{ClientReport, OwnerCommand, OwnerRequest},
@@ -55,7 +56,7 @@ enum Role {
     /// A simulated QTM, which every client may control.
     Simulated,
     /// A recorder, which executes what a client with this password requests; without one, nobody controls it.
-    Recorder { password: Option<String> },
+    Recorder { password: Option<Password> },
 }
 
 #[derive(Debug)]
@@ -67,7 +68,7 @@ struct Client {
     minor: u32,
     stream: Option<Stream>,
     one_frame: Option<Components>,
-    /// Where the samples of its next frame begin, by device.
+    /// Places at which the samples of its next frame begin, by device.
     samples_from: Vec<u64>,
     outbox: Outbox,
     is_out_of_step: bool,
@@ -75,9 +76,12 @@ struct Client {
     awaits_owner: bool,
     /// Frames that it requested and did not get.
     frames_missed: u64,
+    /// Samples that were not kept until its next frame.
+    samples_missed: u64,
     /// Frames that left in datagrams, and whether a datagram of the present one was lost.
     datagram_frames: u64,
     is_part_lost: bool,
+    wrong_passwords: u32,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -110,6 +114,8 @@ pub struct QtmServer {
     requests: Vec<OwnerRequest>,
     /// Frames that clients missed which are gone.
     missed_by_gone: u64,
+    /// Clients that gave a wrong password.
+    wrong_passwords: Vec<SocketAddr>,
 }
 
 impl QtmServer {
@@ -131,6 +137,7 @@ impl QtmServer {
             clients_max: CLIENTS_MAX,
             requests: Vec::new(),
             missed_by_gone: 0,
+            wrong_passwords: Vec::new(),
         }
     }
 
@@ -162,8 +169,10 @@ impl QtmServer {
             is_out_of_step: false,
             awaits_owner: false,
             frames_missed: 0,
+            samples_missed: 0,
             datagram_frames: 0,
             is_part_lost: false,
+            wrong_passwords: 0,
         };
         client.outbox.put(|out| put_text(PacketKind::Command, WELCOME, out));
         self.clients.push(client);
@@ -183,6 +192,23 @@ impl QtmServer {
             self.master = None;
         }
         report
+    }
+
+    /// Changes the settings while frames are sent. Clients learn of it, in front of the first frame with the new ones.
+    pub fn change_settings(&mut self, settings: ServedSettings) {
+        if self.settings != settings {
+            self.use_settings(settings);
+            self.send_event(Event::CameraSettingsChanged);
+        }
+    }
+
+    fn use_settings(&mut self, settings: ServedSettings) {
+        let devices = |of: &ServedSettings| (of.analog.clone(), of.plates.clone());
+        if devices(&self.settings) != devices(&settings) {
+            self.histories = SampleHistory::of(&settings);
+            self.clients.iter_mut().for_each(|client| client.samples_from.fill(0));
+        }
+        self.settings = settings;
     }
 
     /// Forgets all clients; the measurement goes on.
@@ -226,7 +252,7 @@ impl QtmServer {
         let Some(client) = self.client(id) else { return };
         client.reader = reader;
         if is_garbage {
-            client.is_out_of_step = true;
+            client.set_out_of_step();
             client.outbox.put(|out| put_text(PacketKind::Error, "Parse error", out));
         }
     }
@@ -357,6 +383,7 @@ impl QtmServer {
                     client: client.id,
                     to,
                     bytes: bytes.clone(),
+                    is_of_frame: false,
                     ends_frame: false,
                 }),
                 Some(None) => client.put_unasked(|out| out.extend_from_slice(&bytes)),
@@ -446,7 +473,12 @@ impl QtmServer {
             Some(DatagramTarget { address: Some(other), .. }) if other.to_canonical() != own => {
                 return self.reply(id, Err("Parse error"));
             }
-            Some(DatagramTarget { port, .. }) => Some(SocketAddr::new(client.peer.ip(), port)),
+            Some(DatagramTarget { port, .. }) => {
+                // With the interface of a link-local address.
+                let mut to = client.peer;
+                to.set_port(port);
+                Some(to)
+            }
         };
         let StreamRequest { rate, components, .. } = *request;
         client.stream = Some(Stream { rate, components, target, number, frames: 0 });
@@ -486,10 +518,16 @@ impl QtmServer {
 }
 
 impl Client {
+    /// It sends no packets, or reads none: it gets what waits, and is disconnected.
+    fn set_out_of_step(&mut self) {
+        self.is_out_of_step = true;
+        (self.stream, self.one_frame) = (None, None);
+    }
+
     /// Appends what the client did not ask for. One that reads nothing is disconnected, since it would miss it.
     fn put_unasked(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
         if self.outbox.is_full() {
-            self.is_out_of_step = true;
+            self.set_out_of_step();
             self.frames_missed += self.outbox.frames_waiting() as u64;
             self.outbox.clear();
         } else if !self.is_out_of_step {

@@ -9,6 +9,21 @@ use crate::qtm::{
     settings::ServedSettings,
 };
 
+/// Wrong passwords after which a client is disconnected: more than anybody mistypes.
+const WRONG_PASSWORDS_MAX: u32 = 3;
+
+/// Wrong passwords that are kept for the owner: its messages about them are few.
+const WRONG_PASSWORDS_KEPT: usize = 16;
+
+/// A password, which no message shows.
+pub(super) struct Password(String);
+
+impl std::fmt::Debug for Password {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Password")
+    }
+}
+
 /// A command that the owner executes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum OwnerCommand {
@@ -48,6 +63,8 @@ pub struct ClientReport {
     pub frames_sent: u64,
     /// Frames that it requested and did not get, because it read too slowly or the network took no more.
     pub frames_missed: u64,
+    /// Samples of analog devices and force plates that no frame had: its stream has too few frames for them.
+    pub samples_missed: u64,
 }
 
 impl QtmServer {
@@ -58,7 +75,7 @@ impl QtmServer {
         let nothing = ServedSettings { frequency_hz: 1.0, ..ServedSettings::default() };
         let mut server = Self::new(nothing, version);
         server.clients_max = clients_max;
-        server.role = Role::Recorder { password };
+        server.role = Role::Recorder { password: password.map(Password) };
         (server.measurement, server.state) = (Measurement::Closed, Event::ConnectionClosed);
         server
     }
@@ -73,16 +90,12 @@ impl QtmServer {
             }
             return;
         };
-        let has_changed = self.settings != settings;
-        if has_changed {
-            self.histories = super::SampleHistory::of(&settings);
-        }
-        self.settings = settings;
         if self.measurement == Measurement::Closed {
+            self.use_settings(settings);
             self.measurement = Measurement::Live;
             self.send_event(Event::Connected);
-        } else if has_changed {
-            self.send_event(Event::CameraSettingsChanged);
+        } else {
+            self.change_settings(settings);
         }
     }
 
@@ -135,6 +148,7 @@ impl QtmServer {
             is_master: self.master == Some(client.id),
             frames_sent: client.outbox.frames_sent() + client.datagram_frames,
             frames_missed: client.frames_missed,
+            samples_missed: client.samples_missed,
         }
     }
 
@@ -151,12 +165,41 @@ impl QtmServer {
         self.clients.iter().any(wants)
     }
 
+    /// Whether a client requests samples of analog devices or force plates.
+    #[must_use]
+    pub fn wants_samples(&self) -> bool {
+        self.clients.iter().any(|client| {
+            let stream = client.stream.as_ref().map(|stream| stream.components);
+            stream.into_iter().chain(client.one_frame).any(|components| components.has_samples())
+        })
+    }
+
+    /// The clients that gave a wrong password for control since the last call.
+    pub fn take_wrong_passwords(&mut self) -> Vec<SocketAddr> {
+        std::mem::take(&mut self.wrong_passwords)
+    }
+
+    /// Counts a wrong password. A client that guesses is disconnected.
+    pub(super) fn count_wrong_password(&mut self, id: ClientId) {
+        let Some(client) = self.client(id) else { return };
+        client.wrong_passwords += 1;
+        let peer = client.peer;
+        if client.wrong_passwords >= WRONG_PASSWORDS_MAX {
+            client.set_out_of_step();
+        }
+        if self.wrong_passwords.len() < WRONG_PASSWORDS_KEPT {
+            self.wrong_passwords.push(peer);
+        }
+    }
+
     /// Lets a client take control of a recorder, or says why not.
     pub(super) fn check_password(&self, given: &str) -> Result<(), &'static str> {
         match &self.role {
             Role::Simulated => Ok(()),
             Role::Recorder { password: None } => Err("Client control disabled in QTM"),
-            Role::Recorder { password: Some(password) } if is_same(password, given) => Ok(()),
+            Role::Recorder { password: Some(Password(password)) } if is_same(password, given) => {
+                Ok(())
+            }
             Role::Recorder { .. } => Err("Wrong or missing password"),
         }
     }
@@ -186,6 +229,11 @@ impl QtmServer {
             _ => Err("This recorder does not have this command"),
         };
         self.reply(id, reply);
+    }
+
+    /// Whether there is a password to guess.
+    pub(super) fn has_password(&self) -> bool {
+        matches!(self.role, Role::Recorder { password: Some(_) })
     }
 
     fn request(&mut self, id: ClientId, command: OwnerCommand) {

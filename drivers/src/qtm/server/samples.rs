@@ -1,4 +1,6 @@
 //! Samples of analog devices and force plates on their way into frames: each stream gets those since its last frame.
+//!
+//! Places count the samples that a server was given, from 0 on; their numbers may jump and begin again.
 
 use super::QtmServer;
 use crate::qtm::{
@@ -11,56 +13,72 @@ use crate::qtm::{
 /// Samples that are kept for streams with few frames, in seconds.
 const KEPT_S: f64 = 2.0;
 
+/// Values that are kept of all devices together: twice as many, a quarter of what may wait for a client, are there at
+/// most.
+const KEPT_VALUES_MAX: usize = 1 << 17;
+
 /// The last samples of a device or plate.
 #[derive(Debug)]
 pub(super) struct SampleHistory {
     is_force: bool,
     id: u32,
     n_channels: usize,
-    /// Number of the first sample that is kept.
+    /// Number and place of the first sample that is kept.
     first: u64,
+    place: u64,
     samples: Vec<f32>,
     samples_max: usize,
-    /// Where the samples of the present frame begin.
+    /// Place at which the samples of the present frame begin.
     frame_start: u64,
     missing: Vec<f32>,
 }
 
 impl SampleHistory {
-    fn new(is_force: bool, id: u32, n_channels: usize, rate_hz: f64) -> Self {
+    fn new(
+        (is_force, id, n_channels): (bool, u32, usize),
+        rate_hz: f64,
+        values_max: usize,
+    ) -> Self {
         let n_channels = n_channels.max(1);
-        let samples_max = (rate_hz * KEPT_S).max(1.0) as usize * n_channels;
-        let missing = vec![f32::NAN; n_channels];
+        let samples = ((rate_hz * KEPT_S) as usize).min(values_max / n_channels).max(1);
         Self {
             is_force,
             id,
             n_channels,
             first: 0,
+            place: 0,
             samples: Vec::new(),
-            samples_max,
+            samples_max: samples * n_channels,
             frame_start: 0,
-            missing,
+            missing: vec![f32::NAN; n_channels],
         }
     }
 
     /// Those of all devices of a system.
     pub(super) fn of(settings: &ServedSettings) -> Vec<Self> {
-        let analog = settings
-            .analog
-            .iter()
-            .map(|device| Self::new(false, device.id, device.channels.len(), device.rate_hz));
-        let plates = settings.plates.iter();
-        let plates = plates.map(|plate| Self::new(true, plate.id, FORCE_VALUES, plate.rate_hz));
-        analog.chain(plates).collect()
+        let n_devices = settings.analog.len() + settings.plates.len();
+        let values_max = KEPT_VALUES_MAX / n_devices.max(1);
+        let analog = settings.analog.iter().map(|device| {
+            Self::new((false, device.id, device.channels.len()), device.rate_hz, values_max)
+        });
+        let plate = |plate: &crate::qtm::ForcePlate| {
+            Self::new((true, plate.id, FORCE_VALUES), plate.rate_hz, values_max)
+        };
+        analog.chain(settings.plates.iter().map(plate)).collect()
     }
 
-    /// Number of the next sample.
+    fn n_samples(&self) -> u64 {
+        (self.samples.len() / self.n_channels) as u64
+    }
+
+    /// Place of the next sample.
     fn end(&self) -> u64 {
-        self.first + (self.samples.len() / self.n_channels) as u64
+        self.place + self.n_samples()
     }
 
     fn add(&mut self, first: u64, samples: &[f32]) {
-        if first != self.end() {
+        if first != self.first + self.n_samples() {
+            self.place = self.end();
             self.samples.clear();
             self.first = first;
         }
@@ -71,19 +89,21 @@ impl SampleHistory {
             let n = excess.div_ceil(self.n_channels);
             self.samples.drain(..n * self.n_channels);
             self.first += n as u64;
+            self.place += n as u64;
         }
     }
 
-    /// The samples from this number on, in one component.
-    fn since(&self, number: u64, kind: SampledComponentKind) -> SamplesToSend<'_> {
-        let number = number.clamp(self.first, self.end());
-        let at = (number - self.first) as usize * self.n_channels;
-        let mut samples = self.samples.get(at..).unwrap_or_default();
+    /// The samples from this place on, in one component.
+    fn since(&self, place: u64, kind: SampledComponentKind) -> SamplesToSend<'_> {
+        let skipped = place.clamp(self.place, self.end()) - self.place;
+        let mut samples =
+            self.samples.get(skipped as usize * self.n_channels..).unwrap_or_default();
         if kind.is_single() {
             let last = samples.len().saturating_sub(self.n_channels);
             samples = samples.get(last..).filter(|s| !s.is_empty()).unwrap_or(&self.missing);
         }
-        SamplesToSend { id: self.id, n_channels: self.n_channels, first: number as u32, samples }
+        let first = (self.first + skipped) as u32;
+        SamplesToSend { id: self.id, n_channels: self.n_channels, first, samples }
     }
 }
 
@@ -110,17 +130,28 @@ impl QtmServer {
     }
 
     /// Where a stream that got the present frame gets its samples from next.
-    pub(super) fn sample_ends_now(&self) -> Vec<u64> {
-        self.histories.iter().map(SampleHistory::end).collect()
+    pub(super) fn set_sample_ends(&self, places: &mut Vec<u64>) {
+        places.clear();
+        places.extend(self.histories.iter().map(SampleHistory::end));
     }
 
-    /// The components of samples that a client wants, from these numbers on, or else those of the present frame.
-    pub(super) fn sampled_components(
-        &self,
+    /// Samples from these places on that are not kept any more.
+    pub(super) fn samples_gone(&self, wanted: Components, from: &[u64]) -> u64 {
+        let is_wanted = |history: &&SampleHistory| {
+            wanted.samples().any(|kind| kind.is_force() == history.is_force && !kind.is_single())
+        };
+        let gone = |(history, from): (&SampleHistory, &u64)| history.place.saturating_sub(*from);
+        let histories = self.histories.iter().zip(from);
+        histories.filter(|(history, _)| is_wanted(history)).map(gone).sum()
+    }
+
+    /// The components of samples that a client wants, from these places on, or else those of the present frame.
+    pub(super) fn sampled_components<'a>(
+        &'a self,
         wanted: Components,
         from: Option<&[u64]>,
-    ) -> Vec<SampledComponent<'_>> {
-        let of_kind = |kind: SampledComponentKind| {
+    ) -> impl Iterator<Item = SampledComponent<'a>> {
+        let of_kind = move |kind: SampledComponentKind| {
             let histories = self.histories.iter().enumerate();
             let histories = histories.filter(|(_, history)| history.is_force == kind.is_force());
             let devices = histories.map(|(index, history)| {
@@ -132,6 +163,6 @@ impl QtmServer {
             SampledComponent { kind, devices: devices.collect() }
         };
         let components = wanted.samples().map(of_kind);
-        components.filter(|component| !component.devices.is_empty()).collect()
+        components.filter(|component| !component.devices.is_empty())
     }
 }

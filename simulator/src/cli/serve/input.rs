@@ -68,9 +68,10 @@ pub(super) fn signals(args: &ServeArgs) -> Result<RecordedSignals, Failure> {
     Ok(signals)
 }
 
-/// The sampled channels for a server on the network, which states them otherwise than the link protocol.
-pub(super) fn network_sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
-    let RecordedSignals { sampled, .. } = signals(args)?;
+/// The sampled channels and the rigid bodies for a server on the network, which states the former otherwise than the link
+/// protocol.
+pub(super) fn network_signals(args: &ServeArgs) -> Result<RecordedSignals, Failure> {
+    let RecordedSignals { sampled, bodies, left_out } = signals(args)?;
     let is_recorded = args.take.is_some();
     let mut kept = Vec::new();
     for source in sampled {
@@ -84,7 +85,7 @@ pub(super) fn network_sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Fa
             kept.push(if is_recorded { source.without_plates() } else { source });
         }
     }
-    Ok(kept)
+    Ok(RecordedSignals { sampled: kept, bodies, left_out })
 }
 
 /// The sampled channels and rigid bodies of the take.

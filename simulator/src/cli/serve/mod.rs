@@ -340,7 +340,7 @@ fn device(
             if args.plates.is_some() || !args.emg.is_empty() || args.bodies.is_some() =>
         {
             return usage(
-                "--plates, --emg and --bodies apply to the link protocol only: remove --protocol ndi",
+                "--plates, --emg and --bodies do not apply to an NDI system: remove --protocol ndi",
             );
         }
         DeviceProtocol::Ndi if script.is_some() => {
@@ -348,10 +348,10 @@ fn device(
         }
         DeviceProtocol::Dvmc => {
             let kinds = script.iter().flat_map(|script| &script.faults);
-            if let Some(kind) = kinds.map(|f| f.fault.kind()).find(|kind| kind.is_of_natnet()) {
+            if let Some(kind) = kinds.map(|f| f.fault.kind()).find(|kind| kind.is_of_network()) {
                 let name = kind.name();
                 return usage(&format!(
-                    "{name} happens to a NatNet server only: add --protocol natnet"
+                    "{name} happens to a system on the network: add --protocol natnet or qtm"
                 ));
             }
             let RecordedSignals { sampled, bodies, .. } = input::signals(args)?;

@@ -2,6 +2,7 @@
 
 use mocapd_cli::stop::stop_on_signal;
 use mocapd_simulator::qtm::{QtmDevice, QtmError, QtmListener, QtmSettings, ServeError};
+use mocapd_simulator::recorded::RecordedSignals;
 
 use super::{DeviceProtocol, ServeArgs, input, refused, serve_at};
 use crate::cli::Failure;
@@ -12,12 +13,14 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     let port = check(args)?;
     let motion = input::motion(args)?;
     let n_markers = motion.info.markers.len();
+    let RecordedSignals { sampled, bodies, .. } = input::network_signals(args)?;
     let settings = QtmSettings {
         rate_hz: args.rate,
         speed: args.speed,
         looping: args.looping,
         faults: input::script(args)?,
-        sampled: input::network_sampled(args)?,
+        sampled,
+        bodies,
     };
     let mut device = QtmDevice::new(motion, settings).map_err(|error| match error {
         QtmError::Device(error) => refused(error),

@@ -26,7 +26,8 @@ pub(super) fn packets() -> Vec<Vec<u8>> {
 
 fn settings(n_labels: usize) -> String {
     let labels = (0..n_labels).map(|k| format!("label <{k}>")).collect();
-    let request = SettingsRequest { general: true, markers: true, analog: true, force: true };
+    let request =
+        SettingsRequest { general: true, markers: true, bodies: true, analog: true, force: true };
     ServedSettings { frequency_hz: 100.0, up_axis: "-Z", labels, ..ServedSettings::default() }
         .to_xml(28, request)
         .unwrap_or_default()
