@@ -1,6 +1,6 @@
 //! Frames of data in both directions, in the layouts of bitstreams 2.10 to 4.2 (`docs/natnet.md`).
 
-use super::message::{Bitstream, MessageKind, put_message};
+use super::message::{Bitstream, MessageKind, put_message, put_name};
 use crate::bytes::{Cursor, WireValue};
 
 /// Bytes of a position.
@@ -534,8 +534,7 @@ pub fn put_frame(frame: &FrameToSend<'_>, version: Bitstream, out: &mut Vec<u8>)
         frame.number.put(out);
         put_section(frame.sets.len(), version, out, |out| {
             for set in frame.sets {
-                out.extend_from_slice(set.name.as_bytes());
-                out.push(0);
+                put_name(set.name, out);
                 (set.positions_m.len() as u32).put(out);
                 set.positions_m.iter().for_each(|position| position.put(out));
             }
