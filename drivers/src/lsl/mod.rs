@@ -7,10 +7,12 @@
 mod axis;
 mod convention;
 mod decoder;
+mod described;
 mod description;
 mod envelope;
 mod host;
 mod layout;
+mod outlet;
 mod values;
 
 pub(crate) use self::{
@@ -18,10 +20,12 @@ pub(crate) use self::{
     envelope::{DATA_HEADER_BYTES, data_header},
 };
 pub use self::{
+    described::{Publisher, sampled_kind},
     description::{ChannelDescription, DESCRIPTION_BYTES_MAX, StreamDescription},
     envelope::{LineRequest, MessageReader, StreamMessage, put_message},
     host::LslHost,
     layout::{GroupLayout, Layout, MarkerColumns, StreamRole},
+    outlet::{INLETS_MAX, InletId, InletReport, OutletServer},
     values::ValueFormat,
 };
 use crate::{

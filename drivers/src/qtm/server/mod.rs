@@ -5,7 +5,6 @@
 
 mod control;
 mod delivery;
-mod outbox;
 mod recorder;
 mod samples;
 
@@ -15,7 +14,7 @@ pub use self::{
     delivery::{Datagram, Delivery, ServedFrame},
     recorder::{ClientReport, OwnerCommand, OwnerRequest},
 };
-use self::{outbox::Outbox, samples::SampleHistory};
+use self::samples::SampleHistory;
 use super::{
     command::{
         ClientCommand, Components, DatagramTarget, StreamRate, StreamRequest, VERSIONS, WELCOME,
@@ -23,6 +22,7 @@ use super::{
     packet::{Event, Packet, PacketKind, PacketReader, put_event, put_packet, put_text},
     settings::ServedSettings,
 };
+use crate::outbox::Outbox;
 
 /// "Number of simultaneous connections is limited to 10."
 pub const CLIENTS_MAX: usize = 10;

@@ -2,6 +2,7 @@
 
 mod discovery;
 mod feed;
+mod outlets;
 mod returning;
 
 use std::{
@@ -20,6 +21,7 @@ use self::{
     returning::{Return, ReturnWatch},
 };
 pub use discovery::{FoundStream, streams};
+pub use outlets::OutletSockets;
 
 use super::{Arrival, READ_TIMEOUT, Transport, TransportError};
 use crate::{
