@@ -19,7 +19,7 @@ use toml::{
 
 use super::{
     ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig,
-    NameTemplate, PROBLEMS_MAX, QtmPublishConfig, SourceLocation, TakeConfig, TriggerConfig,
+    LslPublishConfig, NameTemplate, NatNetPublishConfig, PROBLEMS_MAX, QtmPublishConfig, SourceLocation, TakeConfig, TriggerConfig,
     key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
@@ -168,6 +168,7 @@ impl Config {
         reader.pre_roll(&config);
         reader.listen(&config);
         reader.publish_control(&config);
+        reader.publish_group(&config);
         for (path, message) in check(&config) {
             reader.refuse(path, message);
         }
@@ -199,6 +200,8 @@ impl Config {
             http: HttpConfig::default(),
             trigger: TriggerConfig::default(),
             publish_qtm: QtmPublishConfig::default(),
+            publish_natnet: NatNetPublishConfig::default(),
+            publish_lsl: LslPublishConfig::default(),
             log_level: Level::default(),
         })
     }
@@ -398,6 +401,14 @@ impl<'a> ConfigReader<'a> {
             let message = "with control = true, whoever can connect could start and stop takes: \
                            set publish.qtm.password_file too";
             self.refuse("publish.qtm.control", message.to_owned());
+        }
+    }
+
+    /// Frames to a group need one interface.
+    fn publish_group(&mut self, config: &Config) {
+        let is_valid = self.are_valid(&["publish.natnet.listen", "publish.natnet.multicast"]);
+        if let Some(message) = config.publish_natnet.multicast_problem().filter(|_| is_valid) {
+            self.refuse("publish.natnet.multicast", message);
         }
     }
 
