@@ -381,6 +381,7 @@ impl Writer {
 
     fn publish_clock(&self) {
         if let Some(line) = self.counts.clock.line {
+            *lock(&self.progress.clock_line) = Some(line);
             self.progress.drift_ppb.store(line.drift_ppb, Ordering::Relaxed);
             let p99_us = self.counts.clock.jitter.p99_us;
             self.progress.jitter_p99_us.store(p99_us, Ordering::Relaxed);

@@ -15,10 +15,6 @@ mod layout;
 mod outlet;
 mod values;
 
-pub(crate) use self::{
-    description::clean,
-    envelope::{DATA_HEADER_BYTES, data_header},
-};
 pub use self::{
     described::{Publisher, sampled_kind},
     description::{ChannelDescription, DESCRIPTION_BYTES_MAX, StreamDescription},
@@ -28,6 +24,12 @@ pub use self::{
     outlet::{INLETS_MAX, InletId, InletReport, OutletServer},
     values::ValueFormat,
 };
+pub(crate) use self::{
+    description::clean,
+    envelope::{DATA_HEADER_BYTES, data_header},
+};
+pub use labstream_core::net::{StreamInfo, info::hostname};
+
 use crate::{
     device::{Claim, Family},
     stream_query::StreamQuery,

@@ -19,7 +19,8 @@ use toml::{
 
 use super::{
     ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig,
-    LslPublishConfig, NameTemplate, NatNetPublishConfig, PROBLEMS_MAX, QtmPublishConfig, SourceLocation, TakeConfig, TriggerConfig,
+    LslPublishConfig, NameTemplate, NatNetPublishConfig, PROBLEMS_MAX, QtmPublishConfig,
+    SourceLocation, TakeConfig, TriggerConfig,
     key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},

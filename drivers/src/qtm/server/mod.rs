@@ -10,11 +10,11 @@ mod samples;
 
 use std::net::SocketAddr;
 
+use self::samples::SampleHistory;
 pub use self::{
     delivery::{Datagram, Delivery, ServedFrame},
     recorder::{ClientReport, OwnerCommand, OwnerRequest},
 };
-use self::samples::SampleHistory;
 use super::{
     command::{
         ClientCommand, Components, DatagramTarget, StreamRate, StreamRequest, VERSIONS, WELCOME,

@@ -88,8 +88,20 @@ impl OutletSockets {
         Ok(self.ports.get(stream).copied().unwrap_or_default())
     }
 
+    /// Number of ports that are open, each for a stream.
+    #[must_use]
+    pub fn n_opened(&self) -> usize {
+        self.ports.len()
+    }
+
+    /// The port of a stream; 0 if it is not open.
+    #[must_use]
+    pub fn opened(&self, stream: usize) -> u16 {
+        self.ports.get(stream).copied().unwrap_or_default()
+    }
+
     /// Moves what is pending, and answers datagrams. `may_ask` says who is answered.
-    pub fn exchange<S>(&mut self, server: &mut S, may_ask: impl Fn(SocketAddr) -> bool)
+    pub fn exchange<S>(&mut self, server: &mut S, may_ask: impl Fn(&S, SocketAddr) -> bool)
     where
         S: StreamServer<Id = InletId> + AsRef<OutletServer>,
     {
@@ -102,7 +114,7 @@ impl OutletSockets {
                     // None waits, or one that was answered is gone.
                     Err(_) => break,
                 };
-                if !may_ask(from) {
+                if !may_ask(server, from) {
                     continue;
                 }
                 let datagram = buffer.get(..n).unwrap_or_default();

@@ -1,0 +1,482 @@
+//! Streams of the Lab Streaming Layer for what is received (docs/lsl.md).
+
+use std::{
+    io,
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    sync::Arc,
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+};
+
+use anyhow::{Context, anyhow};
+use mocapd_acquire::{
+    host_clock::monotonic_ns,
+    pipeline::{TappedBatch, TappedFrame, lock},
+};
+use mocapd_drivers::{
+    device::SampledGroupInfo,
+    lsl::{InletId, InletReport, OutletServer, Publisher, sampled_kind},
+    natnet::in_m,
+    transport::{
+        lsl::OutletSockets,
+        network::{interfaces, server::StreamServer},
+    },
+};
+use mocapd_take::poses::PoseState;
+
+use super::{
+    LivePublisher, PublishedDevice, PublishedFeed, PublisherName, RunningPublisher, WantedKinds,
+    clients::ClientLimits, host_time::HostTime, runner,
+};
+use crate::{
+    config::LslPublishConfig,
+    control::{Control, EventFeed},
+    status::{PublishStatus, PublishedClient, ServiceEvent, ServiceEventKind},
+};
+
+/// The Lab Streaming Layer.
+pub const LSL: PublisherName = PublisherName { id: "lsl", title: "LSL" };
+
+/// What the streams say to come from.
+const PROGRAM: &str = concat!("mocapd ", env!("CARGO_PKG_VERSION"));
+
+/// The streams, by the order of their ports: those of the groups of sampled channels follow.
+const MARKERS: usize = 0;
+const POSES: usize = 1;
+const EVENTS: usize = 2;
+const GROUPS: usize = 3;
+
+/// How long labels must have been the same until a stream has them: one whose channels change is another stream, and a system
+/// announces its markers one after another.
+const SETTLED: Duration = Duration::from_millis(500);
+
+/// Events that are passed on between two looks at frames.
+const EVENTS_A_TURN: usize = 64;
+
+/// Events of the service that are older are not late, but of a clock that was set.
+const EVENT_AGE_MAX_NS: u64 = 10_000_000_000;
+
+/// How long readers have to take what is pending when the service stops.
+const DRAIN: Duration = Duration::from_millis(500);
+
+/// Time between two looks at the addresses of this machine.
+const ADDRESSES_AGE_MAX: Duration = Duration::from_secs(5);
+
+/// Opens the ports and publishes.
+///
+/// # Errors
+/// The thread cannot be started.
+pub fn open(
+    config: &LslPublishConfig,
+    feed: PublishedFeed,
+    control: &Arc<dyn Control>,
+) -> anyhow::Result<RunningPublisher> {
+    let (listen, config, control_of) = ((config.listen, 0).into(), config.clone(), Arc::clone(control));
+    runner::start(feed, control, listen, move || LslPublisher::open(&config, &control_of))
+}
+
+/// The server, and who may read from it.
+#[derive(Debug)]
+struct AllowedServer {
+    server: OutletServer,
+    limits: ClientLimits,
+    own: OwnAddresses,
+    news: Vec<String>,
+    /// Frames, batches and events that readers were sent which are gone.
+    sent_to_gone: u64,
+}
+
+impl AsRef<OutletServer> for AllowedServer {
+    fn as_ref(&self) -> &OutletServer {
+        &self.server
+    }
+}
+
+impl StreamServer for AllowedServer {
+    type Id = InletId;
+
+    fn connect(&mut self, peer: SocketAddr) -> Result<InletId, Vec<u8>> {
+        self.connect_at(peer, peer)
+    }
+
+    fn connect_at(&mut self, peer: SocketAddr, local: SocketAddr) -> Result<InletId, Vec<u8>> {
+        if !self.own.contains(peer.ip()) {
+            // The number of readers is counted where a connection asks to be one.
+            self.limits.check(peer, 0).map_err(|_| Vec::new())?;
+        }
+        self.server.connect_at(peer, local)
+    }
+
+    fn disconnect(&mut self, id: InletId) {
+        if let Some(report) = self.server.report(id) {
+            self.sent_to_gone += report.frames_sent;
+            if report.frames_missed > 0 {
+                self.news.push(format!(
+                    "LSL client {} has left: it read '{}' too slowly, and missed {} of {} samples or batches",
+                    report.peer,
+                    report.stream,
+                    report.frames_missed,
+                    report.frames_missed + report.frames_sent
+                ));
+            }
+        }
+        self.server.disconnect(id);
+    }
+
+    fn receive(&mut self, id: InletId, bytes: &[u8]) {
+        let refused = self.server.n_refused();
+        self.server.receive(id, bytes);
+        if self.server.n_refused() > refused
+            && let Some(report) = self.server.report(id)
+        {
+            self.limits.check(report.peer, usize::MAX).ok();
+        }
+    }
+
+    fn may_receive(&self, id: InletId) -> bool {
+        self.server.may_receive(id)
+    }
+
+    fn is_over(&self, id: InletId) -> bool {
+        self.server.is_over(id)
+    }
+
+    fn pending(&self, id: InletId) -> &[u8] {
+        self.server.pending(id)
+    }
+
+    fn sent(&mut self, id: InletId, n: usize) {
+        self.server.sent(id, n);
+    }
+}
+
+/// The addresses of this machine: a program on it asks from the address of the network to which it asks.
+#[derive(Debug, Default)]
+struct OwnAddresses {
+    all: Vec<Ipv4Addr>,
+    looked_at: Option<Instant>,
+}
+
+impl OwnAddresses {
+    fn contains(&self, ip: IpAddr) -> bool {
+        let ip = ip.to_canonical();
+        ip.is_loopback() || self.all.iter().any(|own| *own == ip)
+    }
+
+    fn refresh(&mut self) {
+        if self.looked_at.is_some_and(|at| at.elapsed() < ADDRESSES_AGE_MAX) {
+            return;
+        }
+        self.looked_at = Some(Instant::now());
+        if let Ok(all) = interfaces() {
+            self.all = all.into_iter().map(|interface| interface.address).collect();
+        }
+    }
+}
+
+/// What is published of a device.
+#[derive(Debug)]
+struct ServedDevice {
+    device: PublishedDevice,
+    time: HostTime,
+    /// Slots of the labelled markers in the order of the stream, and their labels.
+    slots: Vec<usize>,
+    labels: Vec<String>,
+    /// Channels that were looked at, and when there were others.
+    n_channels: usize,
+    changed_at: Option<Instant>,
+}
+
+/// The server with its sockets.
+#[derive(Debug)]
+struct LslPublisher {
+    sockets: OutletSockets,
+    server: AllowedServer,
+    listen: Ipv4Addr,
+    name: String,
+    hostname: String,
+    events: EventFeed,
+    device: Option<ServedDevice>,
+    values: Vec<f32>,
+}
+
+impl LslPublisher {
+    fn open(config: &LslPublishConfig, control: &Arc<dyn Control>) -> anyhow::Result<Self> {
+        let listen = config.listen;
+        let sockets = OutletSockets::open(listen).map_err(|error| {
+            anyhow!(
+                "cannot publish at publish.lsl.listen = {listen}: {error}; end programs with LSL outlets, which use ports 16572 to \
+                 16604 of TCP and UDP; `ip address` lists the addresses of this machine"
+            )
+        })?;
+        let service_port = sockets.service_port().context("a UDP socket has no address")?;
+        let mut news = Vec::new();
+        if !sockets.gets_questions() {
+            news.push(
+                "LSL streams are found only by programs that ask this machine: UDP port 16571 is used by a program that does \
+                 not share it; end it and restart the service"
+                    .to_owned(),
+            );
+        }
+        let server = AllowedServer {
+            server: OutletServer::new(service_port, config.clients_max),
+            limits: ClientLimits::new(LSL, &config.allow_from, config.clients_max),
+            own: OwnAddresses::default(),
+            news,
+            sent_to_gone: 0,
+        };
+        let name = control.status().rig;
+        let hostname = mocapd_drivers::lsl::hostname();
+        let (events, values) = (control.events(), Vec::new());
+        Ok(Self { sockets, server, listen, name, hostname, events, device: None, values })
+    }
+
+    /// Publishes a stream whose name ends so, or nothing in its place.
+    fn set_stream(
+        &mut self,
+        stream: usize,
+        suffix: &str,
+        describe: Option<&dyn Fn(Publisher<'_>) -> mocapd_drivers::lsl::StreamInfo>,
+    ) {
+        let port = match self.sockets.port(stream) {
+            Ok(port) => port,
+            Err(error) => {
+                self.server.news.push(format!(
+                    "the LSL stream {}{suffix} is not published: no port of 16572 to 16604 is free ({error}); end programs with \
+                     LSL outlets, and arm again",
+                    self.name
+                ));
+                return;
+            }
+        };
+        let name = format!("{}{suffix}", self.name);
+        let source_id = format!("mocapd {} {name}", self.hostname);
+        let publisher = Publisher { name: &name, source_id: &source_id, program: PROGRAM };
+        let info = describe.map(|describe| describe(publisher));
+        self.server.server.set_stream(port, info, monotonic_ns());
+    }
+
+    fn port(&mut self, stream: usize) -> u16 {
+        self.sockets.opened(stream)
+    }
+
+    fn is_read(&self, stream: usize) -> bool {
+        self.server.server.is_read(self.sockets.opened(stream))
+    }
+
+    /// Publishes the stream of positions anew once other labels have settled.
+    fn follow_labels(&mut self) {
+        let Some(served) = &mut self.device else { return };
+        let n_channels = lock(&served.device.progress.channels).len();
+        if n_channels != served.n_channels {
+            (served.n_channels, served.changed_at) = (n_channels, Some(Instant::now()));
+        }
+        if served.changed_at.is_some_and(|at| at.elapsed() >= SETTLED) {
+            served.changed_at = None;
+            self.publish_markers();
+        }
+    }
+
+    fn publish_markers(&mut self) {
+        let Some(served) = &mut self.device else { return };
+        let channels = lock(&served.device.progress.channels).clone();
+        let labelled = channels.iter().enumerate().filter(|(_, channel)| channel.labelled);
+        let (slots, labels): (Vec<usize>, Vec<String>) =
+            labelled.map(|(slot, channel)| (slot, channel.label.clone())).unzip();
+        if labels == served.labels {
+            return;
+        }
+        let rate_hz = served.device.header.rate_hz;
+        (served.slots, served.labels) = (slots, labels.clone());
+        let describe = |publisher: Publisher<'_>| publisher.positions(&labels, rate_hz);
+        self.set_stream(MARKERS, "", (!labels.is_empty()).then_some(&describe));
+    }
+
+    /// Publishes the streams that a device has from the start.
+    fn publish_device(&mut self) {
+        let Some(served) = &self.device else { return };
+        let PublishedDevice { header, bodies, sampled, .. } = served.device.clone();
+        let names: Vec<String> = bodies.into_iter().map(|body| body.name).collect();
+        let poses = |publisher: Publisher<'_>| publisher.poses(&names, header.rate_hz);
+        self.set_stream(POSES, "-poses", (!names.is_empty()).then_some(&poses));
+        self.set_stream(EVENTS, "-events", Some(&|publisher: Publisher<'_>| publisher.events()));
+        for (index, group) in sampled.iter().enumerate() {
+            let kind = sampled_kind(group);
+            let suffix = format!("-{}-{}", kind.to_lowercase(), group.id);
+            let describe = |publisher: Publisher<'_>| publisher.samples(kind, group);
+            self.set_stream(GROUPS + index, &suffix, Some(&describe));
+        }
+        self.publish_markers();
+    }
+
+    fn pass_events(&mut self) {
+        for _ in 0..EVENTS_A_TURN {
+            let Some(event) = self.events.next(Duration::ZERO) else { return };
+            let Some(text) = text_of(&event) else { continue };
+            let port = self.port(EVENTS);
+            self.server.server.push_text(port, seconds(time_of(&event)), &text);
+        }
+    }
+}
+
+impl LivePublisher for LslPublisher {
+    fn address(&self) -> SocketAddr {
+        SocketAddr::new(self.listen.into(), self.sockets.opened(MARKERS))
+    }
+
+    fn set_device(&mut self, device: Option<&PublishedDevice>) {
+        for stream in 0..self.sockets.n_opened() {
+            let port = self.sockets.opened(stream);
+            self.server.server.set_stream(port, None, monotonic_ns());
+        }
+        self.device = device.map(|device| ServedDevice {
+            time: HostTime::new(device),
+            n_channels: lock(&device.progress.channels).len(),
+            device: device.clone(),
+            slots: Vec::new(),
+            labels: Vec::new(),
+            changed_at: None,
+        });
+        self.publish_device();
+    }
+
+    fn wanted(&self) -> WantedKinds {
+        WantedKinds {
+            frames: self.is_read(MARKERS) || self.is_read(POSES),
+            samples: (GROUPS..self.sockets.n_opened()).any(|stream| self.is_read(stream)),
+        }
+    }
+
+    fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame) {
+        let [markers, poses] = [MARKERS, POSES].map(|stream| self.port(stream));
+        let Some(served) = &mut self.device else { return };
+        let server = &mut self.server.server;
+        let captured_ns =
+            served.time.of_frame(frame.device_ticks, frame.arrival_ns, &device.progress);
+        let time_s = seconds(captured_ns);
+        for port in [markers, poses] {
+            server.left_out(port, frame.frames_left_out);
+        }
+        self.values.clear();
+        for slot in &served.slots {
+            let marker = frame.markers.get(*slot);
+            let position_m = marker.map_or([f32::NAN; 3], |marker| in_m(marker.position_mm));
+            self.values.extend(position_m);
+        }
+        server.push(markers, time_s, &self.values);
+        if served.device.bodies.is_empty() {
+            return;
+        }
+        self.values.clear();
+        for index in 0..served.device.bodies.len() {
+            let pose = frame.poses.get(index).filter(|pose| pose.state == PoseState::Tracked);
+            match pose {
+                Some(pose) => {
+                    self.values.extend(in_m(pose.position_mm));
+                    self.values.extend(pose.quaternion);
+                }
+                None => self.values.extend([f32::NAN; 7]),
+            }
+        }
+        server.push(poses, time_s, &self.values);
+    }
+
+    fn samples(&mut self, device: &PublishedDevice, batch: &TappedBatch) {
+        let found = device.sampled.iter().position(|group| group.id == batch.group);
+        let Some((index, group)) = found.and_then(|at| Some((at, device.sampled.get(at)?))) else {
+            return;
+        };
+        let port = self.port(GROUPS + index);
+        let Some(served) = &mut self.device else { return };
+        let now_ns = monotonic_ns();
+        let first_ns = served.time.of_sample(batch.device_ticks, now_ns, &device.progress);
+        put_values(group, batch, &mut self.values);
+        let server = &mut self.server.server;
+        server.left_out(port, batch.batches_left_out);
+        server.push(port, seconds(first_ns), &self.values);
+    }
+
+    fn exchange(&mut self, timeout: Duration) -> io::Result<()> {
+        self.server.own.refresh();
+        self.server.server.set_now(monotonic_ns());
+        self.follow_labels();
+        self.pass_events();
+        self.sockets.exchange(&mut self.server, |server, from| {
+            server.own.contains(from.ip()) || server.limits.is_allowed(from.ip())
+        });
+        self.sockets.wait(&mut self.server, timeout)
+    }
+
+    fn take_news(&mut self) -> Vec<String> {
+        let mut news = self.server.limits.take_news();
+        news.append(&mut self.server.news);
+        news
+    }
+
+    fn status(&self) -> PublishStatus {
+        let AllowedServer { server, limits, sent_to_gone, .. } = &self.server;
+        let client = |report: InletReport| PublishedClient {
+            address: report.peer.to_string(),
+            version: "1.10".to_owned(),
+            transport: "tcp".to_owned(),
+            stream: report.stream,
+            is_streaming: true,
+            frames_sent: report.frames_sent,
+            frames_missed: report.frames_missed,
+            ..PublishedClient::default()
+        };
+        let clients: Vec<_> = server.reports().into_iter().map(client).collect();
+        let sent: u64 = clients.iter().map(|client| client.frames_sent).sum();
+        PublishStatus {
+            protocol: LSL.id.to_owned(),
+            listen: self.listen.to_string(),
+            clients_max: limits.clients_max(),
+            clients_refused: limits.refused(),
+            frames_sent: sent + sent_to_gone,
+            frames_missed: server.frames_missed(),
+            clients,
+            ..PublishStatus::default()
+        }
+    }
+
+    fn close(self) {
+        let Self { sockets, mut server, .. } = self;
+        sockets.finish(&mut server, DRAIN);
+    }
+}
+
+/// Nanoseconds of the monotonic clock as LSL's time, which is that clock in seconds.
+fn seconds(ns: u64) -> f64 {
+    ns as f64 * 1e-9
+}
+
+/// The values of a batch in the units of its channels, one sample after another.
+fn put_values(group: &SampledGroupInfo, batch: &TappedBatch, out: &mut Vec<f32>) {
+    out.clear();
+    let n_channels = group.channels.len().max(1);
+    for sample in batch.samples.chunks_exact(n_channels) {
+        let channels = sample.iter().zip(&group.channels);
+        out.extend(channels.map(|(value, channel)| {
+            ((f64::from(*value) - channel.offset) * channel.scale) as f32
+        }));
+    }
+}
+
+/// An event of the service as a text: its kind, and the take or the message.
+fn text_of(event: &ServiceEvent) -> Option<String> {
+    let what = match event.kind {
+        ServiceEventKind::TakeStarted
+        | ServiceEventKind::TakeStopped
+        | ServiceEventKind::TakeSaved => event.take.as_deref().unwrap_or_default(),
+        ServiceEventKind::Mark | ServiceEventKind::Device => event.message.as_str(),
+        _ => return None,
+    };
+    Some(format!("{} {what}", event.kind))
+}
+
+/// When an event happened, by the monotonic clock; it states the time of day in milliseconds.
+fn time_of(event: &ServiceEvent) -> u64 {
+    let now_ms = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
+    let age_ms = now_ms.saturating_sub(u128::from(event.unix_ms.max(0).unsigned_abs()));
+    let age_ns = u64::try_from(age_ms.saturating_mul(1_000_000)).unwrap_or(u64::MAX);
+    monotonic_ns().saturating_sub(if age_ns < EVENT_AGE_MAX_NS { age_ns } else { 0 })
+}
