@@ -5,7 +5,7 @@ use std::sync::{
     atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering},
 };
 
-use mocapd_take::record::{Channel, Ledger, SampleLedger, TakeEnding};
+use mocapd_take::record::{Channel, ClockLine, Ledger, SampleLedger, TakeEnding};
 
 use crate::files::{DisplacedFile, FileState};
 

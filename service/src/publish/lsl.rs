@@ -70,7 +70,8 @@ pub fn open(
     feed: PublishedFeed,
     control: &Arc<dyn Control>,
 ) -> anyhow::Result<RunningPublisher> {
-    let (listen, config, control_of) = ((config.listen, 0).into(), config.clone(), Arc::clone(control));
+    let (listen, config, control_of) =
+        ((config.listen, 0).into(), config.clone(), Arc::clone(control));
     runner::start(feed, control, listen, move || LslPublisher::open(&config, &control_of))
 }
 
@@ -455,9 +456,11 @@ fn put_values(group: &SampledGroupInfo, batch: &TappedBatch, out: &mut Vec<f32>)
     let n_channels = group.channels.len().max(1);
     for sample in batch.samples.chunks_exact(n_channels) {
         let channels = sample.iter().zip(&group.channels);
-        out.extend(channels.map(|(value, channel)| {
-            ((f64::from(*value) - channel.offset) * channel.scale) as f32
-        }));
+        out.extend(
+            channels.map(|(value, channel)| {
+                ((f64::from(*value) - channel.offset) * channel.scale) as f32
+            }),
+        );
     }
 }
 

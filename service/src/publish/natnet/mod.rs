@@ -349,11 +349,8 @@ impl ServedDevice {
         out.clear();
         for (index, id) in self.bodies.iter().enumerate() {
             let pose = poses.get(index).filter(|pose| pose.state == PoseState::Tracked);
-            let lost = WireBody {
-                id: *id,
-                quaternion_xyzw: [0.0, 0.0, 0.0, 1.0],
-                ..WireBody::default()
-            };
+            let lost =
+                WireBody { id: *id, quaternion_xyzw: [0.0, 0.0, 0.0, 1.0], ..WireBody::default() };
             out.push(pose.map_or(lost, |pose| {
                 let [w, x, y, z] = pose.quaternion;
                 let [error_m, ..] = in_m([pose.residual_mm; 3]);

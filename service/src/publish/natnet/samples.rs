@@ -56,7 +56,8 @@ impl ServedSamples {
             let plates = device.plates.iter().filter(|plate| plate.group == info.id);
             let mut rest: Vec<usize> = (0..info.channels.len()).collect();
             for plate in plates {
-                let channels: Vec<usize> = plate.channels.iter().map(|at| usize::from(*at)).collect();
+                let channels: Vec<usize> =
+                    plate.channels.iter().map(|at| usize::from(*at)).collect();
                 rest.retain(|channel| !channels.contains(channel));
                 described.push(served.add(info, channels, true, plate.number.into()));
             }
@@ -227,8 +228,11 @@ mod tests {
 
     fn queue(per_frame: f64) -> ServedSamples {
         let channels = vec![SampledChannelInfo { scale: 1.0, ..SampledChannelInfo::default() }; 2];
-        let info =
-            SampledGroupInfo { rate_millihertz: 1_000_000, channels, ..SampledGroupInfo::default() };
+        let info = SampledGroupInfo {
+            rate_millihertz: 1_000_000,
+            channels,
+            ..SampledGroupInfo::default()
+        };
         let mut served = ServedSamples::default();
         served.add(&info, vec![1], true, 1);
         let group = GroupQueue {
