@@ -1,4 +1,5 @@
 """Talks to our side of the Lab Streaming Layer with one that is not ours: liblsl, through pylsl. XDF files are read by pyxdf.
+Our side is the simulator, and the service with `[publish.lsl]`.
 
     python check_lsl.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
 
@@ -12,6 +13,7 @@ import contextlib
 import csv
 import json
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -386,6 +388,174 @@ def check_convention(options, folder):
     return f"{len(got)} samples"
 
 
+def ask(options, folder, *words):
+    command = [options.mocapd, "ctl", "--connect", f"unix:{folder}/rig.sock", *words, "--json"]
+    ran = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60, check=False)
+    expect(ran.returncode == 0, f"{words}: {ran.stderr}")
+    return json.loads(ran.stdout)
+
+
+@contextlib.contextmanager
+def service(options, device, folder, rig):
+    """A service that records a device and publishes it."""
+    folder.mkdir()
+    config = folder / f"{rig}.toml"
+    config.write_text(f"""[device]
+uri = "{device}"
+[take]
+directory = "{folder}"
+keep_free = "0B"
+lossless = true
+[arm]
+at_start = true
+[http]
+listen = ""
+socket = "{folder}/rig.sock"
+[publish.lsl]
+enabled = true
+""")
+    with (folder / "rig.log").open("w") as log:
+        process = subprocess.Popen([str(options.mocapd), "run", "--config", str(config)], stdout=log, stderr=log)
+        try:
+            ends_at = time.monotonic() + FIRST_WORD_WITHIN_S
+            while True:
+                with contextlib.suppress(AssertionError):
+                    if ask(options, folder, "status")["input"]["frames"] > RATE_HZ:
+                        break
+                expect(time.monotonic() < ends_at, (folder / "rig.log").read_text())
+                time.sleep(0.1)
+            yield
+        finally:
+            process.terminate()
+            process.wait(20)
+
+
+@contextlib.contextmanager
+def natnet_simulator(options, motion, *more):
+    """A simulated Motive: the URI to record from."""
+    command = [options.mocapd_sim, "serve", motion, "--protocol", "natnet", "--loop", "--data-port=1519", *more]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
+    silent.start()
+    try:
+        uri = process.stdout.readline().strip()
+        silent.cancel()
+        expect(uri.startswith("natnet:"), f"the simulator names no port: {uri!r}")
+        yield uri
+    finally:
+        silent.cancel()
+        process.terminate()
+        process.wait(10)
+
+
+def check_service(options, folder):
+    """pylsl reads what the service records, beside the recording: every frame, pose and event, and the take has the same."""
+    rig, labels = f"rig{os.getpid()}", LABELS[:-4]
+    motion = folder / "bodies.csv"
+    lines = (folder / "motion.csv").read_text().splitlines()
+    renamed = tuple(f"Wand:m{k}" for k in range(4))
+    for label, name in zip(LABELS[-4:], renamed):
+        lines[0] = lines[0].replace(f"{label}.", f"{name}.")
+    motion.write_text("\n".join(lines) + "\n")
+    run = folder / "service"
+    with natnet_simulator(options, motion, "--rigid-body", "Wand") as uri, service(options, uri, run, rig):
+        inlets = [inlet_of(f"{rig}{suffix}") for suffix in ("", "-poses", "-events")]
+        descriptions = [inlet.info(10) for inlet in inlets]
+        stated = channels_of(descriptions[0])
+        names = [channel[1] for channel in stated[::3]]
+        expect(sorted(names) == sorted(labels + renamed), names)
+        expected = [(f"{name}.{axis.lower()}", name, f"Position{axis}", "meters") for name in names for axis in "XYZ"]
+        expect(stated == expected, stated)
+        kinds = ["PositionX", "PositionY", "PositionZ", "OrientationA", "OrientationB", "OrientationC", "OrientationD"]
+        expect([channel[2] for channel in channels_of(descriptions[1])] == kinds, channels_of(descriptions[1]))
+        expect((descriptions[0].nominal_srate(), descriptions[0].type()) == (RATE_HZ, "MoCap"), descriptions[0].as_xml()[:400])
+        ask(options, run, "start", "--name", "published")
+        with concurrent.futures.ThreadPoolExecutor(3) as pool:
+            running = [pool.submit(pulled, inlet, options.seconds) for inlet in inlets]
+            time.sleep(0.5 * options.seconds)
+            ask(options, run, "mark", "half way <&>")
+            (samples, stamps), (poses, pose_stamps), (events, event_stamps) = [one.result() for one in running]
+        correction = inlets[0].time_correction(5)
+        (status,) = ask(options, run, "status")["publish"]
+        stopped = ask(options, run, "stop")
+        description, xdf = descriptions[0], xdf_of(options, run / "published.take")
+    expect(abs(correction) < 0.005, f"the clock of one machine is {correction} s off")
+    expect([client["stream"] for client in status["clients"]] == [f"{rig}{end}" for end in ("", "-poses", "-events")], status)
+    expect(status["protocol"] == "lsl" and status["frames_missed"] == 0, status)
+    expect(stopped["ledger"]["closes"] and stopped["ledger"]["lost_on_link"] == 0, stopped)
+    expect(events == [["take-started published"], ["mark half way <&>"]], events)
+    expect(stamps[0] <= event_stamps[1] <= stamps[-1], f"{event_stamps} s, frames from {stamps[0]} to {stamps[-1]} s")
+    # Every frame is there: as the recorder has it, in metres again.
+    metres = (positions_mm().astype(np.float64) / 1000).astype(np.float32)
+    millimetres = (metres.astype(np.float64) * 1000).astype(np.float32)
+    again = (millimetres.astype(np.float64) / 1000).astype(np.float32)
+    column = {name: index for index, name in enumerate(labels + renamed)}
+    again = again[:, [column[name] for name in names]]
+    got = np.array(samples, dtype=np.float32).reshape(len(samples), N_MARKERS, 3)
+    expect(len(got) > 0.9 * RATE_HZ * options.seconds, f"{len(got)} samples")
+    seen = names.index(labels[0])
+    first = int(np.flatnonzero((again[:, seen] == got[0, seen]).all(axis=1))[0])
+    wanted = again[(first + np.arange(len(got))) % N_FRAMES]
+    expect(((got == wanted) | (np.isnan(got) & np.isnan(wanted))).all(), "positions")
+    steps = np.diff(stamps) * RATE_HZ
+    expect(steps.min() > 0.8 and steps.max() < 1.2, f"steps of {steps.min()} to {steps.max()} periods")
+    turns = np.array(poses, dtype=np.float64)[:, 3:]
+    expect(len(turns) > 0.9 * len(got) and np.abs(np.linalg.norm(turns, axis=1) - 1).max() < 1e-6, "quaternions")
+    expect(set(np.round(pose_stamps, 9)) <= set(np.round(stamps, 9)) or len(pose_stamps) > 0.9 * len(stamps), "times of poses")
+    # The take has the same frames, at the same times, and its XDF file the same description.
+    stream = xdf["MoCap"]
+    recorded_mm = np.array(stream["time_series"], dtype=np.float32).reshape(-1, N_MARKERS, 3)
+    written = [tuple(channel[key][0] for key in ("label", "marker", "type"))
+               for channel in stream["info"]["desc"][0]["channels"][0]["channel"]]
+    expect(written == [channel[:3] for channel in channels_of(description)], "the descriptions of stream and file differ")
+    recorded = (recorded_mm.astype(np.float64) / 1000).astype(np.float32)
+    at = [k for k in range(min(400, len(got))) if (got[k, seen] == recorded[0, seen]).all()]
+    expect(len(at) >= 1, "the first frame of the take was not published")
+    n = min(len(got) - at[0], len(recorded))
+    same = got[at[0]:at[0] + n]
+    expect(((same == recorded[:n]) | (np.isnan(same) & np.isnan(recorded[:n]))).all(), "the take has other positions")
+    ours = np.array(stream["time_stamps"])[:n]
+    apart = np.abs((stamps[at[0]:at[0] + n] - stamps[at[0]]) - (ours - ours[0]))
+    expect(apart.max() < 1e-3, f"times differ by {1e3 * apart.max()} ms")
+    return f"{len(got)} frames, {len(poses)} poses, times within {1e6 * apart.max():.0f} us of the take's"
+
+
+def check_slow_inlet(options, folder):
+    """An inlet that does not read misses what does not fit, which is counted; the other misses nothing."""
+    import pylsl
+    rig, run = f"slow{os.getpid()}", folder / "slow"
+    with natnet_simulator(options, folder / "motion.csv") as uri, service(options, uri, run, rig):
+        (found,) = pylsl.resolve_byprop("name", rig, 1, 20)
+        with socket.socket() as silent:
+            silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            silent.connect(("127.0.0.1", data_port_of(found)))
+            # A second of samples may wait for it, and it reads none.
+            request = f"LSL:streamfeed/110 {found.uid()}\r\nNative-Byte-Order: 1234\r\nValue-Size: 4\r\n"
+            silent.sendall(f"{request}Max-Buffer-Length: {RATE_HZ}\r\nProtocol-Version: 110\r\n\r\n".encode())
+            inlet = inlet_of(rig)
+            samples, _ = pulled(inlet, 3)
+            deadline = time.monotonic() + 60
+            while True:
+                (status,) = ask(options, run, "status")["publish"]
+                missed = {client["address"]: client["frames_missed"] for client in status["clients"]}
+                slow = missed.pop(f"127.0.0.1:{silent.getsockname()[1]}")
+                more, _ = pulled(inlet, 1)
+                samples += more
+                if slow > 0:
+                    break
+                expect(time.monotonic() < deadline, status)
+            expect(set(missed.values()) == {0}, status)
+    seen = np.array(samples, dtype=np.float32).reshape(len(samples), -1, 3)
+    expect(len(seen) > 3 * RATE_HZ * 0.9, f"{len(seen)} samples")
+    return f"{slow} samples missed by the one that does not read, none of {len(seen)} by the other"
+
+
+def data_port_of(found):
+    """The TCP port of a stream's data."""
+    text = found.as_xml()
+    return int(text.split("<v4data_port>")[1].split("<")[0])
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mocapd-sim", required=True, type=Path)
@@ -396,7 +566,7 @@ def main():
     options.mocapd, options.mocapd_sim = options.mocapd.resolve(), options.mocapd_sim.resolve()
     checks = [check_outlet, check_same_stream, check_units, check_eeg_and_events, check_irregular, check_outage,
               check_others_go_on, check_names,
-              check_convention]
+              check_convention, check_service, check_slow_inlet]
     checks = [check for check in checks if options.only is None or options.only in check.__name__]
     passed = 0
     with tempfile.TemporaryDirectory() as folder:

@@ -129,6 +129,13 @@ impl LslTransport {
         })
     }
 
+    /// The id of the source, if there is one stream and it states one.
+    #[must_use]
+    pub fn only_source_id(&self) -> Option<String> {
+        let [stream] = &self.streams[..] else { return None };
+        Some(stream.found.description.source_id.clone()).filter(|id| !id.is_empty())
+    }
+
     fn lost(&self, cause: String) -> TransportError {
         TransportError::ConnectionLost { device: self.name.clone(), cause }
     }
