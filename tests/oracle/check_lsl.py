@@ -520,6 +520,44 @@ def check_service(options, folder):
     return f"{len(got)} frames, {len(poses)} poses, times within {1e6 * apart.max():.0f} us of the take's"
 
 
+def check_service_samples(options, folder):
+    """pylsl reads force plates and electrodes that the service records: the samples of the take, at their rate and times."""
+    rig, run, pty = f"samples{os.getpid()}", folder / "samples", folder / "device"
+    command = [options.mocapd_sim, "serve", "--generate", "jump", "--rate", f"{RATE_HZ}Hz", "--plates=960", "--emg", "2@1920",
+               "--seconds", "120s", f"--pty={pty}"]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        expect(process.stdout.readline().strip(), "the simulator names no port")
+        with service(options, f"serial:{pty}", run, rig):
+            inlets = [inlet_of(f"{rig}-analog-{group}") for group in (0, 1)]
+            described = [inlet.info(10) for inlet in inlets]
+            expect([info.nominal_srate() for info in described] == [960, 1920], "rates")
+            ask(options, run, "start", "--name", "samples")
+            with concurrent.futures.ThreadPoolExecutor(2) as pool:
+                pieces = list(pool.map(pulled, inlets, (3, 3)))
+            ask(options, run, "stop")
+            export = [str(options.mocapd), "export", str(run / "samples.take"), "-o", str(run / "samples.npz")]
+            subprocess.run(export, check=True, capture_output=True)
+            archive = dict(np.load(run / "samples.npz"))
+    finally:
+        process.terminate()
+        process.wait(10)
+    counts = []
+    for group, (info, (samples, stamps)) in enumerate(zip(described, pieces)):
+        labels = [channel[0] for channel in channels_of(info)]
+        expect(labels == [str(label) for label in archive[f"sampled_{group}_labels"]], labels)
+        expect({channel[2] for channel in channels_of(info)} == {"Analog"}, channels_of(info))
+        got, taken = np.array(samples, dtype=np.float32), archive[f"sampled_{group}"].astype(np.float32)
+        first = next(k for k in range(len(got)) if (got[k] == taken[0]).all())
+        n = min(len(got) - first, len(taken))
+        expect(n > 0.5 * len(got) and (got[first:first + n] == taken[:n]).all(), f"group {group}: {n} of {len(got)} samples")
+        times = archive[f"sampled_{group}_time_s"][:n]
+        apart = np.abs((stamps[first:first + n] - stamps[first]) - (times - times[0]))
+        expect(apart.max() < 1e-3, f"group {group}: times differ by {1e3 * apart.max()} ms")
+        counts.append(n)
+    return f"{counts[0]} and {counts[1]} samples"
+
+
 def check_slow_inlet(options, folder):
     """An inlet that does not read misses what does not fit, which is counted; the other misses nothing."""
     import pylsl
@@ -566,7 +604,7 @@ def main():
     options.mocapd, options.mocapd_sim = options.mocapd.resolve(), options.mocapd_sim.resolve()
     checks = [check_outlet, check_same_stream, check_units, check_eeg_and_events, check_irregular, check_outage,
               check_others_go_on, check_names,
-              check_convention, check_service, check_slow_inlet]
+              check_convention, check_service, check_service_samples, check_slow_inlet]
     checks = [check for check in checks if options.only is None or options.only in check.__name__]
     passed = 0
     with tempfile.TemporaryDirectory() as folder:

@@ -111,13 +111,13 @@ def ask(program, folder, *words):
 
 
 @contextlib.contextmanager
-def service(program, source, version, is_multicast, folder):
-    """A service that records a NatNet server and publishes it as one: the port of its commands, and that of its frames."""
+def service(program, device, version, is_multicast, folder):
+    """A service that records a device and publishes it as a NatNet server: the port of its commands, and that of its frames."""
     port, data_port = free_port(), free_port()
     stream = f'multicast = "239.255.42.99:{data_port}"' if is_multicast else f"data_port = {data_port}"
     config = Path(folder) / "rig.toml"
     config.write_text(f"""[device]
-uri = "natnet:127.0.0.1:{source}"
+uri = "{device}"
 [take]
 directory = "{folder}"
 keep_free = "0B"
@@ -318,7 +318,7 @@ def check_service(name, data, version, is_multicast, seconds, mocapd):
     """A client of the service, which records our simulator: as of the simulator itself; and what it counts."""
     port, _ = data
     with tempfile.TemporaryDirectory() as folder:
-        with service(mocapd, port, version, is_multicast, folder) as (published, data_port):
+        with service(mocapd, f"natnet:127.0.0.1:{port}", version, is_multicast, folder) as (published, data_port):
             ask(mocapd, folder, "start", "--name", "published")
             check = check_natnet if "motioncapture" not in name else check_motioncapture
             result = check(published, data_port, version, is_multicast, seconds, is_service=True)
@@ -330,6 +330,85 @@ def check_service(name, data, version, is_multicast, seconds, mocapd):
     return result
 
 
+@contextlib.contextmanager
+def sampled_device(program, folder):
+    """A simulated device with two force plates and two electrodes, on a pseudo-terminal: its URI."""
+    command = [program, "serve", "--generate", "jump", "--rate", f"{RATE_HZ}Hz", "--plates=960", "--emg", "2@1920", "--seconds", "120s",
+               f"--pty={folder}/device"]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
+    silent.start()
+    try:
+        expect(process.stdout.readline().strip(), "the simulator names no port")
+        yield f"serial:{folder}/device"
+    finally:
+        silent.cancel()
+        process.terminate()
+        process.wait(10)
+
+
+def check_samples(program, mocapd, seconds):
+    """Force plates and electrodes of the service: as many samples in each frame, and those of the take, in order."""
+    import numpy as np
+    from natnet import NatNetClient
+
+    frames, descriptions = [], []
+    with tempfile.TemporaryDirectory() as folder, sampled_device(program, folder) as device:
+        with service(mocapd, device, "4.1", False, folder) as (port, data_port):
+            client = NatNetClient(server_ip_address="127.0.0.1", local_ip_address="127.0.0.1", command_port=port,
+                                  data_port=data_port, use_multicast=False)
+            client.on_data_frame_received_event.handlers.append(frames.append)
+            client.on_data_description_received_event.handlers.append(descriptions.append)
+            with client:
+                client.request_modeldef()
+                ask(mocapd, folder, "start", "--name", "samples")
+                client.run_async()
+                time.sleep(seconds)
+                client.stop_async()
+            ask(mocapd, folder, "stop")
+            export = [str(mocapd), "export", f"{folder}/samples.take", "-o", f"{folder}/samples.npz"]
+            subprocess.run(export, check=True, capture_output=True)
+            info = subprocess.run([str(mocapd), "info", f"{folder}/samples.take", "--json"], check=True, capture_output=True)
+            archive = dict(np.load(f"{folder}/samples.npz"))
+    groups = json.loads(info.stdout)["sampled_groups"]
+    expect([len(group["channels"]) for group in groups] == [12, 2], groups)
+    # The first frames go without samples that have not come, until frames never wait for a batch.
+    frames = frames[RATE_HZ // 4:]
+    first = frames[0].prefix.frame_number
+    counts = {(len(frame.force_plates), len(frame.devices)) for frame in frames}
+    expect(counts == {(2, 1)}, counts)
+    n_frames = frames[-1].prefix.frame_number - first + 1
+    found = {}
+    for kind, per_frame, n_channels in (("force_plates", 4, 6), ("devices", 8, 2)):
+        for index in range(len(getattr(frames[0], kind))):
+            values = np.full((n_frames * per_frame, n_channels), np.nan, dtype=np.float32)
+            for frame in frames:
+                channels = np.array(getattr(frame, kind)[index].channel_arrays, dtype=np.float32)
+                expect(channels.shape == (n_channels, per_frame), f"frame {frame.prefix.frame_number}: {channels.shape}")
+                at = (frame.prefix.frame_number - first) * per_frame
+                values[at:at + per_frame] = channels.T
+            found[kind, index] = values
+    plates, electrodes = archive["sampled_0"], archive["sampled_1"]
+    for (kind, index), columns in {("force_plates", 0): plates[:, :6], ("force_plates", 1): plates[:, 6:],
+                                   ("devices", 0): electrodes}.items():
+        same_samples(found[kind, index], columns.astype(np.float32), f"{kind} {index}")
+    bodies = descriptions[-1]
+    expect(len(bodies.force_plates) == 2 and len(bodies.devices) == 1, bodies)
+    return f"{len(frames)} frames, {sum(len(values) for values in found.values())} samples"
+
+
+def same_samples(ours, taken, what):
+    """What was published is a piece of what was recorded, where it was received."""
+    import numpy as np
+    seen = ~np.isnan(ours).any(axis=1)
+    start = int(np.flatnonzero(seen)[0])
+    places = np.flatnonzero((taken == ours[start]).all(axis=1))
+    n = [(int(at), min(len(ours) - start, len(taken) - int(at))) for at in places]
+    fits = [(at, length) for at, length in n
+            if (~seen[start:start + length] | (ours[start:start + length] == taken[at:at + length]).all(axis=1)).all()]
+    expect(any(length > 0.3 * len(ours) for _, length in fits), f"{what}: the take has other samples ({n})")
+
+
 def run_pair(job):
     name, version, is_multicast, program, mocapd, motion, seconds = job
     label = f"{name} {version} {'multicast' if is_multicast else 'unicast'}"
@@ -337,6 +416,8 @@ def run_pair(job):
     more = () if name.startswith("motioncapture") and version == "2.10" else ("--rigid-body", "Body")
     is_service = name.endswith("of the service")
     try:
+        if name == "samples of the service":
+            return True, f"ok   {label}: {check_samples(program, mocapd, seconds)}"
         served = ("4.1", False) if is_service else (version, is_multicast)
         with simulator(program, motion, *served, *more) as (port, data_port):
             if is_service:
@@ -356,6 +437,7 @@ def main():
     parser.add_argument("--mocapd-sim", required=True, type=Path)
     parser.add_argument("--mocapd", required=True, type=Path)
     parser.add_argument("--seconds", type=int, default=2, help="how long each stream is read")
+    parser.add_argument("--only", default="", help="run pairs whose name contains this")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         motion = Path(folder) / "motion.csv"
@@ -366,6 +448,8 @@ def main():
         pairs = itertools.product(clients, VERSIONS, (True, False))
         jobs = [(*pair, *programs) for pair in pairs]
         jobs += [("recorder beside natnet", "4.1", is_multicast, *programs) for is_multicast in (True, False)]
+        jobs.append(("samples of the service", "4.1", False, *programs))
+        jobs = [job for job in jobs if options.only in f"{job[0]} {job[1]} {'multicast' if job[2] else 'unicast'}"]
         passed = 0
         # Side by side: each client has a server of its own. A process for each, because one client has one version.
         with concurrent.futures.ProcessPoolExecutor(max_workers=3, max_tasks_per_child=1) as pool:

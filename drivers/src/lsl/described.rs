@@ -129,9 +129,3 @@ fn plain(text: &str) -> String {
     let text: String = text.chars().map(|c| if is_refused(c) { ' ' } else { c }).collect();
     text.trim().to_owned()
 }
-
-/// The type of a stream of a group's channels, as our XDF files have it: forces of plates, or other analog channels.
-#[must_use]
-pub fn sampled_kind(group: &SampledGroupInfo) -> &'static str {
-    if group.channels.iter().any(|channel| channel.unit == "N") { "Force" } else { "Analog" }
-}

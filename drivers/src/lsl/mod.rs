@@ -16,7 +16,7 @@ mod outlet;
 mod values;
 
 pub use self::{
-    described::{Publisher, sampled_kind},
+    described::Publisher,
     description::{ChannelDescription, DESCRIPTION_BYTES_MAX, StreamDescription},
     envelope::{LineRequest, MessageReader, StreamMessage, put_message},
     host::LslHost,

@@ -473,9 +473,11 @@ impl SampledToSend<'_> {
         self.id.put(out);
         (self.n_channels as u32).put(out);
         let n_samples = self.samples.len() / self.n_channels.max(1);
-        for channel in self.samples.chunks(n_samples.max(1)) {
-            (channel.len() as u32).put(out);
-            channel.iter().for_each(|sample| sample.put(out));
+        for channel in 0..self.n_channels {
+            // A frame without samples has each channel all the same.
+            let samples = self.samples.iter().skip(channel * n_samples).take(n_samples);
+            (samples.len() as u32).put(out);
+            samples.for_each(|sample| sample.put(out));
         }
     }
 }

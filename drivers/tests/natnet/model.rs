@@ -1,8 +1,8 @@
 //! Definitions and frames in every layout, written by the server and read by the driver.
 
 use mocapd_drivers::natnet::{
-    Asset, AssetKind, Bitstream, FrameOfData, Message, MessageKind, Model, ModelError,
-    NatNetServer, ServedStream, put_message,
+    Asset, AssetKind, Bitstream, FrameOfData, FrameToSend, Message, MessageKind, Model, ModelError,
+    NatNetServer, SampledToSend, ServedStream, put_frame, put_message,
 };
 
 use crate::pair::{GROUP, frame_bytes, model, settings};
@@ -103,6 +103,21 @@ fn a_rigid_bodys_markers_are_behind_its_rotation_from_4_2_on() {
         sent.put(version, &mut bytes);
         let fixed = 4 + 4 + 8 + 5 + 4 + 4 + 12;
         assert_eq!(bytes.len(), fixed + rotation + 4, "{version}");
+    }
+}
+
+/// A device that has just started, or samples that come later than their frame.
+#[test]
+fn a_frame_without_samples_has_its_channels() {
+    let plates = [SampledToSend { id: 1, n_channels: 6, samples: &[] }];
+    let frame = FrameToSend { plates: &plates, ..FrameToSend::default() };
+    for version in VERSIONS {
+        let mut bytes = Vec::new();
+        put_frame(&frame, version, &mut bytes);
+        let read = FrameOfData::read(Message::of(&bytes).unwrap().body, version).unwrap();
+        let plate = read.sampled().next().unwrap();
+        let counts: Vec<_> = plate.channels().map(|channel| channel.count()).collect();
+        assert_eq!((plate.n_channels, counts), (6, vec![0; 6]), "{version}");
     }
 }
 

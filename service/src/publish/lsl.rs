@@ -14,7 +14,7 @@ use mocapd_acquire::{
 };
 use mocapd_drivers::{
     device::SampledGroupInfo,
-    lsl::{InletId, InletReport, OutletServer, Publisher, sampled_kind},
+    lsl::{InletId, InletReport, OutletServer, Publisher},
     natnet::in_m,
     transport::{
         lsl::OutletSockets,
@@ -301,9 +301,9 @@ impl LslPublisher {
         self.set_stream(POSES, "-poses", (!names.is_empty()).then_some(&poses));
         self.set_stream(EVENTS, "-events", Some(&|publisher: Publisher<'_>| publisher.events()));
         for (index, group) in sampled.iter().enumerate() {
-            let kind = sampled_kind(group);
-            let suffix = format!("-{}-{}", kind.to_lowercase(), group.id);
-            let describe = |publisher: Publisher<'_>| publisher.samples(kind, group);
+            let suffix = format!("-analog-{}", group.id);
+            // As in our XDF files, where the loads of plates that follow from their channels are another stream.
+            let describe = |publisher: Publisher<'_>| publisher.samples("Analog", group);
             self.set_stream(GROUPS + index, &suffix, Some(&describe));
         }
         self.publish_markers();

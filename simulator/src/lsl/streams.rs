@@ -3,7 +3,7 @@
 use labstream_core::{net::StreamInfo, wire::Value};
 use mocapd_drivers::{
     device::{SampledChannelInfo, SampledGroupInfo},
-    lsl::{Publisher, sampled_kind},
+    lsl::Publisher,
 };
 use mocapd_take::motion::Marker;
 
@@ -22,10 +22,8 @@ pub(super) fn positions(name: &str, markers: &[Marker], rate_hz: f64) -> StreamI
 
 /// A stream of sampled channels.
 pub(super) fn samples(name: &str, group: &SampledGroupInfo) -> StreamInfo {
-    let (kind, what) = match sampled_kind(group) {
-        "Force" => ("Force", "plates"),
-        _ => ("EMG", "emg"),
-    };
+    let is_plates = group.channels.iter().any(|channel| channel.unit == "N");
+    let (kind, what) = if is_plates { ("Force", "plates") } else { ("EMG", "emg") };
     publisher(&format!("{name}-{what}-{}", group.id)).samples(kind, group)
 }
 
