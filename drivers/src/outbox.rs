@@ -95,6 +95,11 @@ impl Outbox {
         self.waiting + bytes <= BYTES_MAX && self.packets.len() < PACKETS_MAX
     }
 
+    /// Whether a part of a frame was sent.
+    pub(crate) fn has_begun_frame(&self) -> bool {
+        self.sent > 0 && self.packets.front().is_some_and(|packet| packet.is_frame)
+    }
+
     /// Bytes that wait.
     pub(crate) fn waiting(&self) -> usize {
         self.waiting

@@ -50,7 +50,16 @@ fn divide(label: &str) -> (&str, &str) {
 impl AssetTable {
     /// The markers of a recording: the label of each, or `None` for an unlabelled one.
     pub fn new<S: AsRef<str>>(labels: impl IntoIterator<Item = Option<S>>) -> Self {
+        Self::with_bodies(&[] as &[&str], labels).0
+    }
+
+    /// The rigid bodies of a recording, with their ids, and its markers: the ids of bodies stay the same when markers are added.
+    pub fn with_bodies<B: AsRef<str>, S: AsRef<str>>(
+        bodies: &[B],
+        labels: impl IntoIterator<Item = Option<S>>,
+    ) -> (Self, Vec<u32>) {
         let mut table = Self::default();
+        let ids = bodies.iter().map(|name| table.add_body(name.as_ref())).collect();
         for (place, label) in labels.into_iter().enumerate() {
             let Some(label) = label else {
                 table.unlabelled.push(place);
@@ -65,7 +74,7 @@ impl AssetTable {
                 places.push(place);
             }
         }
-        table
+        (table, ids)
     }
 
     /// The place of an asset with this name, which is added if it is new.
@@ -82,9 +91,20 @@ impl AssetTable {
         model.sets.len() - 1
     }
 
-    /// An asset becomes a rigid body; one without markers is added. Returns its id.
+    /// An asset becomes a rigid body; one without markers is added, and one of its own for a name that another body has.
+    /// Returns its id.
     pub fn add_body(&mut self, name: &str) -> u32 {
-        let index = self.asset(name);
+        let is_body = |name: &str| {
+            let mut bodies = self.model.assets.iter();
+            bodies.any(|asset| asset.kind == AssetKind::RigidBody && asset.name == name)
+        };
+        let mut own = name.to_owned();
+        let mut n = 1;
+        while is_body(&own) {
+            n += 1;
+            own = format!("{name} ({n})");
+        }
+        let index = self.asset(&own);
         let asset = self.model.assets.get_mut(index);
         asset.map_or(0, |asset| {
             asset.kind = AssetKind::RigidBody;
@@ -199,6 +219,9 @@ mod tests {
         let mut table = AssetTable::new(labels);
         assert_eq!(table.add_body("Body"), 1);
         assert_eq!(table.add_body("wand"), 3, "one without markers");
+        let (first, ids) = AssetTable::with_bodies(&["wand", "Body", "wand"], labels);
+        assert_eq!((ids, first.model().sets[2].name.as_str()), (vec![1, 2, 3], "wand (2)"));
+        assert_eq!(first.model().sets[1].markers, ["a", "c"]);
         let names: Vec<_> =
             table.model().sets.iter().map(|set| (&*set.name, set.markers.len())).collect();
         assert_eq!(names, [("Body", 2), ("", 2), ("wand", 0)]);

@@ -27,6 +27,27 @@ macro_rules! kinds {
     };
 }
 
+impl MessageKind {
+    /// Whether only servers send it.
+    #[must_use]
+    pub fn is_of_servers(self) -> bool {
+        use MessageKind::{
+            DisconnectByTimeout, EchoReply, Frame, Model, Response, ServerInfo, Text, Unrecognized,
+        };
+        matches!(
+            self,
+            ServerInfo
+                | Response
+                | Model
+                | Frame
+                | Text
+                | DisconnectByTimeout
+                | EchoReply
+                | Unrecognized
+        )
+    }
+}
+
 kinds! {
     /// A client asks who is there; a server that does not use multicast sends it frames from then on.
     Connect = 0

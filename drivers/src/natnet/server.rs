@@ -20,6 +20,9 @@ pub const CLIENTS_MAX: usize = 32;
 /// A client that was silent for so long gets no more frames.
 const CLIENT_TIMEOUT_NS: u64 = 10_000_000_000;
 
+/// Definitions that a client is sent in a second, at most: one that waits for them asks four times.
+const MODELS_PER_S: u32 = 10;
+
 /// A client that was silent for so long makes room for another one: three of its signs of life are missing.
 const REPLACED_AFTER_NS: u64 = 3_000_000_000;
 
@@ -70,12 +73,24 @@ pub struct StreamReport {
 struct StreamClient {
     report: StreamReport,
     last_ns: u64,
+    /// Definitions that it was sent in the second that began then.
+    models: (u64, u32),
 }
 
 impl StreamClient {
     fn new(address: SocketAddr, version: Bitstream, last_ns: u64) -> Self {
         let report = StreamReport { address, version, frames_sent: 0, frames_missed: 0 };
-        Self { report, last_ns }
+        Self { report, last_ns, models: (last_ns, 0) }
+    }
+
+    /// Whether it may be sent definitions now, which are many times as long as the request.
+    fn may_get_model(&mut self, now_ns: u64) -> bool {
+        let (since_ns, n) = self.models;
+        self.models = match now_ns.saturating_sub(since_ns) {
+            0..1_000_000_000 => (since_ns, n.saturating_add(1)),
+            _ => (now_ns, 1),
+        };
+        self.models.1 <= MODELS_PER_S
     }
 }
 
@@ -166,6 +181,14 @@ impl NatNetServer {
         self.clients.iter_mut().for_each(|client| client.report.version = version);
     }
 
+    /// Whether the definitions fit into a datagram in every version: clients get none that do not.
+    #[must_use]
+    pub fn has_room_for_model(&self) -> bool {
+        let mut bytes = Vec::new();
+        self.settings.model.put(Bitstream::NEWEST, &mut bytes);
+        bytes.len() <= MESSAGE_BYTES_MAX
+    }
+
     /// Leaves requests for definitions without a reply, or not any more.
     pub fn withhold_model(&mut self, withholds: bool) {
         self.withholds_model = withholds;
@@ -205,7 +228,7 @@ impl NatNetServer {
     }
 
     fn streams(&mut self) -> impl Iterator<Item = &mut StreamReport> {
-        let is_multicast = matches!(self.settings.stream, ServedStream::Multicast(_));
+        let is_multicast = self.is_multicast();
         let clients = self.clients.iter_mut().filter(move |_| !is_multicast);
         let group = std::iter::once(&mut self.group).filter(move |_| is_multicast);
         group.chain(clients).map(|client| &mut client.report)
@@ -214,7 +237,7 @@ impl NatNetServer {
     /// Whether frames reach anybody, as far as the server can know.
     #[must_use]
     pub fn has_listeners(&self) -> bool {
-        matches!(self.settings.stream, ServedStream::Multicast(_)) || !self.clients.is_empty()
+        self.is_multicast() || !self.clients.is_empty()
     }
 
     /// Forgets all clients, and what was not sent: as after a restart.
@@ -243,15 +266,26 @@ impl NatNetServer {
     /// Executes a client's datagram. `ticks` is the server's clock when it arrived.
     pub fn receive(&mut self, from: SocketAddr, bytes: &[u8], ticks: u64, now_ns: u64) {
         let Some(message) = Message::of(bytes) else { return };
+        if message.kind.is_some_and(MessageKind::is_of_servers) {
+            // An answer to it would be answered by another server, for ever.
+            return;
+        }
         if let Some(client) = self.client(from) {
             client.last_ns = now_ns;
         }
         match message.kind {
             Some(MessageKind::Connect) => self.connect(from, message.body, now_ns),
-            Some(MessageKind::Discovery) => self.reply(from, |server, out| server.info().put(out)),
+            Some(MessageKind::Discovery) => {
+                let version = self.version_for(from);
+                self.reply(from, |server, out| server.info(version).put(out));
+            }
             Some(MessageKind::Request) => self.execute(from, &message.text()),
             Some(MessageKind::RequestModel) if self.withholds_model => {}
             Some(MessageKind::RequestModel) => {
+                // Only who has connected, and not often: a sender's address may be forged.
+                if !self.client(from).is_some_and(|client| client.may_get_model(now_ns)) {
+                    return;
+                }
                 let version = self.version_for(from);
                 self.reply(from, |server, out| server.settings.model.put(version, out));
             }
@@ -293,8 +327,9 @@ impl NatNetServer {
         client.map_or(self.settings.bitstream, |client| client.report.version)
     }
 
-    fn info(&self) -> ServerInfo {
-        let ServerSettings { name, app_version, bitstream, clock_hz, stream, .. } = &self.settings;
+    /// What it states to a client that gets this version: readers take the layout of frames from it.
+    fn info(&self, bitstream: Bitstream) -> ServerInfo {
+        let ServerSettings { name, app_version, clock_hz, stream, .. } = &self.settings;
         let is_multicast = matches!(stream, ServedStream::Multicast(_));
         let group = self.settings.group();
         let (group, port) = (*group.ip(), group.port());
@@ -302,7 +337,7 @@ impl NatNetServer {
         ServerInfo {
             name: name.clone(),
             app_version: *app_version,
-            bitstream: *bitstream,
+            bitstream,
             // A client of 2.10 ignores it, and one that reads nothing else finds the port.
             stream: Some(StreamInfo { clock_hz, port, is_multicast, group }),
         }
@@ -310,16 +345,11 @@ impl NatNetServer {
 
     /// A client that asks for a version with the request gets its frames in it, as from the SDK of Motive 3 on.
     fn connect(&mut self, from: SocketAddr, body: &[u8], now_ns: u64) {
-        let is_multicast = matches!(self.settings.stream, ServedStream::Multicast(_));
-        if !is_multicast && self.client(from).is_none() && !self.make_room(now_ns) {
+        if self.client(from).is_none() && !self.make_room(now_ns) {
             self.n_refused += 1;
             return;
         }
         self.n_connects += 1;
-        self.reply(from, |server, out| server.info().put(out));
-        if is_multicast {
-            return;
-        }
         let version = read_wanted_version(body).filter(|version| self.may_send(*version));
         match (self.client(from), version) {
             (Some(client), Some(version)) => client.report.version = version,
@@ -329,24 +359,35 @@ impl NatNetServer {
                 self.clients.push(StreamClient::new(from, version, now_ns));
             }
         }
+        let version = self.version_for(from);
+        self.reply(from, |server, out| server.info(version).put(out));
     }
 
-    /// Whether there is room for one more client. One that has been silent, and is gone most likely, makes it.
+    fn is_multicast(&self) -> bool {
+        matches!(self.settings.stream, ServedStream::Multicast(_))
+    }
+
+    /// Whether there is room for one more client. One that has been silent, and is gone most likely, makes it; by multicast the
+    /// one that has been silent for longest, because it needs none.
     fn make_room(&mut self, now_ns: u64) -> bool {
         if self.clients.len() < self.clients_max {
             return true;
         }
         let oldest = self.clients.iter().map(|client| client.last_ns).min().unwrap_or(now_ns);
-        if now_ns.saturating_sub(oldest) <= REPLACED_AFTER_NS {
+        if !self.is_multicast() && now_ns.saturating_sub(oldest) <= REPLACED_AFTER_NS {
             return false;
         }
-        self.forget(|client| client.last_ns == oldest);
+        let gone = self.clients.iter().find(|client| client.last_ns == oldest);
+        if let Some(address) = gone.map(|client| client.report.address) {
+            self.forget(|client| client.report.address == address);
+        }
         true
     }
 
     /// Whether a client can have frames of this version.
     fn may_send(&self, version: Bitstream) -> bool {
-        (Bitstream::OLDEST..=Bitstream::NEWEST).contains(&version)
+        !self.is_multicast()
+            && (Bitstream::OLDEST..=Bitstream::NEWEST).contains(&version)
             && self.settings.bitstream.can_change()
     }
 
@@ -384,9 +425,14 @@ impl NatNetServer {
         }
     }
 
+    /// Forgets clients that have been silent for too long.
+    pub fn forget_silent(&mut self, now_ns: u64) {
+        self.forget(|client| now_ns.saturating_sub(client.last_ns) > CLIENT_TIMEOUT_NS);
+    }
+
     /// Sends a frame to all who want it. Returns how many datagrams it takes; `None` when it does not fit into one.
     pub fn frame(&mut self, frame: &FrameToSend<'_>, now_ns: u64) -> Option<usize> {
-        self.forget(|client| now_ns.saturating_sub(client.last_ns) > CLIENT_TIMEOUT_NS);
+        self.forget_silent(now_ns);
         let before = self.datagrams.len();
         let port = match self.settings.stream {
             ServedStream::Multicast(_) => None,
@@ -418,6 +464,11 @@ impl NatNetServer {
                 copies.push((to.ip(), bytes.clone()));
             }
         }
+        // One whose own socket is at that port has it already.
+        copies.retain(|(ip, _)| {
+            let at = port.map(|port| SocketAddr::new(*ip, port));
+            frames.iter().all(|frame| Some(frame.to) != at)
+        });
         self.datagrams.append(&mut frames);
         let copies = copies.into_iter().map(|(ip, bytes)| {
             let to = SocketAddr::new(ip, port.unwrap_or_default());

@@ -2,7 +2,7 @@
 
 use mocapd_drivers::natnet::{
     Bitstream, CLIENTS_MAX, DatagramContent, FrameOfData, HEADER_BYTES, Message, MessageKind,
-    NatNetServer, ServedStream, ServerDatagram, put_echo, put_message, put_text,
+    NatNetServer, ServedStream, ServerDatagram, ServerInfo, put_echo, put_message, put_text,
 };
 use mocapd_testkit::random::Random;
 
@@ -218,6 +218,12 @@ fn each_client_has_its_version_and_its_machine_that_of_the_last() {
     let at = |port| std::net::SocketAddr::from(([10, 0, 0, 1], port));
     server.receive(at(1), &connect(Some([0; 4])), 0, 0);
     server.receive(at(2), &connect(Some([3, 1, 0, 0])), 0, 0);
+    // Readers take the layout from what the server states: that of their own frames.
+    let stated = |datagram: &ServerDatagram| {
+        ServerInfo::read(Message::of(&datagram.bytes).unwrap().body).unwrap().bitstream
+    };
+    let versions: Vec<_> = server.take_datagrams().iter().map(stated).collect();
+    assert_eq!(versions, [Bitstream::new(4, 1), Bitstream::new(3, 1)]);
     server.receive(at(3), &connect(Some([5, 0, 0, 0])), 0, 0);
     server.receive(at(4), &connect(None), 0, 0);
     server.take_datagrams();
@@ -257,4 +263,47 @@ fn each_client_has_its_version_and_its_machine_that_of_the_last() {
     let large = mocapd_drivers::natnet::FrameToSend { labelled: &many, ..Default::default() };
     assert_eq!(server.frame(&large, 0), None);
     assert_eq!(server.frames_missed(), 9);
+}
+
+/// Two servers must not answer each other for ever, and a forged request must not be answered with much more.
+#[test]
+fn words_of_servers_are_left_and_definitions_are_for_clients_and_few() {
+    for stream in [MULTICAST, ServedStream::Unicast(1511)] {
+        let mut server = NatNetServer::new(settings(Bitstream::NEWEST, stream));
+        let other = client();
+        for kind in MessageKind::ALL.iter().filter(|kind| kind.is_of_servers()) {
+            let mut bytes = Vec::new();
+            put_message(*kind, &mut bytes, |out| out.extend([0; 16]));
+            server.receive(other, &bytes, 0, 0);
+            assert_eq!(server.take_datagrams(), [], "{kind:?}");
+        }
+        let mut request = Vec::new();
+        put_message(MessageKind::RequestModel, &mut request, |_| {});
+        server.receive(other, &request, 0, 0);
+        assert_eq!(server.take_datagrams(), [], "it has not connected");
+        server.receive(other, &connect(None), 0, 0);
+        server.take_datagrams();
+        for _ in 0..100 {
+            server.receive(other, &request, 0, 500 * MS);
+        }
+        assert_eq!(server.take_datagrams().len(), 10, "in a second");
+        server.receive(other, &request, 0, 1500 * MS);
+        assert_eq!(server.take_datagrams().len(), 1);
+        // What another server sends is no sign of life.
+        server.receive(other, &[100, 0, 0, 0], 0, 9_000 * MS);
+        server.forget_silent(12_000 * MS);
+        server.receive(other, &request, 0, 12_000 * MS);
+        assert_eq!(server.take_datagrams(), []);
+    }
+}
+
+#[test]
+fn a_client_at_the_port_of_frames_gets_each_once() {
+    let mut server = NatNetServer::new(settings(Bitstream::NEWEST, ServedStream::Unicast(1511)));
+    for port in [1511, 2000] {
+        let address = std::net::SocketAddr::from(([10, 0, 0, 1], port));
+        server.receive(address, &connect(None), 0, 0);
+    }
+    server.take_datagrams();
+    assert_eq!(server.frame(&mocapd_drivers::natnet::FrameToSend::default(), 0), Some(2));
 }

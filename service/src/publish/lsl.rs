@@ -2,7 +2,7 @@
 
 use std::{
     io,
-    net::{IpAddr, Ipv4Addr, SocketAddr},
+    net::{Ipv4Addr, SocketAddr},
     sync::Arc,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
@@ -16,10 +16,7 @@ use mocapd_drivers::{
     device::SampledGroupInfo,
     lsl::{InletId, InletReport, OutletServer, Publisher},
     natnet::in_m,
-    transport::{
-        lsl::OutletSockets,
-        network::{interfaces, server::StreamServer},
-    },
+    transport::{lsl::OutletSockets, network::server::StreamServer},
 };
 use mocapd_take::poses::PoseState;
 
@@ -49,6 +46,9 @@ const GROUPS: usize = 3;
 /// announces its markers one after another.
 const SETTLED: Duration = Duration::from_millis(500);
 
+/// How long a labelled marker waits for that, at most.
+const SETTLED_MAX: Duration = Duration::from_secs(2);
+
 /// Events that are passed on between two looks at frames.
 const EVENTS_A_TURN: usize = 64;
 
@@ -58,8 +58,11 @@ const EVENT_AGE_MAX_NS: u64 = 10_000_000_000;
 /// How long readers have to take what is pending when the service stops.
 const DRAIN: Duration = Duration::from_millis(500);
 
-/// Time between two looks at the addresses of this machine.
-const ADDRESSES_AGE_MAX: Duration = Duration::from_secs(5);
+/// Time between two looks for interfaces that have come.
+const JOIN_INTERVAL: Duration = Duration::from_secs(5);
+
+/// A larger step back is a clock that was set.
+const STEP_MAX_NS: u64 = 1_000_000_000;
 
 /// Opens the ports and publishes.
 ///
@@ -80,15 +83,14 @@ pub fn open(
 struct AllowedServer {
     server: OutletServer,
     limits: ClientLimits,
-    own: OwnAddresses,
     news: Vec<String>,
     /// Frames, batches and events that readers were sent which are gone.
     sent_to_gone: u64,
 }
 
-impl AsRef<OutletServer> for AllowedServer {
-    fn as_ref(&self) -> &OutletServer {
-        &self.server
+impl AsMut<OutletServer> for AllowedServer {
+    fn as_mut(&mut self) -> &mut OutletServer {
+        &mut self.server
     }
 }
 
@@ -100,11 +102,11 @@ impl StreamServer for AllowedServer {
     }
 
     fn connect_at(&mut self, peer: SocketAddr, local: SocketAddr) -> Result<InletId, Vec<u8>> {
-        if !self.own.contains(peer.ip()) {
-            // The number of readers is counted where a connection asks to be one.
-            self.limits.check(peer, 0).map_err(|_| Vec::new())?;
-        }
-        self.server.connect_at(peer, local)
+        // The number of readers is counted where a connection asks to be one.
+        self.limits.check(peer, 0).map_err(|_| Vec::new())?;
+        self.server.connect_at(peer, local).inspect_err(|_| {
+            self.limits.check(peer, usize::MAX).ok();
+        })
     }
 
     fn disconnect(&mut self, id: InletId) {
@@ -150,30 +152,6 @@ impl StreamServer for AllowedServer {
     }
 }
 
-/// The addresses of this machine: a program on it asks from the address of the network to which it asks.
-#[derive(Debug, Default)]
-struct OwnAddresses {
-    all: Vec<Ipv4Addr>,
-    looked_at: Option<Instant>,
-}
-
-impl OwnAddresses {
-    fn contains(&self, ip: IpAddr) -> bool {
-        let ip = ip.to_canonical();
-        ip.is_loopback() || self.all.iter().any(|own| *own == ip)
-    }
-
-    fn refresh(&mut self) {
-        if self.looked_at.is_some_and(|at| at.elapsed() < ADDRESSES_AGE_MAX) {
-            return;
-        }
-        self.looked_at = Some(Instant::now());
-        if let Ok(all) = interfaces() {
-            self.all = all.into_iter().map(|interface| interface.address).collect();
-        }
-    }
-}
-
 /// What is published of a device.
 #[derive(Debug)]
 struct ServedDevice {
@@ -182,9 +160,13 @@ struct ServedDevice {
     /// Slots of the labelled markers in the order of the stream, and their labels.
     slots: Vec<usize>,
     labels: Vec<String>,
-    /// Channels that were looked at, and when there were others.
+    /// Channels that were looked at, and the labelled ones among them.
     n_channels: usize,
-    changed_at: Option<Instant>,
+    n_labelled: usize,
+    /// When the first labelled marker appeared that the stream has not, and the last one.
+    appeared: Option<(Instant, Instant)>,
+    /// The end of the last batch of each group, by the monotonic clock.
+    ends_ns: Vec<u64>,
 }
 
 /// The server with its sockets.
@@ -198,6 +180,8 @@ struct LslPublisher {
     events: EventFeed,
     device: Option<ServedDevice>,
     values: Vec<f32>,
+    /// When the groups of questions were joined.
+    joined_at: Option<Instant>,
 }
 
 impl LslPublisher {
@@ -221,14 +205,27 @@ impl LslPublisher {
         let server = AllowedServer {
             server: OutletServer::new(service_port, config.clients_max),
             limits: ClientLimits::new(LSL, &config.allow_from, config.clients_max),
-            own: OwnAddresses::default(),
             news,
             sent_to_gone: 0,
         };
         let name = control.status().rig;
         let hostname = mocapd_drivers::lsl::hostname();
         let (events, values) = (control.events(), Vec::new());
-        Ok(Self { sockets, server, listen, name, hostname, events, device: None, values })
+        let mut publisher = Self {
+            sockets,
+            server,
+            listen,
+            name,
+            hostname,
+            events,
+            device: None,
+            values,
+            joined_at: None,
+        };
+        // From now to the end: what ends a take comes when the device is gone.
+        let events = |publisher: Publisher<'_>| publisher.events();
+        publisher.set_stream(EVENTS, "-events", Some(&events));
+        Ok(publisher)
     }
 
     /// Publishes a stream whose name ends so, or nothing in its place.
@@ -267,12 +264,22 @@ impl LslPublisher {
     /// Publishes the stream of positions anew once other labels have settled.
     fn follow_labels(&mut self) {
         let Some(served) = &mut self.device else { return };
-        let n_channels = lock(&served.device.progress.channels).len();
-        if n_channels != served.n_channels {
-            (served.n_channels, served.changed_at) = (n_channels, Some(Instant::now()));
+        let channels = lock(&served.device.progress.channels);
+        if channels.len() != served.n_channels {
+            served.n_channels = channels.len();
+            let n_labelled = channels.iter().filter(|channel| channel.labelled).count();
+            // Unlabelled ones, which come and go, are none of it.
+            if std::mem::replace(&mut served.n_labelled, n_labelled) != n_labelled {
+                let now = Instant::now();
+                let first = served.appeared.map_or(now, |(first, _)| first);
+                served.appeared = Some((first, now));
+            }
         }
-        if served.changed_at.is_some_and(|at| at.elapsed() >= SETTLED) {
-            served.changed_at = None;
+        drop(channels);
+        let is_due = |(first, last): (Instant, Instant)| {
+            last.elapsed() >= SETTLED || first.elapsed() >= SETTLED_MAX
+        };
+        if served.appeared.is_some_and(is_due) {
             self.publish_markers();
         }
     }
@@ -280,6 +287,9 @@ impl LslPublisher {
     fn publish_markers(&mut self) {
         let Some(served) = &mut self.device else { return };
         let channels = lock(&served.device.progress.channels).clone();
+        served.n_channels = channels.len();
+        served.n_labelled = channels.iter().filter(|channel| channel.labelled).count();
+        served.appeared = None;
         let labelled = channels.iter().enumerate().filter(|(_, channel)| channel.labelled);
         let (slots, labels): (Vec<usize>, Vec<String>) =
             labelled.map(|(slot, channel)| (slot, channel.label.clone())).unzip();
@@ -299,7 +309,6 @@ impl LslPublisher {
         let names: Vec<String> = bodies.into_iter().map(|body| body.name).collect();
         let poses = |publisher: Publisher<'_>| publisher.poses(&names, header.rate_hz);
         self.set_stream(POSES, "-poses", (!names.is_empty()).then_some(&poses));
-        self.set_stream(EVENTS, "-events", Some(&|publisher: Publisher<'_>| publisher.events()));
         for (index, group) in sampled.iter().enumerate() {
             let suffix = format!("-analog-{}", group.id);
             // As in our XDF files, where the loads of plates that follow from their channels are another stream.
@@ -309,11 +318,19 @@ impl LslPublisher {
         self.publish_markers();
     }
 
+    fn answer(&mut self) {
+        let may_ask =
+            |server: &AllowedServer, from: SocketAddr| server.limits.is_allowed(from.ip());
+        self.sockets.answer(&mut self.server, may_ask);
+    }
+
     fn pass_events(&mut self) {
+        let missed = self.events.missed();
+        let port = self.port(EVENTS);
+        self.server.server.left_out(port, missed);
         for _ in 0..EVENTS_A_TURN {
             let Some(event) = self.events.next(Duration::ZERO) else { return };
             let Some(text) = text_of(&event) else { continue };
-            let port = self.port(EVENTS);
             self.server.server.push_text(port, seconds(time_of(&event)), &text);
         }
     }
@@ -325,17 +342,19 @@ impl LivePublisher for LslPublisher {
     }
 
     fn set_device(&mut self, device: Option<&PublishedDevice>) {
-        for stream in 0..self.sockets.n_opened() {
+        for stream in (0..self.sockets.n_opened()).filter(|stream| *stream != EVENTS) {
             let port = self.sockets.opened(stream);
             self.server.server.set_stream(port, None, monotonic_ns());
         }
         self.device = device.map(|device| ServedDevice {
             time: HostTime::new(device),
-            n_channels: lock(&device.progress.channels).len(),
+            n_channels: 0,
+            n_labelled: 0,
+            appeared: None,
+            ends_ns: vec![0; device.sampled.len()],
             device: device.clone(),
             slots: Vec::new(),
             labels: Vec::new(),
-            changed_at: None,
         });
         self.publish_device();
     }
@@ -391,20 +410,33 @@ impl LivePublisher for LslPublisher {
         let now_ns = monotonic_ns();
         let first_ns = served.time.of_sample(batch.device_ticks, now_ns, &device.progress);
         put_values(group, batch, &mut self.values);
+        let n_samples = (self.values.len() / group.channels.len().max(1)) as f64;
+        let period_ns = 1e12 / f64::from(group.rate_millihertz.max(1));
+        let Some(end_ns) = served.ends_ns.get_mut(index) else { return };
+        // A refitted line may be some microseconds earlier, or some milliseconds than the arrivals before there was one.
+        let is_step = end_ns.saturating_sub(first_ns) < STEP_MAX_NS;
+        let first_ns = if is_step { first_ns.max(*end_ns) } else { first_ns };
+        *end_ns = first_ns + (n_samples * period_ns) as u64;
         let server = &mut self.server.server;
-        server.left_out(port, batch.batches_left_out);
         server.push(port, seconds(first_ns), &self.values);
+        // Of any group: nobody knows which.
+        for stream in GROUPS..self.sockets.n_opened() {
+            server.left_out(self.sockets.opened(stream), batch.batches_left_out);
+        }
     }
 
     fn exchange(&mut self, timeout: Duration) -> io::Result<()> {
-        self.server.own.refresh();
         self.server.server.set_now(monotonic_ns());
+        if self.joined_at.is_none_or(|at| at.elapsed() >= JOIN_INTERVAL) {
+            self.joined_at = Some(Instant::now());
+            self.sockets.join_groups();
+        }
         self.follow_labels();
         self.pass_events();
-        self.sockets.exchange(&mut self.server, |server, from| {
-            server.own.contains(from.ip()) || server.limits.is_allowed(from.ip())
-        });
-        self.sockets.wait(&mut self.server, timeout)
+        self.sockets.exchange(&mut self.server);
+        let waited = self.sockets.wait(&mut self.server, timeout);
+        self.answer();
+        waited
     }
 
     fn take_news(&mut self) -> Vec<String> {
@@ -439,7 +471,8 @@ impl LivePublisher for LslPublisher {
         }
     }
 
-    fn close(self) {
+    fn close(mut self) {
+        self.pass_events();
         let Self { sockets, mut server, .. } = self;
         sockets.finish(&mut server, DRAIN);
     }

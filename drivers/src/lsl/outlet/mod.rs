@@ -8,7 +8,11 @@ mod request;
 #[cfg(test)]
 mod tests;
 
-use std::{net::SocketAddr, sync::Arc};
+use std::{
+    collections::VecDeque,
+    net::{IpAddr, SocketAddr},
+    sync::Arc,
+};
 
 use labstream_core::{
     net::{StreamInfo, config, make_uid},
@@ -31,6 +35,13 @@ const ASKING_MAX: usize = 32;
 
 /// Time for a request after a connection, and for taking its answer.
 const REQUEST_TIMEOUT_NS: u64 = 10_000_000_000;
+
+/// Questions of one machine that are answered in a second: a program asks about twice. More are a flood, whose sender may be
+/// forged: an answer is some twenty times as long as its question.
+const QUESTIONS_PER_S: u32 = 50;
+
+/// Machines whose questions are counted at the same time.
+const ASKERS_MAX: usize = 64;
 
 /// Identifies a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,6 +86,8 @@ struct Inlet {
     stream: String,
     state: InletState,
     outbox: Outbox,
+    /// Samples of each packet of samples that waits.
+    held: VecDeque<usize>,
     missed: u64,
     since_ns: u64,
 }
@@ -89,20 +102,36 @@ impl Inlet {
     fn drop_now(&mut self, now_ns: u64) {
         self.missed += self.outbox.frames_waiting() as u64;
         self.outbox.clear();
+        self.held.clear();
         self.end(now_ns);
     }
 
-    /// Queues samples, for which the oldest make room.
-    fn put(&mut self, bytes: Arc<[u8]>, held_max: usize) {
-        while self.outbox.frames_waiting() >= held_max || !self.outbox.has_room_for(bytes.len()) {
+    /// Queues samples, for which the oldest packets make room; a packet of more samples than may wait does so alone.
+    fn put(&mut self, bytes: Arc<[u8]>, n_samples: usize, held_max: usize) {
+        let mut n_held: usize = self.held.iter().sum();
+        while n_held > 0 && n_held + n_samples > held_max || !self.outbox.has_room_for(bytes.len())
+        {
+            let oldest = usize::from(self.outbox.has_begun_frame());
             if !self.outbox.drop_oldest_frame() {
+                if self.outbox.has_room_for(bytes.len()) {
+                    break;
+                }
                 // The one that is being sent fills it alone.
                 self.missed += 1;
                 return;
             }
+            n_held -= self.held.remove(oldest).unwrap_or_default();
             self.missed += 1;
         }
+        self.held.push_back(n_samples);
         self.outbox.put_frame(bytes);
+    }
+
+    fn sent(&mut self, n: usize) {
+        self.outbox.sent(n);
+        while self.held.len() > self.outbox.frames_waiting() {
+            self.held.pop_front();
+        }
     }
 
     fn report(&self) -> InletReport {
@@ -126,6 +155,8 @@ pub struct OutletServer {
     now_ns: u64,
     missed_by_gone: u64,
     n_refused: u64,
+    /// Machines that asked, when their second began, and how often since then.
+    askers: VecDeque<(IpAddr, u64, u32)>,
 }
 
 impl OutletServer {
@@ -141,11 +172,12 @@ impl OutletServer {
             now_ns: 0,
             missed_by_gone: 0,
             n_refused: 0,
+            askers: VecDeque::new(),
         }
     }
 
-    /// Publishes a stream at a TCP port, or nothing. Its readers are disconnected, if it is not the same as before; they find
-    /// the new one by its source id.
+    /// Publishes a stream at a TCP port, or nothing. The readers of the one before are disconnected once they have what waits for
+    /// them; they find the new one by its source id.
     pub fn set_stream(&mut self, port: u16, info: Option<StreamInfo>, now_ns: u64) {
         self.now_ns = now_ns;
         let info = info.map(|mut info| {
@@ -156,7 +188,7 @@ impl OutletServer {
             Described::new(info)
         });
         for inlet in self.inlets.iter_mut().filter(|inlet| inlet.port == port) {
-            inlet.drop_now(now_ns);
+            inlet.end(now_ns);
         }
         match self.streams.iter_mut().find(|stream| stream.port == port) {
             Some(served) => served.stream = info,
@@ -225,7 +257,7 @@ impl OutletServer {
                 write(form, &mut bytes);
                 bytes.into()
             });
-            inlet.put(Arc::clone(bytes), (form.held_max / n_samples).max(1));
+            inlet.put(Arc::clone(bytes), n_samples, form.held_max);
         }
     }
 
@@ -250,13 +282,16 @@ impl OutletServer {
     /// The answers to a datagram: short descriptions of the streams that are meant, or our clock at the arrival and now.
     #[must_use]
     pub fn answers(
-        &self,
+        &mut self,
         from: SocketAddr,
         datagram: &[u8],
         clock_s: impl Fn() -> f64,
     ) -> Vec<(SocketAddr, Vec<u8>)> {
         let arrived_s = clock_s();
         if let Some(query) = parse_query(datagram) {
+            if !self.may_ask(from.ip()) {
+                return Vec::new();
+            }
             let to = SocketAddr::new(from.ip(), query.return_port);
             let meant = self.published().filter(|stream| stream.is_meant(&query.query));
             let answer = |stream: &Described| {
@@ -269,6 +304,27 @@ impl OutletServer {
             (from, timesync::build_answer(probe.wave_id, probe.t0, arrived_s, clock_s()))
         };
         probe.map(reply).into_iter().collect()
+    }
+
+    /// Counts a question of a machine, and says whether it is answered.
+    fn may_ask(&mut self, ip: IpAddr) -> bool {
+        let now_ns = self.now_ns;
+        match self.askers.iter_mut().find(|(asker, ..)| *asker == ip) {
+            Some((_, since_ns, n)) => {
+                if now_ns.saturating_sub(*since_ns) >= 1_000_000_000 {
+                    (*since_ns, *n) = (now_ns, 0);
+                }
+                *n = n.saturating_add(1);
+                *n <= QUESTIONS_PER_S
+            }
+            None => {
+                if self.askers.len() == ASKERS_MAX {
+                    self.askers.pop_front();
+                }
+                self.askers.push_back((ip, now_ns, 1));
+                true
+            }
+        }
     }
 
     /// The readers, in the order in which they connected.
@@ -356,6 +412,7 @@ impl StreamServer for OutletServer {
             stream: String::new(),
             state: InletState::Asking(Vec::new()),
             outbox: Outbox::default(),
+            held: VecDeque::new(),
             missed: 0,
             since_ns: self.now_ns,
         });
@@ -387,7 +444,7 @@ impl StreamServer for OutletServer {
 
     fn sent(&mut self, id: InletId, n: usize) {
         if let Some(inlet) = self.inlets.iter_mut().find(|inlet| inlet.id == id) {
-            inlet.outbox.sent(n);
+            inlet.sent(n);
         }
     }
 }

@@ -130,9 +130,10 @@ impl Described {
 
     /// Whether a question means it. It is compared with what the short description states.
     ///
-    /// A question with conditions in brackets is not answered: a hostile one takes longer with each of them.
+    /// A question with conditions in brackets, `//` or `*` is not answered: a hostile one takes longer with each of them.
     pub(super) fn is_meant(&self, question: &str) -> bool {
-        let is_simple = question.len() <= QUESTION_BYTES_MAX && !question.contains('[');
+        let is_costly = ["[", "//", "*"].iter().any(|part| question.contains(part));
+        let is_simple = question.len() <= QUESTION_BYTES_MAX && !is_costly;
         is_simple && self.short.matches(question)
     }
 }

@@ -74,7 +74,14 @@ fn a_stream_is_found_described_and_read() {
     let answers = server.answers(peer(), &query, || 1.0);
     let [(to, bytes)] = &answers[..] else { panic!("{answers:?}") };
     assert_eq!((to.port(), parse_found(bytes).unwrap().query_id.as_str()), (7, "42"));
-    for other in ["name='other'", "name='rig'[1]", &"(".repeat(1000), &"(".repeat(4096)] {
+    for other in [
+        "name='other'",
+        "name='rig'[1]",
+        "//name",
+        "count(*)",
+        &"(".repeat(1000),
+        &"(".repeat(4096),
+    ] {
         assert!(server.answers(peer(), &build_query(other, 7, "1"), || 1.0).is_empty(), "{other}");
     }
     let replies = server.answers(peer(), &build_probe(3, 0.5), || 2.0);
@@ -130,14 +137,55 @@ fn one_that_does_not_read_misses_the_oldest_and_costs_bounded_memory() {
 }
 
 #[test]
+fn samples_are_counted_and_not_the_batches_in_which_they_come() {
+    let mut server = server(4);
+    let id = reader(&mut server, 10);
+    // Batches of 4, 1 and 8 samples of 2 x 3 values: the first makes room for the last.
+    for n in [4, 1, 8] {
+        server.push(PORT, f64::from(n as u8), &vec![1.0; 6 * n]);
+    }
+    assert_eq!(server.report(id).unwrap().frames_missed, 1);
+    let size = |n: usize| 25 * n + 8;
+    assert_eq!(taken(&mut server, id).len(), size(1) + size(8));
+    // One of more than may wait does so alone.
+    server.push(PORT, 1.0, &[1.0; 6 * 20]);
+    assert_eq!(taken(&mut server, id).len(), size(20));
+}
+
+#[test]
+fn a_flood_of_questions_is_not_answered() {
+    let mut server = server(4);
+    let query = build_query("name='rig'", 7, "1");
+    let mut answered = 0;
+    for _ in 0..1000 {
+        answered += server.answers(peer(), &query, || 1.0).len();
+    }
+    assert_eq!(answered, 50);
+    let other = ([10, 0, 0, 1], 9).into();
+    assert_eq!(server.answers(other, &query, || 1.0).len(), 1);
+    server.set_now(6_500_000_000);
+    assert_eq!(server.answers(peer(), &query, || 1.0).len(), 1);
+}
+
+#[test]
 fn another_stream_in_its_place_ends_the_readers_of_the_one_before() {
     let mut server = server(1);
     let id = reader(&mut server, 100);
     server.push(PORT, 1.0, &[1.0; 6]);
     server.set_stream(PORT, Some(publisher().events()), 6_000_000_000);
-    assert!(server.is_over(id) && server.pending(id).is_empty());
+    server.push_text(PORT, 2.0, "for nobody");
+    assert!(server.is_over(id) && !server.is_read(PORT));
+    assert_eq!(taken(&mut server, id).len(), 33, "what waited for it");
     server.disconnect(id);
-    assert_eq!((server.frames_missed(), server.is_read(PORT)), (1, false));
+    // One that does not take it is given up.
+    server.set_stream(PORT, Some(publisher().positions(&["a", "b"], 100.0)), 6_000_000_000);
+    let stuck = reader(&mut server, 100);
+    server.push(PORT, 1.0, &[1.0; 6]);
+    server.set_stream(PORT, Some(publisher().events()), 6_000_000_000);
+    server.set_now(17_000_000_000);
+    assert!(server.is_over(stuck) && server.pending(stuck).is_empty());
+    server.disconnect(stuck);
+    assert_eq!(server.frames_missed(), 1);
     server.set_stream(PORT, None, 7_000_000_000);
     assert_eq!(server.names().count(), 0);
     let id = server.connect_at(peer(), local()).unwrap();

@@ -100,11 +100,20 @@ impl OutletSockets {
         self.ports.get(stream).copied().unwrap_or_default()
     }
 
-    /// Moves what is pending, and answers datagrams. `may_ask` says who is answered.
-    pub fn exchange<S>(&mut self, server: &mut S, may_ask: impl Fn(&S, SocketAddr) -> bool)
-    where
-        S: StreamServer<Id = InletId> + AsRef<OutletServer>,
-    {
+    /// Joins the groups of questions on interfaces that have come since.
+    pub fn join_groups(&self) {
+        if let Some(socket) = &self.questions {
+            join_groups(socket, self.address);
+        }
+    }
+
+    /// Answers the datagrams that have come: soon, because the time that they wait counts as the way here. `may_ask` says who
+    /// is answered.
+    pub fn answer<S: AsMut<OutletServer>>(
+        &self,
+        server: &mut S,
+        may_ask: impl Fn(&S, SocketAddr) -> bool,
+    ) {
         let mut buffer = [0; DATAGRAM_BYTES];
         for socket in [Some(&self.service), self.questions.as_ref()].into_iter().flatten() {
             for _ in 0..DATAGRAMS_MAX {
@@ -119,12 +128,16 @@ impl OutletSockets {
                 }
                 let datagram = buffer.get(..n).unwrap_or_default();
                 let clock_s = || monotonic_ns() as f64 * 1e-9;
-                for (to, bytes) in server.as_ref().answers(from, datagram, clock_s) {
+                for (to, bytes) in server.as_mut().answers(from, datagram, clock_s) {
                     // Who does not get it asks again.
                     self.service.send_to(&bytes, to).ok();
                 }
             }
         }
+    }
+
+    /// Accepts connections, and moves what is pending.
+    pub fn exchange(&mut self, server: &mut impl StreamServer<Id = InletId>) {
         self.connections.exchange(server);
     }
 
@@ -170,15 +183,21 @@ fn questions(address: Ipv4Addr) -> io::Result<UdpSocket> {
     socket.set_broadcast(true)?;
     socket.set_nonblocking(true)?;
     socket.bind(&SocketAddr::from((Ipv4Addr::UNSPECIFIED, settings.multicast_port)).into())?;
+    let socket = socket.into();
+    join_groups(&socket, address);
+    Ok(socket)
+}
+
+/// Joins the groups of questions by the interface with this address, or by all: a program of this machine asks by the networks.
+fn join_groups(socket: &UdpSocket, address: Ipv4Addr) {
     let is_one = !address.is_loopback() && !address.is_unspecified();
-    let all = interfaces()?.into_iter().map(|interface| interface.address);
+    let all = interfaces().unwrap_or_default().into_iter().map(|interface| interface.address);
     let addresses: Vec<Ipv4Addr> = if is_one { vec![address] } else { all.collect() };
-    for group in &settings.multicast_addresses {
+    for group in &config::get().multicast_addresses {
         let Some(group) = group.parse().ok().filter(Ipv4Addr::is_multicast) else { continue };
         for interface in &addresses {
-            // An interface without multicast: questions come by others.
+            // Joined already, or an interface without multicast: questions come by others.
             socket.join_multicast_v4(&group, interface).ok();
         }
     }
-    Ok(socket.into())
 }

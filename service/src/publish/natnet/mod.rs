@@ -15,8 +15,9 @@ use mocapd_acquire::{
     pipeline::{TappedBatch, TappedFrame, lock},
 };
 use mocapd_drivers::natnet::{
-    AssetTable, DatagramContent, FrameEnd, FrameToSend, MODELS_CHANGED, Model, NatNetServer,
-    ServedMarker, ServedStream, ServerSettings, SetToSend, StreamReport, WireBody, in_m,
+    AssetTable, DatagramContent, FrameEnd, FrameToSend, MODELS_CHANGED, Message, MessageKind,
+    Model, NatNetServer, ServedMarker, ServedStream, ServerSettings, SetToSend, StreamReport,
+    WireBody, in_m,
 };
 use mocapd_drivers::transport::network::multicast_sender;
 use mocapd_take::poses::{Pose, PoseState};
@@ -45,6 +46,9 @@ const COMMANDS_A_TURN: usize = 64;
 /// Networks that frames to a group cross: only the own one.
 const HOPS: u32 = 1;
 
+/// How long frames state that definitions have changed: the one with the flag may be lost on the network.
+const CHANGED_NS: u64 = 1_000_000_000;
+
 /// The clock of stamps: the host's monotonic one, in nanoseconds.
 const CLOCK_HZ: u64 = 1_000_000_000;
 
@@ -71,7 +75,6 @@ struct ServedDevice {
     bodies: Vec<u32>,
     samples: ServedSamples,
     time: HostTime,
-    has_changed: bool,
 }
 
 /// The server with its sockets.
@@ -85,6 +88,8 @@ struct NatNetPublisher {
     limits: ClientLimits,
     device: Option<ServedDevice>,
     news: Vec<String>,
+    /// Until when frames state that definitions have changed.
+    changed_until_ns: u64,
     /// Whether it was reported that frames do not fit into datagrams.
     is_excess_known: bool,
     /// Frames that clients were sent, also those that have left.
@@ -131,6 +136,7 @@ impl NatNetPublisher {
             limits: ClientLimits::new(NATNET, &config.allow_from, config.clients_max),
             device: None,
             news: Vec::new(),
+            changed_until_ns: 0,
             is_excess_known: false,
             frames_sent: 0,
             bodies: Vec::new(),
@@ -147,17 +153,35 @@ impl NatNetPublisher {
                 Err(_) => return,
             };
             let now_ns = monotonic_ns();
+            let bytes = buffer.get(..n).unwrap_or_default();
             if !self.limits.is_allowed(from.ip()) {
-                // Counted and reported.
-                self.limits.check(from, 0).ok();
+                let kind = Message::of(bytes).and_then(|message| message.kind);
+                if kind == Some(MessageKind::Connect) {
+                    // Counted and reported; searches and others are left silently.
+                    self.limits.check(from, 0).ok();
+                }
                 continue;
             }
             let refused = self.server.n_refused();
-            let bytes = buffer.get(..n).unwrap_or_default();
             self.server.receive(from, bytes, now_ns, now_ns);
             if self.server.n_refused() > refused {
                 self.limits.check(from, usize::MAX).ok();
             }
+        }
+    }
+
+    /// States other definitions from now on.
+    fn set_model(&mut self, model: &Model) {
+        if self.server.settings().model == *model {
+            return;
+        }
+        self.server.set_model(model.clone());
+        self.changed_until_ns = monotonic_ns() + CHANGED_NS;
+        if !self.server.has_room_for_model() {
+            self.news.push(
+                "the names of markers do not fit into a datagram of NatNet: clients get none; publish them as QTM or LSL does"
+                    .to_owned(),
+            );
         }
     }
 
@@ -183,15 +207,13 @@ impl LivePublisher for NatNetPublisher {
     }
 
     fn set_device(&mut self, device: Option<&PublishedDevice>) {
+        // Without a device, the definitions stay those of the last one: only others are a change.
         self.device = device.map(ServedDevice::new);
         self.is_excess_known = false;
-        let Some((served, device)) = self.device.as_ref().zip(device) else {
-            self.server.set_rates(0.0, 0);
-            self.server.set_model(Model::default());
-            return;
-        };
+        let Some((served, device)) = self.device.as_ref().zip(device) else { return };
         self.server.set_rates(device.header.rate_hz as f32, served.samples.per_frame());
-        self.server.set_model(served.table.model().clone());
+        let model = served.table.model().clone();
+        self.set_model(&model);
     }
 
     fn wanted(&self) -> WantedKinds {
@@ -201,11 +223,12 @@ impl LivePublisher for NatNetPublisher {
     }
 
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame) {
-        let Some(served) = &mut self.device else { return };
         self.server.left_out(frame.frames_left_out);
-        if served.follow(device, frame.markers.len()) {
-            self.server.set_model(served.table.model().clone());
+        let followed = self.device.as_mut().and_then(|it| it.follow(device, frame.markers.len()));
+        if let Some(model) = followed {
+            self.set_model(&model);
         }
+        let Some(served) = &mut self.device else { return };
         served.fill(frame);
         served.put_bodies(&frame.poses, &mut self.bodies);
         let captured_ns =
@@ -214,7 +237,7 @@ impl LivePublisher for NatNetPublisher {
         let end = FrameEnd {
             timestamp_s: served.time.device_s(frame.device_ticks),
             ticks: [captured_ns, frame.arrival_ns, now_ns],
-            flags: if std::mem::take(&mut served.has_changed) { MODELS_CHANGED } else { 0 },
+            flags: if now_ns < self.changed_until_ns { MODELS_CHANGED } else { 0 },
             ..FrameEnd::default()
         };
         let sets = served.table.sets();
@@ -249,6 +272,7 @@ impl LivePublisher for NatNetPublisher {
     }
 
     fn exchange(&mut self, timeout: Duration) -> io::Result<()> {
+        self.server.forget_silent(monotonic_ns());
         self.receive();
         self.send();
         let timeout = Timespec::try_from(timeout).unwrap_or_default();
@@ -305,32 +329,30 @@ impl ServedDevice {
             bodies: Vec::new(),
             samples,
             time: HostTime::new(device),
-            has_changed: false,
         };
         served.table.model_mut().sampled = described;
         served.rebuild(device);
         served
     }
 
-    /// Takes over the channels if there are others now. Returns whether the definitions have changed.
-    fn follow(&mut self, device: &PublishedDevice, n_channels: usize) -> bool {
+    /// Takes over the channels if there are others now. Returns the definitions then.
+    fn follow(&mut self, device: &PublishedDevice, n_channels: usize) -> Option<Model> {
         // A marker that has just appeared is here once the writer knows it.
         if self.n_channels == n_channels || lock(&device.progress.channels).len() == self.n_channels
         {
-            return false;
+            return None;
         }
-        let before = self.table.model().clone();
         self.rebuild(device);
-        self.has_changed |= *self.table.model() != before;
-        self.has_changed
+        Some(self.table.model().clone())
     }
 
     fn rebuild(&mut self, device: &PublishedDevice) {
         let channels = lock(&device.progress.channels).clone();
         let labels =
             channels.iter().map(|channel| channel.labelled.then_some(channel.label.as_str()));
-        let mut table = AssetTable::new(labels);
-        self.bodies = device.bodies.iter().map(|body| table.add_body(&body.name)).collect();
+        let names: Vec<&str> = device.bodies.iter().map(|body| body.name.as_str()).collect();
+        let (mut table, bodies) = AssetTable::with_bodies(&names, labels);
+        self.bodies = bodies;
         table.model_mut().sampled = std::mem::take(&mut self.table.model_mut().sampled);
         (self.table, self.n_channels) = (table, channels.len());
     }

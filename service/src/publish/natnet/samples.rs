@@ -34,6 +34,8 @@ struct GroupQueue {
     /// The values, and the number of the first sample.
     values: VecDeque<f32>,
     first: u64,
+    /// Whether a batch has come, so that the number behind the last one is known.
+    is_begun: bool,
     /// The row of a frame, and the number of its first sample, which may be one before the first of all.
     anchor: Option<(u64, i64)>,
     /// Those of the current frame: the place of the first one, and their number.
@@ -69,6 +71,7 @@ impl ServedSamples {
                 info: info.clone(),
                 values: VecDeque::new(),
                 first: 0,
+                is_begun: false,
                 anchor: None,
                 current: (0, 0),
             });
@@ -157,12 +160,12 @@ impl GroupQueue {
         }
         let end = self.first + self.n_held();
         let missing = batch.first.checked_sub(end);
-        if missing.is_none_or(|missing| missing > self.held_max()) || self.values.is_empty() {
+        let follows = missing.filter(|missing| self.is_begun && *missing <= self.held_max());
+        if follows.is_none() {
             // The first one, numbers that begin anew, or a long gap.
             self.values.clear();
-            self.first = batch.first;
-            self.anchor = self.anchor.filter(|_| missing.is_some_and(|n| n <= self.held_max()));
-        } else if let Some(missing) = missing {
+            (self.first, self.is_begun, self.anchor) = (batch.first, true, None);
+        } else if let Some(missing) = follows {
             // Samples that are missing stay so: those behind them keep their frames.
             let n = missing as usize * self.n_channels();
             self.values.extend(std::iter::repeat_n(f32::NAN, n));
@@ -240,6 +243,7 @@ mod tests {
             per_frame,
             values: VecDeque::new(),
             first: 0,
+            is_begun: false,
             anchor: None,
             current: (0, 0),
         };
@@ -303,6 +307,23 @@ mod tests {
         // Numbers begin anew.
         push(&mut served, 0..4);
         assert_eq!(select(&mut served, 16), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn a_batch_that_is_lost_is_not_numbers_where_one_comes_with_each_frame() {
+        let mut served = queue(4.0);
+        let mut found = Vec::new();
+        for row in 0..20 {
+            if row != 10 {
+                push(&mut served, row * 4..row * 4 + 4);
+            }
+            found.push(select(&mut served, row));
+        }
+        assert_eq!((found[9][0], found[10].len()), (36.0, 0), "it may still come");
+        assert!(found[11].iter().all(|value| value.is_nan()));
+        let rest: Vec<f32> = found[12..].iter().flatten().copied().collect();
+        let expected: Vec<f32> = (44..44 + rest.len()).map(|n| n as f32).collect();
+        assert_eq!((rest, found[19].len()), (expected, 4));
     }
 
     #[test]
