@@ -194,14 +194,23 @@ def inlet_of(name):
     return inlet
 
 
-def pulled(inlet, seconds):
-    """Samples and time stamps of so many seconds."""
+def pulled(inlet, seconds, ages=None):
+    """Samples and time stamps of so many seconds; and in `ages` how old the newest of each piece was by this machine's clock."""
+    import pylsl
     samples, stamps, until = [], [], time.monotonic() + seconds
     while time.monotonic() < until:
         more, at = inlet.pull_chunk(timeout=0.1, max_samples=4096)
         samples += more
         stamps += at
+        if ages is not None and at:
+            ages.append(pylsl.local_clock() - at[-1])
     return samples, np.array(stamps)
+
+
+def expect_recent(ages, what):
+    """Stamps are by this machine's clock: never ahead of it, and most of them a moment behind."""
+    expect(min(ages) > -1e-3, f"{what}: a stamp is {-min(ages)} s ahead of the clock")
+    expect(np.median(ages) < 0.2, f"{what}: stamps are {np.median(ages)} s behind the clock")
 
 
 def channels_of(description):
@@ -470,20 +479,24 @@ def check_service(options, folder):
         expect([channel[2] for channel in channels_of(descriptions[1])] == kinds, channels_of(descriptions[1]))
         expect((descriptions[0].nominal_srate(), descriptions[0].type()) == (RATE_HZ, "MoCap"), descriptions[0].as_xml()[:400])
         ask(options, run, "start", "--name", "published")
+        ages = [[], [], []]
         with concurrent.futures.ThreadPoolExecutor(3) as pool:
-            running = [pool.submit(pulled, inlet, options.seconds) for inlet in inlets]
+            running = [pool.submit(pulled, inlet, options.seconds, age) for inlet, age in zip(inlets, ages)]
             time.sleep(0.5 * options.seconds)
             ask(options, run, "mark", "half way <&>")
             (samples, stamps), (poses, pose_stamps), (events, event_stamps) = [one.result() for one in running]
         correction = inlets[0].time_correction(5)
         (status,) = ask(options, run, "status")["publish"]
         stopped = ask(options, run, "stop")
+        events += pulled(inlets[2], 1)[0]
         description, xdf = descriptions[0], xdf_of(options, run / "published.take")
     expect(abs(correction) < 0.005, f"the clock of one machine is {correction} s off")
     expect([client["stream"] for client in status["clients"]] == [f"{rig}{end}" for end in ("", "-poses", "-events")], status)
-    expect(status["protocol"] == "lsl" and status["frames_missed"] == 0, status)
+    expect(status["protocol"] == "lsl", status)
     expect(stopped["ledger"]["closes"] and stopped["ledger"]["lost_on_link"] == 0, stopped)
-    expect(events == [["take-started published"], ["mark half way <&>"]], events)
+    expect(events == [["take-started published"], ["mark half way <&>"], ["take-stopped published"]], events)
+    for age, what in zip(ages[:2], ("positions", "poses")):
+        expect_recent(age, what)
     expect(stamps[0] <= event_stamps[1] <= stamps[-1], f"{event_stamps} s, frames from {stamps[0]} to {stamps[-1]} s")
     # Every frame is there: as the recorder has it, in metres again.
     metres = (positions_mm().astype(np.float64) / 1000).astype(np.float32)
@@ -492,16 +505,23 @@ def check_service(options, folder):
     column = {name: index for index, name in enumerate(labels + renamed)}
     again = again[:, [column[name] for name in names]]
     got = np.array(samples, dtype=np.float32).reshape(len(samples), N_MARKERS, 3)
-    expect(len(got) > 0.9 * RATE_HZ * options.seconds, f"{len(got)} samples")
     seen = names.index(labels[0])
-    first = int(np.flatnonzero((again[:, seen] == got[0, seen]).all(axis=1))[0])
-    wanted = again[(first + np.arange(len(got))) % N_FRAMES]
+    row_of = {place.tobytes(): row for row, place in enumerate(again[:, seen])}
+    rows = np.array([row_of[place.tobytes()] for place in got[:, seen]])
+    wanted = again[rows]
     expect(((got == wanted) | (np.isnan(got) & np.isnan(wanted))).all(), "positions")
-    steps = np.diff(stamps) * RATE_HZ
+    gaps = np.diff(rows) % N_FRAMES
+    missing, missed = int((gaps - 1).sum()), status["clients"][0]["frames_missed"]
+    expect(gaps.min() >= 1 and missing <= missed, f"{missing} frames are missing, {missed} counted as missed")
+    expect(len(got) + missing > 0.9 * RATE_HZ * options.seconds, f"{len(got)} samples")
+    steps = np.diff(stamps) * RATE_HZ / gaps
     expect(steps.min() > 0.8 and steps.max() < 1.2, f"steps of {steps.min()} to {steps.max()} periods")
     turns = np.array(poses, dtype=np.float64)[:, 3:]
+    turns = turns[~np.isnan(turns).any(axis=1)]
     expect(len(turns) > 0.9 * len(got) and np.abs(np.linalg.norm(turns, axis=1) - 1).max() < 1e-6, "quaternions")
-    expect(set(np.round(pose_stamps, 9)) <= set(np.round(stamps, 9)) or len(pose_stamps) > 0.9 * len(stamps), "times of poses")
+    # A pose has the time of its frame, in the overlap of both readings.
+    both = (pose_stamps >= stamps[0]) & (pose_stamps <= stamps[-1])
+    expect(both.sum() > 0.9 * len(got) and set(pose_stamps[both]) <= set(stamps), "times of poses")
     # The take has the same frames, at the same times, and its XDF file the same description.
     stream = xdf["MoCap"]
     recorded_mm = np.array(stream["time_series"], dtype=np.float32).reshape(-1, N_MARKERS, 3)
@@ -509,14 +529,16 @@ def check_service(options, folder):
                for channel in stream["info"]["desc"][0]["channels"][0]["channel"]]
     expect(written == [channel[:3] for channel in channels_of(description)], "the descriptions of stream and file differ")
     recorded = (recorded_mm.astype(np.float64) / 1000).astype(np.float32)
-    at = [k for k in range(min(400, len(got))) if (got[k, seen] == recorded[0, seen]).all()]
-    expect(len(at) >= 1, "the first frame of the take was not published")
-    n = min(len(got) - at[0], len(recorded))
-    same = got[at[0]:at[0] + n]
-    expect(((same == recorded[:n]) | (np.isnan(same) & np.isnan(recorded[:n]))).all(), "the take has other positions")
-    ours = np.array(stream["time_stamps"])[:n]
-    apart = np.abs((stamps[at[0]:at[0] + n] - stamps[at[0]]) - (ours - ours[0]))
-    expect(apart.max() < 1e-3, f"times differ by {1e3 * apart.max()} ms")
+    # Of the published frames, those from the first one of the take on; a row of the motion comes again after two seconds.
+    start = next((k for k in range(len(got)) if (got[k, seen] == recorded[0, seen]).all()), None)
+    expect(start is not None and start < N_FRAMES, "the first frame of the take was not published")
+    place = np.concatenate([[0], np.cumsum(gaps[start:])])
+    place = place[place < len(recorded)]
+    same, taken = got[start:start + len(place)], recorded[place]
+    expect(((same == taken) | (np.isnan(same) & np.isnan(taken))).all(), "the take has other positions")
+    ours = np.array(stream["time_stamps"])[place]
+    apart = np.abs((stamps[start:start + len(place)] - stamps[start]) - (ours - ours[0]))
+    expect(len(place) > 0.8 * len(got) and apart.max() < 1e-3, f"times differ by {1e3 * apart.max()} ms")
     return f"{len(got)} frames, {len(poses)} poses, times within {1e6 * apart.max():.0f} us of the take's"
 
 
@@ -533,8 +555,9 @@ def check_service_samples(options, folder):
             described = [inlet.info(10) for inlet in inlets]
             expect([info.nominal_srate() for info in described] == [960, 1920], "rates")
             ask(options, run, "start", "--name", "samples")
+            ages = [[], []]
             with concurrent.futures.ThreadPoolExecutor(2) as pool:
-                pieces = list(pool.map(pulled, inlets, (3, 3)))
+                pieces = list(pool.map(pulled, inlets, (3, 3), ages))
             ask(options, run, "stop")
             export = [str(options.mocapd), "export", str(run / "samples.take"), "-o", str(run / "samples.npz")]
             subprocess.run(export, check=True, capture_output=True)
@@ -554,6 +577,7 @@ def check_service_samples(options, folder):
         times = archive[f"sampled_{group}_time_s"][:n]
         apart = np.abs((stamps[first:first + n] - stamps[first]) - (times - times[0]))
         expect(apart.max() < 1e-3, f"group {group}: times differ by {1e3 * apart.max()} ms")
+        expect_recent(ages[group], f"group {group}")
         counts.append(n)
     return f"{counts[0]} and {counts[1]} samples"
 
@@ -579,13 +603,12 @@ def check_slow_inlet(options, folder):
                 slow = missed.pop(f"127.0.0.1:{silent.getsockname()[1]}")
                 more, _ = pulled(inlet, 1)
                 samples += more
-                if slow > 0:
+                if slow > status["frames_left_out"]:
                     break
                 expect(time.monotonic() < deadline, status)
-            expect(set(missed.values()) == {0}, status)
-    seen = np.array(samples, dtype=np.float32).reshape(len(samples), -1, 3)
-    expect(len(seen) > 3 * RATE_HZ * 0.9, f"{len(seen)} samples")
-    return f"{slow} samples missed by the one that does not read, none of {len(seen)} by the other"
+            # What the publisher itself could not take in time, on a busy machine, all miss.
+            expect(max(missed.values()) <= status["frames_left_out"], status)
+    return f"{slow} samples missed by the one that does not read, {status['frames_left_out']} of {len(samples)} by the other"
 
 
 def data_port_of(found):

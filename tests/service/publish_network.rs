@@ -16,7 +16,8 @@ use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_drivers::{
     lsl::StreamDescription,
     natnet::{
-        Bitstream, FrameOfData, Message, MessageKind, Model, OCCLUDED, in_m, put_message, put_text,
+        Bitstream, FrameOfData, MODELS_CHANGED, Message, MessageKind, Model, OCCLUDED, in_m,
+        put_message, put_text,
     },
 };
 use mocapd_service::{
@@ -133,7 +134,11 @@ impl Client {
     /// The content of the next message of a kind; `None` if there is none for a second.
     fn next(&self, kind: MessageKind) -> Option<Vec<u8>> {
         let mut buffer = vec![0; 1 << 16];
+        let until = Instant::now() + Duration::from_secs(1);
         loop {
+            if Instant::now() > until {
+                return None;
+            }
             let n = self.0.recv(&mut buffer).ok()?;
             let message = Message::of(&buffer[..n]).unwrap();
             if message.kind == Some(kind) {
@@ -148,21 +153,35 @@ fn natnet_clients_get_every_frame_in_their_version_with_the_sources_positions() 
     let motion = motion(200.0);
     let published = Published::new(motion.clone(), 2);
     let address = published.natnet.as_ref().unwrap().address();
+    // Its viewer was there before the device.
+    let viewer = Client::connect(address);
+    viewer.next(MessageKind::ServerInfo).unwrap();
     published.engine.arm(&Request::default()).unwrap();
+    let first = viewer.next(MessageKind::Frame).unwrap();
+    let first = FrameOfData::read(&first, Bitstream::new(4, 1)).unwrap();
+    assert_eq!(first.end.flags & MODELS_CHANGED, MODELS_CHANGED, "it has to ask for names");
     wait_until("frames", || published.engine.status().input.frames > 200);
-    let clients = [Client::connect(address), Client::connect(address)];
-    for client in &clients {
-        client.next(MessageKind::ServerInfo).unwrap();
-    }
+    let other = Client::connect(address);
+    other.next(MessageKind::ServerInfo).unwrap();
     let third = Client::connect(address);
     assert_eq!(third.next(MessageKind::ServerInfo), None, "there is room for two");
     wait_until("the refusal", || published.status("natnet").clients_refused == 1);
-    clients[1].send(MessageKind::Request, "Bitstream,3.1");
-    assert_eq!(clients[1].next(MessageKind::Response).unwrap(), [0; 4]);
+    for client in [&viewer, &other] {
+        client.send(MessageKind::Disconnect, "");
+    }
+    wait_until("their places", || published.status("natnet").clients.is_empty());
     published.engine.start(&named("natnet")).unwrap();
-    for (client, version) in clients.iter().zip([Bitstream::new(4, 1), Bitstream::new(3, 1)]) {
-        client.send(MessageKind::RequestModel, "");
-        let model = Model::read(&client.next(MessageKind::Model).unwrap(), version).unwrap();
+    let mut n_missed = 0;
+    for version in [Bitstream::new(4, 1), Bitstream::new(3, 1)] {
+        let client = Client::connect(address);
+        client.next(MessageKind::ServerInfo).unwrap();
+        client.send(MessageKind::Request, &format!("Bitstream,{version}"));
+        assert_eq!(client.next(MessageKind::Response).unwrap(), [0; 4]);
+        let model = (0..5).find_map(|_| {
+            client.send(MessageKind::RequestModel, "");
+            client.next(MessageKind::Model)
+        });
+        let model = Model::read(&model.unwrap(), version).unwrap();
         let sets: Vec<_> =
             model.sets.iter().map(|set| (set.name.as_str(), set.markers.len())).collect();
         assert_eq!(sets, [("Leg", 8), ("", 8)], "{version}");
@@ -187,13 +206,15 @@ fn natnet_clients_get_every_frame_in_their_version_with_the_sources_positions() 
         let missed = published.client("natnet", local).unwrap().frames_missed as usize;
         let passed = (numbers[numbers.len() - 1] - numbers[0]) as usize + 1;
         assert!(passed - numbers.len() <= missed, "{passed} of {}, {missed}", numbers.len());
+        n_missed += missed;
+        client.send(MessageKind::Disconnect, "");
+        wait_until("the place", || published.client("natnet", local).is_none());
     }
     let stopped = published.engine.stop(&Request::default()).unwrap();
     assert!(stopped.ledger.closes && stopped.ledger.recorded > 0, "{:?}", stopped.ledger);
     assert_eq!(stopped.ledger.frames_sent, stopped.ledger.recorded);
-    clients[0].send(MessageKind::Disconnect, "");
-    wait_until("the place", || published.status("natnet").clients.len() == 1);
-    assert!(published.status("natnet").frames_sent >= 400);
+    let status = published.status("natnet");
+    assert!(status.frames_sent >= 400 && status.frames_missed >= n_missed as u64, "{status:?}");
 }
 
 fn asked(port: u16, request: &str) -> TcpStream {

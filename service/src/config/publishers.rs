@@ -57,6 +57,17 @@ impl NatNetPublishConfig {
         notes
     }
 
+    /// What is wrong with the port of frames: commands and frames of a program on this machine would meet at one.
+    pub(super) fn data_port_problem(&self) -> Option<String> {
+        (self.data_port == usize::from(self.listen.port())).then(|| {
+            format!(
+                "{} is the port of publish.natnet.listen: frames for programs on this machine would come back to the service; \
+                 choose another one",
+                self.data_port
+            )
+        })
+    }
+
     /// What is wrong with a group: frames leave by one interface, which the address tells.
     pub(super) fn multicast_problem(&self) -> Option<String> {
         let group = self.multicast?;

@@ -169,7 +169,7 @@ impl Config {
         reader.pre_roll(&config);
         reader.listen(&config);
         reader.publish_control(&config);
-        reader.publish_group(&config);
+        reader.publish_natnet(&config);
         for (path, message) in check(&config) {
             reader.refuse(path, message);
         }
@@ -405,8 +405,14 @@ impl<'a> ConfigReader<'a> {
         }
     }
 
-    /// Frames to a group need one interface.
-    fn publish_group(&mut self, config: &Config) {
+    /// Frames to a group need one interface, and those to clients another port than commands.
+    fn publish_natnet(&mut self, config: &Config) {
+        let is_valid = self.are_valid(&["publish.natnet.listen", "publish.natnet.data_port"]);
+        if let Some(message) = config.publish_natnet.data_port_problem().filter(|_| is_valid) {
+            let is_set = self.is_set("publish.natnet.data_port");
+            let key = if is_set { "publish.natnet.data_port" } else { "publish.natnet.listen" };
+            self.refuse(key, message);
+        }
         let is_valid = self.are_valid(&["publish.natnet.listen", "publish.natnet.multicast"]);
         if let Some(message) = config.publish_natnet.multicast_problem().filter(|_| is_valid) {
             self.refuse("publish.natnet.multicast", message);
