@@ -516,3 +516,55 @@ fn time_of(event: &ServiceEvent) -> u64 {
     let age_ns = u64::try_from(age_ms.saturating_mul(1_000_000)).unwrap_or(u64::MAX);
     monotonic_ns().saturating_sub(if age_ns < EVENT_AGE_MAX_NS { age_ns } else { 0 })
 }
+
+#[cfg(test)]
+mod tests {
+    use mocapd_drivers::device::SampledChannelInfo;
+
+    use super::*;
+    use crate::status::State;
+
+    #[test]
+    fn events_of_takes_marks_and_the_device_are_texts_with_their_time() {
+        let now_ms = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_millis() as i64;
+        let event = |kind, unix_ms| ServiceEvent {
+            number: 1,
+            unix_ms,
+            kind,
+            message: "words".to_owned(),
+            state: State::Recording,
+            take: Some("hall_001".to_owned()),
+            notes: None,
+        };
+        for (kind, text) in [
+            (ServiceEventKind::TakeStarted, Some("take-started hall_001")),
+            (ServiceEventKind::TakeSaved, Some("take-saved hall_001")),
+            (ServiceEventKind::Mark, Some("mark words")),
+            (ServiceEventKind::Device, Some("device words")),
+            (ServiceEventKind::Warning, None),
+        ] {
+            assert_eq!(text_of(&event(kind, now_ms)).as_deref(), text);
+        }
+        let before = monotonic_ns();
+        let age = before.abs_diff(time_of(&event(ServiceEventKind::Mark, now_ms - 500)));
+        assert!((400_000_000..2_000_000_000).contains(&age), "{age} ns ago");
+        // The time of day was set.
+        assert!(time_of(&event(ServiceEventKind::Mark, 0)) >= before);
+    }
+
+    #[test]
+    fn values_are_in_the_units_of_their_channels() {
+        let channel =
+            |scale, offset| SampledChannelInfo { scale, offset, ..SampledChannelInfo::default() };
+        let group = SampledGroupInfo {
+            channels: vec![channel(0.5, 10.0), channel(1.0, 0.0)],
+            ..SampledGroupInfo::default()
+        };
+        let samples = vec![12.0, 0.1, 10.0, f32::NAN];
+        let batch = TappedBatch { samples, n_channels: 2, ..TappedBatch::default() };
+        let mut values = vec![7.0];
+        put_values(&group, &batch, &mut values);
+        assert_eq!(values[..3], [1.0, 0.1, 0.0]);
+        assert!(values[3].is_nan() && values.len() == 4);
+    }
+}
