@@ -15,6 +15,10 @@ pub(super) const REQUEST_BYTES_MAX: usize = 1 << 14;
 /// Bytes of a question for streams: those of liblsl have some hundred.
 const QUESTION_BYTES_MAX: usize = 1 << 10;
 
+/// Parentheses of a question that are opened: those of liblsl have none, and a program's a function or two. The parser calls
+/// itself for each, and some thousand would overflow the stack.
+const PARENTHESES_MAX: usize = 16;
+
 /// How fast we convert the order of bytes, which decides whose order is used: as fast as any, so that a reader with another
 /// order gets its own.
 const ENDIAN_PERFORMANCE: f64 = 1000.0;
@@ -133,7 +137,8 @@ impl Described {
     /// A question with conditions in brackets, `//` or `*` is not answered: a hostile one takes longer with each of them.
     pub(super) fn is_meant(&self, question: &str) -> bool {
         let is_costly = ["[", "//", "*"].iter().any(|part| question.contains(part));
-        let is_simple = question.len() <= QUESTION_BYTES_MAX && !is_costly;
+        let is_flat = question.matches('(').count() <= PARENTHESES_MAX;
+        let is_simple = question.len() <= QUESTION_BYTES_MAX && is_flat && !is_costly;
         is_simple && self.short.matches(question)
     }
 }
