@@ -74,6 +74,10 @@ fn a_stream_is_found_described_and_read() {
     let answers = server.answers(peer(), &query, || 1.0);
     let [(to, bytes)] = &answers[..] else { panic!("{answers:?}") };
     assert_eq!((to.port(), parse_found(bytes).unwrap().query_id.as_str()), (7, "42"));
+    let deep = ["-".repeat(1000) + "1>2", "1+".repeat(500) + "1<0", "not(".repeat(16) + "1"];
+    for other in deep {
+        assert!(server.answers(peer(), &build_query(&other, 7, "1"), || 1.0).is_empty(), "{other}");
+    }
     for other in [
         "name='other'",
         "name='rig'[1]",
