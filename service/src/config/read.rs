@@ -222,9 +222,9 @@ impl<'a> ConfigReader<'a> {
         let known = SECTIONS.iter().map(|(section, _)| *section);
         // Sections of sections have names with a point.
         let is_above = |section: &&str| section.split_once('.').is_some_and(|(up, _)| up == word);
-        if let (Some(below), Some(table)) =
-            (known.clone().find(is_above), value.get_ref().as_table())
-        {
+        let below: Vec<String> =
+            known.clone().filter(is_above).map(|section| format!("[{section}]")).collect();
+        if let (false, Some(table)) = (below.is_empty(), value.get_ref().as_table()) {
             for (inner, value) in table {
                 let path = format!("{word}.{}", inner.get_ref());
                 match known.clone().find(|section| *section == path) {
@@ -233,7 +233,7 @@ impl<'a> ConfigReader<'a> {
                         let path = excerpt(&path);
                         self.refuse_name(
                             inner,
-                            format!("unknown section [{path}]: write [{below}]"),
+                            format!("unknown section [{path}]: write {}", below.join(", ")),
                         );
                     }
                 }
