@@ -305,13 +305,16 @@ impl StatusMetrics {
     }
 }
 
+/// A number of what one server publishes.
+type PublishFigure = fn(&PublishStatus) -> u64;
+
 /// What each client was sent is in the status alone: their addresses would be ever new series.
 fn of_publish(publish: &[PublishStatus], out: &mut MetricWriter<'_>) -> fmt::Result {
-    let by = |value: fn(&PublishStatus) -> u64| {
+    let by = |value: PublishFigure| {
         let values = publish.iter().map(|status| (status.protocol.as_str(), value(status)));
         values.collect::<Vec<_>>()
     };
-    let figures: [(&str, &str, fn(&PublishStatus) -> u64); 7] = [
+    let figures: [(&str, &str, PublishFigure); 7] = [
         ("clients", "Clients that what is received is published to", |it| it.clients.len() as u64),
         (
             "clients_refused",
