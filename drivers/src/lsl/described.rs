@@ -1,7 +1,8 @@
 //! Descriptions of streams that we publish, by the conventions of the XDF wiki.
 
+pub use labstream_core::net::{StreamInfo, info::hostname};
 use labstream_core::{
-    net::{Node, StreamInfo},
+    net::Node,
     wire::{Format, IRREGULAR_RATE},
 };
 

@@ -16,7 +16,7 @@ mod outlet;
 mod values;
 
 pub use self::{
-    described::Publisher,
+    described::{Publisher, StreamInfo, hostname},
     description::{ChannelDescription, DESCRIPTION_BYTES_MAX, StreamDescription},
     envelope::{LineRequest, MessageReader, StreamMessage, put_message},
     host::LslHost,
@@ -28,8 +28,6 @@ pub(crate) use self::{
     description::clean,
     envelope::{DATA_HEADER_BYTES, data_header},
 };
-pub use labstream_core::net::{StreamInfo, info::hostname};
-
 use crate::{
     device::{Claim, Family},
     stream_query::StreamQuery,

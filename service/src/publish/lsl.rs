@@ -80,7 +80,7 @@ pub fn open(
 
 /// The server, and who may read from it.
 #[derive(Debug)]
-struct AllowedServer {
+struct AllowedOutlets {
     server: OutletServer,
     limits: ClientLimits,
     news: Vec<String>,
@@ -88,13 +88,13 @@ struct AllowedServer {
     sent_to_gone: u64,
 }
 
-impl AsMut<OutletServer> for AllowedServer {
+impl AsMut<OutletServer> for AllowedOutlets {
     fn as_mut(&mut self) -> &mut OutletServer {
         &mut self.server
     }
 }
 
-impl StreamServer for AllowedServer {
+impl StreamServer for AllowedOutlets {
     type Id = InletId;
 
     fn connect(&mut self, peer: SocketAddr) -> Result<InletId, Vec<u8>> {
@@ -154,7 +154,7 @@ impl StreamServer for AllowedServer {
 
 /// What is published of a device.
 #[derive(Debug)]
-struct ServedDevice {
+struct StreamedDevice {
     device: PublishedDevice,
     time: HostTime,
     /// Slots of the labelled markers in the order of the stream, and their labels.
@@ -173,12 +173,12 @@ struct ServedDevice {
 #[derive(Debug)]
 struct LslPublisher {
     sockets: OutletSockets,
-    server: AllowedServer,
+    server: AllowedOutlets,
     listen: Ipv4Addr,
     name: String,
     hostname: String,
     events: EventFeed,
-    device: Option<ServedDevice>,
+    device: Option<StreamedDevice>,
     values: Vec<f32>,
     /// When the groups of questions were joined.
     joined_at: Option<Instant>,
@@ -202,7 +202,7 @@ impl LslPublisher {
                     .to_owned(),
             );
         }
-        let server = AllowedServer {
+        let server = AllowedOutlets {
             server: OutletServer::new(service_port, config.clients_max),
             limits: ClientLimits::new(LSL, &config.allow_from, config.clients_max),
             news,
@@ -320,7 +320,7 @@ impl LslPublisher {
 
     fn answer(&mut self) {
         let may_ask =
-            |server: &AllowedServer, from: SocketAddr| server.limits.is_allowed(from.ip());
+            |server: &AllowedOutlets, from: SocketAddr| server.limits.is_allowed(from.ip());
         self.sockets.answer(&mut self.server, may_ask);
     }
 
@@ -346,7 +346,7 @@ impl LivePublisher for LslPublisher {
             let port = self.sockets.opened(stream);
             self.server.server.set_stream(port, None, monotonic_ns());
         }
-        self.device = device.map(|device| ServedDevice {
+        self.device = device.map(|device| StreamedDevice {
             time: HostTime::new(device),
             n_channels: 0,
             n_labelled: 0,
@@ -446,7 +446,7 @@ impl LivePublisher for LslPublisher {
     }
 
     fn status(&self) -> PublishStatus {
-        let AllowedServer { server, limits, sent_to_gone, .. } = &self.server;
+        let AllowedOutlets { server, limits, sent_to_gone, .. } = &self.server;
         let client = |report: InletReport| PublishedClient {
             address: report.peer.to_string(),
             version: "1.10".to_owned(),

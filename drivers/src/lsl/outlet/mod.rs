@@ -61,7 +61,7 @@ pub struct InletReport {
 }
 
 #[derive(Debug)]
-struct ServedStream {
+struct OutletStream {
     port: u16,
     /// `None` while nothing is published there.
     stream: Option<Described>,
@@ -147,7 +147,7 @@ impl Inlet {
 /// The server of streams.
 #[derive(Debug)]
 pub struct OutletServer {
-    streams: Vec<ServedStream>,
+    streams: Vec<OutletStream>,
     service_port: u16,
     inlets_max: usize,
     inlets: Vec<Inlet>,
@@ -172,7 +172,7 @@ impl OutletServer {
             now_ns: 0,
             missed_by_gone: 0,
             n_refused: 0,
-            askers: VecDeque::new(),
+            askers: VecDeque::with_capacity(ASKERS_MAX),
         }
     }
 
@@ -192,7 +192,7 @@ impl OutletServer {
         }
         match self.streams.iter_mut().find(|stream| stream.port == port) {
             Some(served) => served.stream = info,
-            None => self.streams.push(ServedStream { port, stream: info }),
+            None => self.streams.push(OutletStream { port, stream: info }),
         }
     }
 
@@ -412,7 +412,8 @@ impl StreamServer for OutletServer {
             stream: String::new(),
             state: InletState::Asking(Vec::new()),
             outbox: Outbox::default(),
-            held: VecDeque::new(),
+            // As many as packets wait, which the outbox bounds.
+            held: VecDeque::default(),
             missed: 0,
             since_ns: self.now_ns,
         });

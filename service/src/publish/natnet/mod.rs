@@ -67,7 +67,7 @@ pub fn open(
 
 /// What is published of a device.
 #[derive(Debug)]
-struct ServedDevice {
+struct DescribedDevice {
     table: AssetTable,
     /// Channels that the table has.
     n_channels: usize,
@@ -86,7 +86,7 @@ struct NatNetPublisher {
     address: SocketAddr,
     server: NatNetServer,
     limits: ClientLimits,
-    device: Option<ServedDevice>,
+    device: Option<DescribedDevice>,
     news: Vec<String>,
     /// Until when frames state that definitions have changed.
     changed_until_ns: u64,
@@ -208,7 +208,7 @@ impl LivePublisher for NatNetPublisher {
 
     fn set_device(&mut self, device: Option<&PublishedDevice>) {
         // Without a device, the definitions stay those of the last one: only others are a change.
-        self.device = device.map(ServedDevice::new);
+        self.device = device.map(DescribedDevice::new);
         self.is_excess_known = false;
         let Some((served, device)) = self.device.as_ref().zip(device) else { return };
         self.server.set_rates(device.header.rate_hz as f32, served.samples.per_frame());
@@ -320,7 +320,7 @@ impl LivePublisher for NatNetPublisher {
     }
 }
 
-impl ServedDevice {
+impl DescribedDevice {
     fn new(device: &PublishedDevice) -> Self {
         let (samples, described) = ServedSamples::new(device);
         let mut served = Self {

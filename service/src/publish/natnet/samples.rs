@@ -15,7 +15,7 @@ const HELD_S: f64 = 1.0;
 
 /// A force plate or device of the definitions.
 #[derive(Debug)]
-struct ServedDevice {
+struct SampledDevice {
     group: u8,
     /// The indices of its channels in the group.
     channels: Vec<usize>,
@@ -45,7 +45,7 @@ struct GroupQueue {
 /// All sampled channels of a device.
 #[derive(Debug, Default)]
 pub(super) struct ServedSamples {
-    devices: Vec<ServedDevice>,
+    devices: Vec<SampledDevice>,
     groups: Vec<GroupQueue>,
 }
 
@@ -69,7 +69,8 @@ impl ServedSamples {
             served.groups.push(GroupQueue {
                 per_frame: f64::from(info.rate_millihertz) / 1000.0 / device.header.rate_hz,
                 info: info.clone(),
-                values: VecDeque::new(),
+                // A second of samples: see `held_max`.
+                values: VecDeque::default(),
                 first: 0,
                 is_begun: false,
                 anchor: None,
@@ -93,7 +94,7 @@ impl ServedSamples {
         // Volts, or what the device calibrated.
         let data_type = u32::from(!units.is_empty() && units.iter().all(|unit| *unit == "V"));
         let group = info.id;
-        self.devices.push(ServedDevice { group, channels, is_plate, id, samples: Vec::new() });
+        self.devices.push(SampledDevice { group, channels, is_plate, id, samples: Vec::new() });
         SampledDescription { is_plate, id, name, data_type, channels: names }
     }
 
@@ -241,7 +242,7 @@ mod tests {
         let group = GroupQueue {
             info,
             per_frame,
-            values: VecDeque::new(),
+            values: VecDeque::default(),
             first: 0,
             is_begun: false,
             anchor: None,
