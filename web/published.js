@@ -4,9 +4,10 @@ import { byId, h, setHidden, setText } from "./dom.js";
 import { plural } from "./format.js";
 
 /** What is known of a client, as one line. Pure. */
-export function clientText({ address, version, transport, is_streaming: isStreaming, is_in_control: isInControl, frames_sent: sent, frames_missed: missed }) {
+export function clientText({ address, version, transport, stream, is_streaming: isStreaming, is_in_control: isInControl, frames_sent: sent, frames_missed: missed }) {
   const known = [`${address} by ${transport.toUpperCase()}`];
   if (version) known.push(`version ${version}`);
+  if (stream) known.push(stream);
   known.push(isStreaming ? `${plural(sent, "frame")} sent` : "requests no frames");
   if (missed > 0) known.push(`${plural(missed, "frame")} missed`);
   if (isInControl) known.push("in control");

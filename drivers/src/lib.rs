@@ -41,6 +41,7 @@ pub mod lsl;
 mod marker_ids;
 pub mod natnet;
 pub mod ndi;
+mod outbox;
 pub mod plain_file;
 pub mod qtm;
 pub mod raw_log;

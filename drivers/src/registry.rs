@@ -8,6 +8,7 @@ pub use crate::device::{Candidate, Claim, Family};
 use crate::{
     device::Protocol,
     link, lsl, natnet, ndi, qtm,
+    stream_query::StreamQuery,
     transport::{
         Access, Transport, TransportError, access,
         lsl::LslTransport,
@@ -186,8 +187,15 @@ pub fn open_with_wrapper(
         let location = uri.location.to_string();
         return Err(OpenError::WrongLine { name: family.name, location });
     }
-    let transport = open_transport(&uri.location)?;
-    let identity = candidate_at(&uri.location);
+    let mut identity = candidate_at(&uri.location);
+    let transport = match &uri.location {
+        Location::Streams(query) => {
+            let line = LslTransport::open(query)?;
+            identity.serial = line.only_source_id();
+            Box::new(line) as Box<dyn Transport>
+        }
+        location => open_transport(location)?,
+    };
     let unclaimed = || OpenError::Unclaimed { location: uri.location.to_string() };
     let family = match named {
         Some(family) => family,
@@ -250,6 +258,11 @@ fn current_location(location: &Location, identity: &Candidate) -> Location {
                 (Some(Location::Serial { path, .. }), None) => Location::Serial { path, baud },
                 _ => location.clone(),
             }
+        }
+        // The stream that was recorded: another of its name may have come meanwhile.
+        Location::Streams(ref query) if query.names.len() == 1 && query.source_id.is_none() => {
+            let source_id = identity.serial.clone();
+            Location::Streams(StreamQuery { source_id, ..query.clone() })
         }
         Location::Serial { .. } | Location::Network(_) | Location::Streams(_) => location.clone(),
     }
@@ -316,6 +329,20 @@ mod tests {
             );
             assert!(FAMILIES[..index].iter().all(|other| other.name != family.name));
         }
+    }
+
+    #[test]
+    fn after_an_outage_a_stream_is_that_of_the_source_that_was_recorded() {
+        let found = |uri: &str, source_id: Option<&str>| {
+            let uri: DeviceUri = uri.parse().unwrap();
+            let serial = source_id.map(str::to_owned);
+            let identity = Candidate { serial, ..Candidate::at(uri.location.clone()) };
+            current_uri(&uri, &identity).to_string()
+        };
+        assert_eq!(found("lsl:Rig?type=MoCap", Some("A")), "lsl:Rig?type=MoCap&source_id=A");
+        assert_eq!(found("lsl:Rig?source_id=B", Some("A")), "lsl:Rig?source_id=B");
+        assert_eq!(found("lsl:Rig", None), "lsl:Rig");
+        assert_eq!(found("lsl:Rig,EMG", Some("A")), "lsl:Rig,EMG");
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod key;
 pub mod keys;
 mod name;
 pub(crate) mod problem;
+mod publishers;
 mod read;
 
 #[cfg(test)]
@@ -38,6 +39,7 @@ pub use self::{
     keys::{example, table},
     name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name, is_reserved_name},
     problem::{ConfigError, ConfigProblem, PROBLEMS_MAX, SourceLocation},
+    publishers::{LslPublishConfig, NatNetPublishConfig},
     read::{CONFIG_BYTES_MAX, CONFIG_PATH, Environment, Overrides},
 };
 use crate::{log::Level, subject::SubjectFiles, trigger::Network};
@@ -63,6 +65,10 @@ pub struct Config {
     pub trigger: TriggerConfig,
     /// What is published live as QTM does.
     pub publish_qtm: QtmPublishConfig,
+    /// What is published live as OptiTrack's Motive does.
+    pub publish_natnet: NatNetPublishConfig,
+    /// What is published live as streams of the Lab Streaming Layer.
+    pub publish_lsl: LslPublishConfig,
     /// How much is logged.
     pub log_level: Level,
 }
@@ -396,6 +402,8 @@ impl Config {
             );
         }
         notes.extend(self.publish_qtm.notes());
+        notes.extend(self.publish_natnet.notes());
+        notes.extend(self.publish_lsl.notes());
         if self.device.raw_log {
             notes.push(
                 "device.raw_log is on: every byte received while armed is logged, many times the size of the takes"

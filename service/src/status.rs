@@ -103,7 +103,7 @@ fn none_or_all<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<PublishStatus>
 /// A server that publishes live what is received.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct PublishStatus {
-    /// Its protocol: `qtm`.
+    /// Its protocol: `qtm`, `natnet` or `lsl`.
     pub protocol: String,
     /// The address at which it listens.
     pub listen: String,
@@ -137,8 +137,11 @@ pub struct PublishedClient {
     pub address: String,
     /// The version of the protocol that it chose; empty until it has.
     pub version: String,
-    /// How it gets frames: `tcp` or `udp`.
+    /// How it gets frames: `tcp`, `udp` or `multicast`.
     pub transport: String,
+    /// Which of several streams it reads; empty where there is one.
+    #[serde(default)]
+    pub stream: String,
     /// Whether it requests frames.
     pub is_streaming: bool,
     /// Whether it may start and stop takes.

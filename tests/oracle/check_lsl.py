@@ -1,4 +1,5 @@
 """Talks to our side of the Lab Streaming Layer with one that is not ours: liblsl, through pylsl. XDF files are read by pyxdf.
+Our side is the simulator, and the service with `[publish.lsl]`.
 
     python check_lsl.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
 
@@ -12,6 +13,7 @@ import contextlib
 import csv
 import json
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -192,14 +194,23 @@ def inlet_of(name):
     return inlet
 
 
-def pulled(inlet, seconds):
-    """Samples and time stamps of so many seconds."""
+def pulled(inlet, seconds, ages=None):
+    """Samples and time stamps of so many seconds; and in `ages` how old the newest of each piece was by this machine's clock."""
+    import pylsl
     samples, stamps, until = [], [], time.monotonic() + seconds
     while time.monotonic() < until:
         more, at = inlet.pull_chunk(timeout=0.1, max_samples=4096)
         samples += more
         stamps += at
+        if ages is not None and at:
+            ages.append(pylsl.local_clock() - at[-1])
     return samples, np.array(stamps)
+
+
+def expect_recent(ages, what):
+    """Stamps are by this machine's clock: never ahead of it, and most of them a moment behind."""
+    expect(min(ages) > -1e-3, f"{what}: a stamp is {-min(ages)} s ahead of the clock")
+    expect(np.median(ages) < 0.2, f"{what}: stamps are {np.median(ages)} s behind the clock")
 
 
 def channels_of(description):
@@ -386,6 +397,226 @@ def check_convention(options, folder):
     return f"{len(got)} samples"
 
 
+def ask(options, folder, *words):
+    command = [options.mocapd, "ctl", "--connect", f"unix:{folder}/rig.sock", *words, "--json"]
+    ran = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60, check=False)
+    expect(ran.returncode == 0, f"{words}: {ran.stderr}")
+    return json.loads(ran.stdout)
+
+
+@contextlib.contextmanager
+def service(options, device, folder, rig):
+    """A service that records a device and publishes it."""
+    folder.mkdir()
+    config = folder / f"{rig}.toml"
+    config.write_text(f"""[device]
+uri = "{device}"
+[take]
+directory = "{folder}"
+keep_free = "0B"
+lossless = true
+[arm]
+at_start = true
+[http]
+listen = ""
+socket = "{folder}/rig.sock"
+[publish.lsl]
+enabled = true
+""")
+    with (folder / "rig.log").open("w") as log:
+        process = subprocess.Popen([str(options.mocapd), "run", "--config", str(config)], stdout=log, stderr=log)
+        try:
+            ends_at = time.monotonic() + FIRST_WORD_WITHIN_S
+            while True:
+                with contextlib.suppress(AssertionError):
+                    if ask(options, folder, "status")["input"]["frames"] > RATE_HZ:
+                        break
+                expect(time.monotonic() < ends_at, (folder / "rig.log").read_text())
+                time.sleep(0.1)
+            yield
+        finally:
+            process.terminate()
+            process.wait(20)
+
+
+@contextlib.contextmanager
+def natnet_simulator(options, motion, *more):
+    """A simulated Motive: the URI to record from."""
+    command = [options.mocapd_sim, "serve", motion, "--protocol", "natnet", "--loop", "--data-port=1519", *more]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
+    silent.start()
+    try:
+        uri = process.stdout.readline().strip()
+        silent.cancel()
+        expect(uri.startswith("natnet:"), f"the simulator names no port: {uri!r}")
+        yield uri
+    finally:
+        silent.cancel()
+        process.terminate()
+        process.wait(10)
+
+
+def check_service(options, folder):
+    """pylsl reads what the service records, beside the recording: every frame, pose and event, and the take has the same."""
+    rig, labels = f"rig{os.getpid()}", LABELS[:-4]
+    motion = folder / "bodies.csv"
+    lines = (folder / "motion.csv").read_text().splitlines()
+    renamed = tuple(f"Wand:m{k}" for k in range(4))
+    for label, name in zip(LABELS[-4:], renamed):
+        lines[0] = lines[0].replace(f"{label}.", f"{name}.")
+    motion.write_text("\n".join(lines) + "\n")
+    run = folder / "service"
+    with natnet_simulator(options, motion, "--rigid-body", "Wand") as uri, service(options, uri, run, rig):
+        inlets = [inlet_of(f"{rig}{suffix}") for suffix in ("", "-poses", "-events")]
+        descriptions = [inlet.info(10) for inlet in inlets]
+        stated = channels_of(descriptions[0])
+        names = [channel[1] for channel in stated[::3]]
+        expect(sorted(names) == sorted(labels + renamed), names)
+        expected = [(f"{name}.{axis.lower()}", name, f"Position{axis}", "meters") for name in names for axis in "XYZ"]
+        expect(stated == expected, stated)
+        kinds = ["PositionX", "PositionY", "PositionZ", "OrientationA", "OrientationB", "OrientationC", "OrientationD"]
+        expect([channel[2] for channel in channels_of(descriptions[1])] == kinds, channels_of(descriptions[1]))
+        expect((descriptions[0].nominal_srate(), descriptions[0].type()) == (RATE_HZ, "MoCap"), descriptions[0].as_xml()[:400])
+        ask(options, run, "start", "--name", "published")
+        ages = [[], [], []]
+        with concurrent.futures.ThreadPoolExecutor(3) as pool:
+            running = [pool.submit(pulled, inlet, options.seconds, age) for inlet, age in zip(inlets, ages)]
+            time.sleep(0.5 * options.seconds)
+            ask(options, run, "mark", "half way <&>")
+            (samples, stamps), (poses, pose_stamps), (events, event_stamps) = [one.result() for one in running]
+        correction = inlets[0].time_correction(5)
+        (status,) = ask(options, run, "status")["publish"]
+        stopped = ask(options, run, "stop")
+        events += pulled(inlets[2], 1)[0]
+        description, xdf = descriptions[0], xdf_of(options, run / "published.take")
+    expect(abs(correction) < 0.005, f"the clock of one machine is {correction} s off")
+    expect([client["stream"] for client in status["clients"]] == [f"{rig}{end}" for end in ("", "-poses", "-events")], status)
+    expect(status["protocol"] == "lsl", status)
+    expect(stopped["ledger"]["closes"] and stopped["ledger"]["lost_on_link"] == 0, stopped)
+    expect(events == [["take-started published"], ["mark half way <&>"], ["take-stopped published"]], events)
+    for age, what in zip(ages[:2], ("positions", "poses")):
+        expect_recent(age, what)
+    expect(stamps[0] <= event_stamps[1] <= stamps[-1], f"{event_stamps} s, frames from {stamps[0]} to {stamps[-1]} s")
+    # Every frame is there: as the recorder has it, in metres again.
+    metres = (positions_mm().astype(np.float64) / 1000).astype(np.float32)
+    millimetres = (metres.astype(np.float64) * 1000).astype(np.float32)
+    again = (millimetres.astype(np.float64) / 1000).astype(np.float32)
+    column = {name: index for index, name in enumerate(labels + renamed)}
+    again = again[:, [column[name] for name in names]]
+    got = np.array(samples, dtype=np.float32).reshape(len(samples), N_MARKERS, 3)
+    seen = names.index(labels[0])
+    row_of = {place.tobytes(): row for row, place in enumerate(again[:, seen])}
+    rows = np.array([row_of[place.tobytes()] for place in got[:, seen]])
+    wanted = again[rows]
+    expect(((got == wanted) | (np.isnan(got) & np.isnan(wanted))).all(), "positions")
+    gaps = np.diff(rows) % N_FRAMES
+    missing, missed = int((gaps - 1).sum()), status["clients"][0]["frames_missed"]
+    expect(gaps.min() >= 1 and missing <= missed, f"{missing} frames are missing, {missed} counted as missed")
+    expect(len(got) + missing > 0.9 * RATE_HZ * options.seconds, f"{len(got)} samples")
+    steps = np.diff(stamps) * RATE_HZ / gaps
+    expect(steps.min() > 0.8 and steps.max() < 1.2, f"steps of {steps.min()} to {steps.max()} periods")
+    turns = np.array(poses, dtype=np.float64)[:, 3:]
+    turns = turns[~np.isnan(turns).any(axis=1)]
+    expect(len(turns) > 0.9 * len(got) and np.abs(np.linalg.norm(turns, axis=1) - 1).max() < 1e-6, "quaternions")
+    # A pose has the time of its frame, in the overlap of both readings.
+    both = (pose_stamps >= stamps[0]) & (pose_stamps <= stamps[-1])
+    expect(both.sum() > 0.9 * len(got) and set(pose_stamps[both]) <= set(stamps), "times of poses")
+    # The take has the same frames, at the same times, and its XDF file the same description.
+    stream = xdf["MoCap"]
+    recorded_mm = np.array(stream["time_series"], dtype=np.float32).reshape(-1, N_MARKERS, 3)
+    written = [tuple(channel[key][0] for key in ("label", "marker", "type"))
+               for channel in stream["info"]["desc"][0]["channels"][0]["channel"]]
+    expect(written == [channel[:3] for channel in channels_of(description)], "the descriptions of stream and file differ")
+    recorded = (recorded_mm.astype(np.float64) / 1000).astype(np.float32)
+    # Of the published frames, those from the first one of the take on; a row of the motion comes again after two seconds.
+    start = next((k for k in range(len(got)) if (got[k, seen] == recorded[0, seen]).all()), None)
+    expect(start is not None and start < N_FRAMES, "the first frame of the take was not published")
+    place = np.concatenate([[0], np.cumsum(gaps[start:])])
+    place = place[place < len(recorded)]
+    same, taken = got[start:start + len(place)], recorded[place]
+    expect(((same == taken) | (np.isnan(same) & np.isnan(taken))).all(), "the take has other positions")
+    ours = np.array(stream["time_stamps"])[place]
+    apart = np.abs((stamps[start:start + len(place)] - stamps[start]) - (ours - ours[0]))
+    expect(len(place) > 0.8 * len(got) and apart.max() < 1e-3, f"times differ by {1e3 * apart.max()} ms")
+    return f"{len(got)} frames, {len(poses)} poses, times within {1e6 * apart.max():.0f} us of the take's"
+
+
+def check_service_samples(options, folder):
+    """pylsl reads force plates and electrodes that the service records: the samples of the take, at their rate and times."""
+    rig, run, pty = f"samples{os.getpid()}", folder / "samples", folder / "device"
+    command = [options.mocapd_sim, "serve", "--generate", "jump", "--rate", f"{RATE_HZ}Hz", "--plates=960", "--emg", "2@1920",
+               "--seconds", "120s", f"--pty={pty}"]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        expect(process.stdout.readline().strip(), "the simulator names no port")
+        with service(options, f"serial:{pty}", run, rig):
+            inlets = [inlet_of(f"{rig}-analog-{group}") for group in (0, 1)]
+            described = [inlet.info(10) for inlet in inlets]
+            expect([info.nominal_srate() for info in described] == [960, 1920], "rates")
+            ask(options, run, "start", "--name", "samples")
+            ages = [[], []]
+            with concurrent.futures.ThreadPoolExecutor(2) as pool:
+                pieces = list(pool.map(pulled, inlets, (3, 3), ages))
+            ask(options, run, "stop")
+            export = [str(options.mocapd), "export", str(run / "samples.take"), "-o", str(run / "samples.npz")]
+            subprocess.run(export, check=True, capture_output=True)
+            archive = dict(np.load(run / "samples.npz"))
+    finally:
+        process.terminate()
+        process.wait(10)
+    counts = []
+    for group, (info, (samples, stamps)) in enumerate(zip(described, pieces)):
+        labels = [channel[0] for channel in channels_of(info)]
+        expect(labels == [str(label) for label in archive[f"sampled_{group}_labels"]], labels)
+        expect({channel[2] for channel in channels_of(info)} == {"Analog"}, channels_of(info))
+        got, taken = np.array(samples, dtype=np.float32), archive[f"sampled_{group}"].astype(np.float32)
+        first = next(k for k in range(len(got)) if (got[k] == taken[0]).all())
+        n = min(len(got) - first, len(taken))
+        expect(n > 0.5 * len(got) and (got[first:first + n] == taken[:n]).all(), f"group {group}: {n} of {len(got)} samples")
+        times = archive[f"sampled_{group}_time_s"][:n]
+        apart = np.abs((stamps[first:first + n] - stamps[first]) - (times - times[0]))
+        expect(apart.max() < 1e-3, f"group {group}: times differ by {1e3 * apart.max()} ms")
+        expect_recent(ages[group], f"group {group}")
+        counts.append(n)
+    return f"{counts[0]} and {counts[1]} samples"
+
+
+def check_slow_inlet(options, folder):
+    """An inlet that does not read misses what does not fit, which is counted; the other misses nothing."""
+    import pylsl
+    rig, run = f"slow{os.getpid()}", folder / "slow"
+    with natnet_simulator(options, folder / "motion.csv") as uri, service(options, uri, run, rig):
+        (found,) = pylsl.resolve_byprop("name", rig, 1, 20)
+        with socket.socket() as silent:
+            silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            silent.connect(("127.0.0.1", data_port_of(found)))
+            # A second of samples may wait for it, and it reads none.
+            request = f"LSL:streamfeed/110 {found.uid()}\r\nNative-Byte-Order: 1234\r\nValue-Size: 4\r\n"
+            silent.sendall(f"{request}Max-Buffer-Length: {RATE_HZ}\r\nProtocol-Version: 110\r\n\r\n".encode())
+            inlet = inlet_of(rig)
+            samples, _ = pulled(inlet, 3)
+            deadline = time.monotonic() + 60
+            while True:
+                (status,) = ask(options, run, "status")["publish"]
+                missed = {client["address"]: client["frames_missed"] for client in status["clients"]}
+                slow = missed.pop(f"127.0.0.1:{silent.getsockname()[1]}")
+                more, _ = pulled(inlet, 1)
+                samples += more
+                if slow > status["frames_left_out"]:
+                    break
+                expect(time.monotonic() < deadline, status)
+            # What the publisher itself could not take in time, on a busy machine, all miss.
+            expect(max(missed.values()) <= status["frames_left_out"], status)
+    return f"{slow} samples missed by the one that does not read, {status['frames_left_out']} of {len(samples)} by the other"
+
+
+def data_port_of(found):
+    """The TCP port of a stream's data."""
+    text = found.as_xml()
+    return int(text.split("<v4data_port>")[1].split("<")[0])
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mocapd-sim", required=True, type=Path)
@@ -396,7 +627,7 @@ def main():
     options.mocapd, options.mocapd_sim = options.mocapd.resolve(), options.mocapd_sim.resolve()
     checks = [check_outlet, check_same_stream, check_units, check_eeg_and_events, check_irregular, check_outage,
               check_others_go_on, check_names,
-              check_convention]
+              check_convention, check_service, check_service_samples, check_slow_inlet]
     checks = [check for check in checks if options.only is None or options.only in check.__name__]
     passed = 0
     with tempfile.TemporaryDirectory() as folder:

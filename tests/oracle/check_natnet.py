@@ -1,4 +1,5 @@
-"""Talks to `mocapd-sim serve --protocol natnet` with clients that are not ours: natnet and motioncapture (libmotioncapture).
+"""Talks to `mocapd-sim serve --protocol natnet`, and to the service with `[publish.natnet]`, with clients that are not ours:
+natnet and motioncapture (libmotioncapture).
 
     python check_natnet.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
 
@@ -51,6 +52,11 @@ def position(column, frame):
     return tuple(float32(float32(v) / 1000.0) for v in places)
 
 
+def through_takes(metres):
+    """What the recorder makes of metres, millimetres of float32, in metres again: what the service publishes."""
+    return tuple(float32(float32(value * 1000.0) / 1000.0) for value in metres)
+
+
 def write_motion(path):
     names = [f"{label}.{axis}" for label in LABELS + UNLABELLED for axis in "xyz"]
     with path.open("w", newline="") as file:
@@ -97,6 +103,52 @@ def simulator(program, motion, version, is_multicast, *more):
         process.wait(10)
 
 
+def ask(program, folder, *words):
+    command = [str(program), "ctl", "--connect", f"unix:{folder}/rig.sock", *words, "--json"]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    expect(ran.returncode == 0, f"{words}: {ran.stderr}")
+    return json.loads(ran.stdout)
+
+
+@contextlib.contextmanager
+def service(program, device, version, is_multicast, folder):
+    """A service that records a device and publishes it as a NatNet server: the port of its commands, and that of its frames."""
+    port, data_port = free_port(), free_port()
+    stream = f'multicast = "239.255.42.99:{data_port}"' if is_multicast else f"data_port = {data_port}"
+    config = Path(folder) / "rig.toml"
+    config.write_text(f"""[device]
+uri = "{device}"
+[take]
+directory = "{folder}"
+keep_free = "0B"
+[arm]
+at_start = true
+[http]
+listen = ""
+socket = "{folder}/rig.sock"
+[publish.natnet]
+enabled = true
+listen = "127.0.0.1:{port}"
+bitstream = "{version}"
+{stream}
+""")
+    with (Path(folder) / "rig.log").open("w") as log:
+        process = subprocess.Popen([str(program), "run", "--config", str(config)], stdout=log, stderr=log)
+        try:
+            ends_at = time.monotonic() + FIRST_WORD_WITHIN_S
+            while True:
+                with contextlib.suppress(AssertionError):
+                    # The definitions have all markers once the writer knows them.
+                    if ask(program, folder, "status")["input"]["frames"] > RATE_HZ:
+                        break
+                expect(time.monotonic() < ends_at, (Path(folder) / "rig.log").read_text())
+                time.sleep(0.1)
+            yield port, data_port
+        finally:
+            process.terminate()
+            process.wait(20)
+
+
 def datagrams_dropped():
     """Datagrams that the system dropped because this process did not read them in time."""
     inodes = set()
@@ -109,10 +161,19 @@ def datagrams_dropped():
     return sum(int(line[12]) for line in lines if line[9] in inodes)
 
 
-def check_natnet_frame(frame, version):
-    """One frame as natnet reads it: every marker by its id, and those of the sets."""
+def published_row(frame):
+    """The row of the motion that the service has published, by a marker that is always seen."""
+    marker = next(marker for marker in frame.labeled_markers if marker.id_num == 1 << 16 | 1)
+    rows = [row for row in range(N_FRAMES) if through_takes(position(0, row)) == marker.pos]
+    expect(len(rows) == 1, f"no row has {marker}")
+    return rows[0]
+
+
+def check_natnet_frame(frame, version, first_row=None):
+    """One frame as natnet reads it: every marker by its id, and those of the sets. Of the service, whose frame 0 has this row."""
     number = frame.prefix.frame_number
-    row = number % N_FRAMES
+    row = (number + (first_row or 0)) % N_FRAMES
+    convert = tuple if first_row is None else through_takes
     by_id = {marker.id_num: marker for marker in frame.labeled_markers}
     places = {}
     for member, column in enumerate(range(32)):
@@ -121,27 +182,39 @@ def check_natnet_frame(frame, version):
         places[2 << 16 | member + 1] = column
     for marker_id, column in places.items():
         expected = position(column, row)
+        expected = expected and convert(expected)
         marker = by_id.pop(marker_id)
         expect(marker.occluded == (expected is None), f"frame {number} marker {column}: {marker}")
         expect(expected is None or marker.pos == expected, f"frame {number} marker {column}: {marker}, not {expected}")
     seen = {FIRST_ID + column: position(column, row) for column in range(N_LABELLED, COLUMNS)}
-    seen = {marker_id: place for marker_id, place in seen.items() if place is not None}
+    seen = {marker_id: convert(place) for marker_id, place in seen.items() if place is not None}
     if version == "2.10":
         expect(not by_id and sorted(frame.unlabeled_marker_pos) == sorted(seen.values()), f"frame {number}")
-    else:
+    elif first_row is None:
         expect({marker_id: marker.pos for marker_id, marker in by_id.items()} == seen, f"frame {number}: {by_id}")
         expect(all(marker.unlabeled for marker in by_id.values()), f"frame {number}")
+    else:
+        # Unlabelled markers have numbers in the order in which they appeared.
+        expect(set(by_id) <= set(range(FIRST_ID, FIRST_ID + 200)), f"frame {number}: {by_id}")
+        expect(sorted(marker.pos for marker in by_id.values()) == sorted(seen.values()), f"frame {number}: {by_id}")
+        expect(all(marker.unlabeled for marker in by_id.values()), f"frame {number}")
     sets = {one.model_name: one.marker_pos_list for one in frame.marker_sets}
-    expect(set(sets) == {"Body", ""} and sets["Body"][5] == position(5, row), f"frame {number}: {set(sets)}")
+    expect(set(sets) == {"Body", ""} and sets["Body"][5] == convert(position(5, row)), f"frame {number}: {set(sets)}")
     (body,) = frame.rigid_bodies
-    turn = number * TURN_PER_FRAME / 2
+    if first_row is not None and not body.tracking_valid:
+        # Its pose came too late, which the service counts.
+        return number
     expect(body.id_num == 1 and body.tracking_valid, f"frame {number}: {body}")
+    if first_row is not None:
+        expect(body.pos == convert(body_position(row)) and abs(math.hypot(*body.rot) - 1) < 1e-6, f"frame {number}: {body}")
+        return number
+    turn = number * TURN_PER_FRAME / 2
     rotation = (0.0, math.sin(turn), 0.0, math.cos(turn))
     expect(all(abs(got - wanted) < 1e-6 for got, wanted in zip(body.rot, rotation)), f"frame {number}: {body}")
     return number
 
 
-def check_natnet(port, data_port, version, is_multicast, seconds):
+def check_natnet(port, data_port, version, is_multicast, seconds, is_service=False, missed=lambda: 0):
     """Every frame is there, or was dropped by the system in front of this client."""
     from natnet import NatNetClient
 
@@ -152,7 +225,7 @@ def check_natnet(port, data_port, version, is_multicast, seconds):
     client.on_data_description_received_event.handlers.append(descriptions.append)
     with client:
         info = client.server_info
-        expect(info.application_name == "mocapd-sim", info)
+        expect(info.application_name == ("mocapd" if is_service else "mocapd-sim"), info)
         expect(str(info.nat_net_protocol_version) == f"{version}.0.0", info)
         client.request_modeldef()
         client.run_async()
@@ -165,17 +238,27 @@ def check_natnet(port, data_port, version, is_multicast, seconds):
     expect(names == LABELS, f"names {names}")
     bodies = [(body.name, body.id_num) for body in descriptions[-1].rigid_bodies]
     expect(bodies == [("Body", 1)], bodies)
-    numbers = [check_natnet_frame(frame, version) for frame in frames]
+    first_row = (published_row(frames[0]) - frames[0].prefix.frame_number) % N_FRAMES if is_service else None
+    numbers = [check_natnet_frame(frame, version, first_row) for frame in frames]
     missing = numbers[-1] - numbers[0] + 1 - len(numbers)
     expect(numbers == sorted(set(numbers)), "frames are repeated or out of order")
-    expect(missing <= dropped, f"{missing} frames are missing, {dropped} datagrams were dropped by the system")
+    counted = missed()
+    expect(missing <= dropped + counted, f"{missing} frames are missing, {dropped} datagrams were dropped by the system, and {counted} counted")
     expect(len(numbers) + missing > 0.8 * RATE_HZ * seconds, f"{len(numbers)} frames")
     if version != "2.10":
         # Not the number in front, nor the seconds: the stamp of the exposure.
         steps = {b.suffix.stamp_camera_mid_exposure - a.suffix.stamp_camera_mid_exposure
                  for a, b in zip(frames, frames[1:]) if b.prefix.frame_number == a.prefix.frame_number + 1}
-        expect(steps <= {CLOCK_HZ // RATE_HZ, CLOCK_HZ // RATE_HZ + 1}, f"steps of {steps} ticks")
-    return f"{len(numbers)} frames, {missing} missing"
+        if is_service:
+            # By the host's clock, to which the recording relates the device's.
+            period_ns = 1e9 / RATE_HZ
+            expect(all(0.5 * period_ns < step < 1.5 * period_ns for step in steps), f"steps of {steps} ns")
+            late_ns = [frame.suffix.stamp_data_received - frame.suffix.stamp_camera_mid_exposure for frame in frames]
+            expect(-1e6 < min(late_ns) and max(late_ns) < 1e9, f"captured up to {max(late_ns)} ns before its arrival")
+        else:
+            expect(steps <= {CLOCK_HZ // RATE_HZ, CLOCK_HZ // RATE_HZ + 1}, f"steps of {steps} ticks")
+    result = f"{len(numbers)} frames, {missing} missing"
+    return (result, sum(not frame.rigid_bodies[0].tracking_valid for frame in frames)) if is_service else result
 
 
 def body_position(row):
@@ -184,19 +267,20 @@ def body_position(row):
     return tuple(float32(sum(place[axis] for place in places) / len(places)) for axis in range(3))
 
 
-def check_motioncapture(port, _, version, is_multicast, seconds):
+def check_motioncapture(port, _, version, is_multicast, seconds, is_service=False, missed=None):
     """Names and poses of rigid bodies in the newest frames. Those of 2.10 have markers, which this client does not skip: there
     it only reads frames without bodies to their end."""
     import motioncapture
 
     client = motioncapture.connect("optitrack", {"hostname": "127.0.0.1", "interface_ip": "127.0.0.1",
                                                  "port_command": str(port)})
-    rows = {body_position(row): row for row in range(N_FRAMES)}
+    convert = through_takes if is_service else tuple
+    rows = {convert(body_position(row)): row for row in range(N_FRAMES)}
     expect(len(rows) == N_FRAMES, "two frames have the body at one place")
     count, seen, ends_at = 0, [], time.monotonic() + seconds
     while time.monotonic() < ends_at:
         client.waitForNextFrame()
-        bodies = client.rigidBodies
+        read_at, bodies = time.monotonic(), client.rigidBodies
         count += 1
         if version == "2.10":
             expect(not bodies, bodies)
@@ -206,13 +290,14 @@ def check_motioncapture(port, _, version, is_multicast, seconds):
         (body,) = bodies.values()
         place = tuple(float(value) for value in body.position)
         expect(place in rows, f"no frame has the body at {place}")
-        seen.append(rows[place])
+        seen.append((rows[place], read_at))
         rotation = body.rotation
         length = math.sqrt(rotation.w ** 2 + rotation.x ** 2 + rotation.y ** 2 + rotation.z ** 2)
-        expect(abs(length - 1) < 1e-6 and rotation.x == rotation.z == 0, f"rotation {rotation}")
+        expect(abs(length - 1) < 1e-6 and abs(rotation.x) + abs(rotation.z) < 1e-6, f"rotation {rotation}")
     # Those that wait behind the newest are left out by this client.
     expect(count > 10 * seconds, f"{count} frames")
-    steps = {(later - earlier) % N_FRAMES for earlier, later in zip(seen, seen[1:])}
+    # The motion comes again after two seconds: a client that was held up for one cannot tell.
+    steps = {(later - earlier) % N_FRAMES for (earlier, at), (later, read_at) in zip(seen, seen[1:]) if read_at - at < 0.8}
     expect(all(step < 0.5 * N_FRAMES for step in steps), f"frames go back: {steps}")
     return f"{count} frames"
 
@@ -235,14 +320,124 @@ def check_recorder_beside(port, data_port, version, is_multicast, seconds, mocap
     return result
 
 
+def check_service(name, data, version, is_multicast, seconds, mocapd):
+    """A client of the service, which records our simulator: as of the simulator itself; and what it counts."""
+    port, _ = data
+    with tempfile.TemporaryDirectory() as folder:
+        with service(mocapd, f"natnet:127.0.0.1:{port}", version, is_multicast, folder) as (published, data_port):
+            ask(mocapd, folder, "start", "--name", "published")
+            check = check_natnet if "motioncapture" not in name else check_motioncapture
+
+            def counted():
+                return ask(mocapd, folder, "status")["publish"][0]["frames_missed"]
+
+            result = check(published, data_port, version, is_multicast, seconds, is_service=True, missed=counted)
+            (status,) = ask(mocapd, folder, "status")["publish"]
+            expect(status["protocol"] == "natnet", status)
+            result, n_untracked = result if isinstance(result, tuple) else (result, 0)
+            expect(n_untracked <= status["poses_left_out"], f"{n_untracked} frames without a pose: {status}")
+            expect(status["frames_sent"] > 0.5 * RATE_HZ * seconds, status)
+            stopped = ask(mocapd, folder, "stop")
+            expect(stopped["ledger"]["closes"] and stopped["ledger"]["lost_on_link"] == 0, stopped)
+    return result
+
+
+@contextlib.contextmanager
+def sampled_device(program, folder):
+    """A simulated device with two force plates and two electrodes, on a pseudo-terminal: its URI."""
+    command = [program, "serve", "--generate", "jump", "--rate", f"{RATE_HZ}Hz", "--plates=960", "--emg", "2@1920", "--seconds", "120s",
+               f"--pty={folder}/device"]
+    process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
+    silent.start()
+    try:
+        expect(process.stdout.readline().strip(), "the simulator names no port")
+        yield f"serial:{folder}/device"
+    finally:
+        silent.cancel()
+        process.terminate()
+        process.wait(10)
+
+
+def check_samples(program, mocapd, seconds):
+    """Force plates and electrodes of the service: as many samples in each frame, and those of the take, in order."""
+    import numpy as np
+    from natnet import NatNetClient
+
+    # Its definitions of force plates have 12 bytes less than those of others (docs/natnet.md), so that it cannot read these.
+    frames = []
+    with tempfile.TemporaryDirectory() as folder, sampled_device(program, folder) as device:
+        with service(mocapd, device, "4.1", False, folder) as (port, data_port):
+            client = NatNetClient(server_ip_address="127.0.0.1", local_ip_address="127.0.0.1", command_port=port,
+                                  data_port=data_port, use_multicast=False)
+            client.on_data_frame_received_event.handlers.append(frames.append)
+            with client:
+                ask(mocapd, folder, "start", "--name", "samples")
+                client.run_async()
+                time.sleep(seconds)
+                client.stop_async()
+            ask(mocapd, folder, "stop")
+            export = [str(mocapd), "export", f"{folder}/samples.take", "-o", f"{folder}/samples.npz"]
+            subprocess.run(export, check=True, capture_output=True)
+            info = subprocess.run([str(mocapd), "info", f"{folder}/samples.take", "--json"], check=True, capture_output=True)
+            archive = dict(np.load(f"{folder}/samples.npz"))
+    groups = json.loads(info.stdout)["sampled_groups"]
+    expect([len(group["channels"]) for group in groups] == [12, 2], groups)
+    # The first frames go without samples that have not come, until frames never wait for a batch.
+    frames = frames[RATE_HZ // 4:]
+    first = frames[0].prefix.frame_number
+    counts = {(len(frame.force_plates), len(frame.devices)) for frame in frames}
+    expect(counts == {(2, 1)}, counts)
+    n_frames = frames[-1].prefix.frame_number - first + 1
+    found, n_without = {}, 0
+    for kind, per_frame, n_channels in (("force_plates", 4, 6), ("devices", 8, 2)):
+        for index in range(len(getattr(frames[0], kind))):
+            values = np.full((n_frames * per_frame, n_channels), np.nan, dtype=np.float32)
+            for frame in frames:
+                channels = np.array(getattr(frame, kind)[index].channel_arrays, dtype=np.float32)
+                if channels.shape == (n_channels, 0):
+                    # Those that have not come in time are in the next frame.
+                    n_without += 1
+                    continue
+                expect(channels.shape == (n_channels, per_frame), f"frame {frame.prefix.frame_number}: {channels.shape}")
+                at = (frame.prefix.frame_number - first) * per_frame
+                values[at:at + per_frame] = channels.T
+            found[kind, index] = values
+    plates, electrodes = archive["sampled_0"], archive["sampled_1"]
+    for (kind, index), columns in {("force_plates", 0): plates[:, :6], ("force_plates", 1): plates[:, 6:],
+                                   ("devices", 0): electrodes}.items():
+        same_samples(found[kind, index], columns.astype(np.float32), f"{kind} {index}")
+    expect(n_without <= 0.05 * len(found) * len(frames), f"{n_without} times a device of {len(frames)} frames has no samples")
+    return f"{len(frames)} frames, {sum(len(values) for values in found.values())} samples, {n_without} times none"
+
+
+def same_samples(ours, taken, what):
+    """What was published is a piece of what was recorded, where it was received."""
+    import numpy as np
+    seen = ~np.isnan(ours).any(axis=1)
+    start = int(np.flatnonzero(seen)[0])
+    places = np.flatnonzero((taken == ours[start]).all(axis=1))
+    n = [(int(at), min(len(ours) - start, len(taken) - int(at))) for at in places]
+    fits = [(at, length) for at, length in n
+            if (~seen[start:start + length] | (ours[start:start + length] == taken[at:at + length]).all(axis=1)).all()]
+    # The take ends with the reading of this client, or a moment later.
+    expect(any(length > 0.8 * (len(ours) - start) for _, length in fits), f"{what}: the take has other samples ({n})")
+
+
 def run_pair(job):
     name, version, is_multicast, program, mocapd, motion, seconds = job
     label = f"{name} {version} {'multicast' if is_multicast else 'unicast'}"
     # This client does not read the markers that rigid bodies have before 3.0.
-    more = () if (name, version) == ("motioncapture", "2.10") else ("--rigid-body", "Body")
+    more = () if name.startswith("motioncapture") and version == "2.10" else ("--rigid-body", "Body")
+    is_service = name.endswith("of the service")
     try:
-        with simulator(program, motion, version, is_multicast, *more) as (port, data_port):
-            if name == "recorder beside natnet":
+        if name == "samples of the service":
+            return True, f"ok   {label}: {check_samples(program, mocapd, seconds)}"
+        served = ("4.1", False) if is_service else (version, is_multicast)
+        with simulator(program, motion, *served, *more) as (port, data_port):
+            if is_service:
+                result = check_service(name, (port, data_port), version, is_multicast, seconds, mocapd)
+            elif name == "recorder beside natnet":
                 result = check_recorder_beside(port, data_port, version, is_multicast, seconds, mocapd)
             else:
                 check = check_natnet if name == "natnet" else check_motioncapture
@@ -257,14 +452,19 @@ def main():
     parser.add_argument("--mocapd-sim", required=True, type=Path)
     parser.add_argument("--mocapd", required=True, type=Path)
     parser.add_argument("--seconds", type=int, default=2, help="how long each stream is read")
+    parser.add_argument("--only", default="", help="run pairs whose name contains this")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         motion = Path(folder) / "motion.csv"
         write_motion(motion)
         programs = (options.mocapd_sim.resolve(), options.mocapd.resolve(), motion, options.seconds)
-        pairs = itertools.product(("natnet", "motioncapture"), VERSIONS, (True, False))
+        clients = ("natnet", "motioncapture")
+        clients += tuple(f"{client} of the service" for client in clients)
+        pairs = itertools.product(clients, VERSIONS, (True, False))
         jobs = [(*pair, *programs) for pair in pairs]
         jobs += [("recorder beside natnet", "4.1", is_multicast, *programs) for is_multicast in (True, False)]
+        jobs.append(("samples of the service", "4.1", False, *programs))
+        jobs = [job for job in jobs if options.only in f"{job[0]} {job[1]} {'multicast' if job[2] else 'unicast'}"]
         passed = 0
         # Side by side: each client has a server of its own. A process for each, because one client has one version.
         with concurrent.futures.ProcessPoolExecutor(max_workers=3, max_tasks_per_child=1) as pool:

@@ -1,8 +1,12 @@
 //! Frames that are lost, repeated, or sent with a wrong counter.
 
+use std::{thread::sleep, time::Duration};
+
+use mocapd_acquire::inspect::Summary;
 use mocapd_drivers::device::Status;
 use mocapd_take::{
     motion::is_gap,
+    record::{Event, EventKind},
     timeline::{LossCauses, RowRun},
 };
 
@@ -40,6 +44,30 @@ fn lost_frames_are_empty_rows_with_their_cause() {
         .collect();
     assert_eq!(not_received, [2, 29, 200]);
     assert_eq!(runs.iter().map(|run| run.rows).sum::<u64>(), 600);
+}
+
+/// A stream of events goes on while the camera waits: three times as many as the queue to the writer holds.
+#[test]
+fn events_are_recorded_while_no_frame_comes() {
+    let motion = jump(5, 100.0, 1.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    (0..50).for_each(|seq| feed(&mut intake, &motion, seq));
+    for piece in 0..6 {
+        for n in 0..500 {
+            let text = format!("event {}", piece * 500 + n);
+            intake.event(Event::new(EventKind::Mark, 5_500_000_000, text));
+        }
+        sleep(Duration::from_secs(1));
+    }
+    (50..100).for_each(|seq| feed(&mut intake, &motion, seq));
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    assert!(written.ledger.closes(), "{:?}", written.ledger);
+    let events = Summary::read(&take[..]).unwrap().take.events;
+    let texts: Vec<_> = events.iter().map(|event| event.text.clone()).collect();
+    let expected: Vec<_> = (0..3000).map(|n| format!("event {n}")).collect();
+    assert_eq!(texts, expected);
+    assert!(events.iter().all(|event| event.row == 50));
 }
 
 #[test]

@@ -8,5 +8,6 @@ mod finished;
 pub(crate) mod http;
 mod idle;
 mod publish;
+mod publish_network;
 mod timed;
 mod triggers;

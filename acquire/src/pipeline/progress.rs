@@ -5,7 +5,7 @@ use std::sync::{
     atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering},
 };
 
-use mocapd_take::record::{Channel, Ledger, SampleLedger, TakeEnding};
+use mocapd_take::record::{Channel, ClockLine, Ledger, SampleLedger, TakeEnding};
 
 use crate::files::{DisplacedFile, FileState};
 
@@ -18,6 +18,8 @@ pub struct PipelineProgress {
     pub lost: AtomicU64,
     /// How much faster the host's clock runs than the device's, in parts per billion.
     pub drift_ppb: AtomicI64,
+    /// The line from the device's clock to the host's, refitted with every stretch. Only the writer and observers use this lock.
+    pub clock_line: Mutex<Option<ClockLine>>,
     /// 99th percentile of the frames' lateness against the clock line, in microseconds; 0 while unknown.
     pub jitter_p99_us: AtomicU64,
     /// Bytes written.

@@ -171,6 +171,7 @@ impl Writer {
                 upkeep = Instant::now();
                 heartbeat.at_disk();
                 self.keep_up(idle_since.elapsed() >= sync_after);
+                self.apply_early_control();
                 let failed = progress.failed.load(Ordering::Relaxed);
                 let has_no_take = self.single_take && self.live.is_none();
                 if failed && !has_no_take && idle_since.elapsed() > PARTS_TIMEOUT {
@@ -237,7 +238,7 @@ impl Writer {
         let before = self.counts;
         self.counts = timeline.counts.unwrap_or(self.counts);
         let n_channels_before = self.table.len();
-        self.apply_control(stretch, &end);
+        self.apply_control(stretch, Some(&end));
         match self.command_at(stretch) {
             None => {
                 self.put_stretch(stretch, &end, before);
@@ -320,9 +321,17 @@ impl Writer {
         }
     }
 
+    /// Applies the channels and events of the open stretch: the queue must not overflow while no frame comes that ends it. A
+    /// recording that is divided waits, because the end of the stretch tells which take they belong to.
+    fn apply_early_control(&mut self) {
+        if self.split.is_none() && self.assembler.front_is_last().is_none() {
+            self.apply_control(self.assembler.next_stretch, None);
+        }
+    }
+
     /// Applies the channels and events that precede stretch `stretch`, except those for the next take of a recording
-    /// that is divided.
-    fn apply_control(&mut self, stretch: u64, end: &StretchEnd) {
+    /// that is divided. `end`: how the stretch ends, once that is known.
+    fn apply_control(&mut self, stretch: u64, end: Option<&StretchEnd>) {
         while let Some((at, item)) =
             self.next_control.take().or_else(|| self.control.try_recv().ok())
         {
@@ -334,14 +343,15 @@ impl Writer {
                 Control::Channel(new) => {
                     let channel = new.into_channel();
                     // The next take has it in its header.
-                    if !end.splits {
+                    if end.is_none_or(|end| !end.splits) {
                         self.with_take(|take, _| take.channel(&channel));
                     }
                     lock(&self.progress.channels).push(channel.clone());
                     self.table.push((stretch, channel));
                 }
                 Control::Event(event) => {
-                    let Some(event) = self.hold_event(event, end) else { continue };
+                    let held = end.map_or(Some(event.clone()), |end| self.hold_event(event, end));
+                    let Some(event) = held else { continue };
                     self.with_take(|take, _| take.event(&event));
                     if let Some(buffer) = &mut self.pre_roll {
                         buffer.event(at, event);
@@ -381,6 +391,7 @@ impl Writer {
 
     fn publish_clock(&self) {
         if let Some(line) = self.counts.clock.line {
+            *lock(&self.progress.clock_line) = Some(line);
             self.progress.drift_ppb.store(line.drift_ppb, Ordering::Relaxed);
             let p99_us = self.counts.clock.jitter.p99_us;
             self.progress.jitter_p99_us.store(p99_us, Ordering::Relaxed);

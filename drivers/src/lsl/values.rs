@@ -63,6 +63,49 @@ const WITH_TIME: u8 = 2;
 /// Longest text of a channel: settings as XML and pictures in base64 have been seen, of which an event has the beginning.
 pub(super) const TEXT_BYTES_MAX: usize = 1 << 20;
 
+/// Appends a sample of numbers; without a time it was taken one period after the one before.
+pub(super) fn put_floats(
+    time_s: Option<f64>,
+    values: &[f32],
+    is_big_endian: bool,
+    suppresses_subnormals: bool,
+    out: &mut Vec<u8>,
+) {
+    put_time(time_s, is_big_endian, out);
+    for value in values {
+        let is_suppressed = suppresses_subnormals && value.is_subnormal();
+        let value = if is_suppressed { 0.0 } else { *value };
+        let bytes = if is_big_endian { value.to_be_bytes() } else { value.to_le_bytes() };
+        out.extend_from_slice(&bytes);
+    }
+}
+
+/// Appends a sample of one text.
+pub(super) fn put_text(time_s: f64, text: &str, is_big_endian: bool, out: &mut Vec<u8>) {
+    put_time(Some(time_s), is_big_endian, out);
+    match u8::try_from(text.len()) {
+        Ok(length) => out.extend_from_slice(&[1, length]),
+        Err(_) => {
+            let length = u32::try_from(text.len()).unwrap_or(u32::MAX);
+            out.push(4);
+            out.extend_from_slice(&match is_big_endian {
+                true => length.to_be_bytes(),
+                false => length.to_le_bytes(),
+            });
+        }
+    }
+    out.extend_from_slice(text.as_bytes());
+}
+
+fn put_time(time_s: Option<f64>, is_big_endian: bool, out: &mut Vec<u8>) {
+    let Some(time_s) = time_s else {
+        out.push(WITHOUT_TIME);
+        return;
+    };
+    out.push(WITH_TIME);
+    out.extend_from_slice(&if is_big_endian { time_s.to_be_bytes() } else { time_s.to_le_bytes() });
+}
+
 /// What is agreed about a feed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct WireFormat {

@@ -306,7 +306,7 @@ impl NatNetHost {
         let rate_millihertz = self.hello.rate_millihertz;
         self.sampled =
             DeviceGroups::new(&self.model.sampled, self.samples_per_frame, frame, rate_millihertz);
-        self.remarks.extend(self.sampled.remark());
+        self.remarks.extend(self.sampled.remarks());
         let (model, version) = self.server.as_ref().map_or_else(Default::default, |server| {
             (server.name.clone(), server.app_version_text())
         });

@@ -1,6 +1,6 @@
 //! Frames of data in both directions, in the layouts of bitstreams 2.10 to 4.2 (`docs/natnet.md`).
 
-use super::message::{Bitstream, MessageKind, put_message};
+use super::message::{Bitstream, MessageKind, put_message, put_name};
 use crate::bytes::{Cursor, WireValue};
 
 /// Bytes of a position.
@@ -473,9 +473,11 @@ impl SampledToSend<'_> {
         self.id.put(out);
         (self.n_channels as u32).put(out);
         let n_samples = self.samples.len() / self.n_channels.max(1);
-        for channel in self.samples.chunks(n_samples.max(1)) {
-            (channel.len() as u32).put(out);
-            channel.iter().for_each(|sample| sample.put(out));
+        for channel in 0..self.n_channels {
+            // A frame without samples has each channel all the same.
+            let samples = self.samples.iter().skip(channel * n_samples).take(n_samples);
+            (samples.len() as u32).put(out);
+            samples.for_each(|sample| sample.put(out));
         }
     }
 }
@@ -534,8 +536,7 @@ pub fn put_frame(frame: &FrameToSend<'_>, version: Bitstream, out: &mut Vec<u8>)
         frame.number.put(out);
         put_section(frame.sets.len(), version, out, |out| {
             for set in frame.sets {
-                out.extend_from_slice(set.name.as_bytes());
-                out.push(0);
+                put_name(set.name, out);
                 (set.positions_m.len() as u32).put(out);
                 set.positions_m.iter().for_each(|position| position.put(out));
             }

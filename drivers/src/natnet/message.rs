@@ -27,6 +27,27 @@ macro_rules! kinds {
     };
 }
 
+impl MessageKind {
+    /// Whether only servers send it.
+    #[must_use]
+    pub fn is_of_servers(self) -> bool {
+        use MessageKind::{
+            DisconnectByTimeout, EchoReply, Frame, Model, Response, ServerInfo, Text, Unrecognized,
+        };
+        matches!(
+            self,
+            ServerInfo
+                | Response
+                | Model
+                | Frame
+                | Text
+                | DisconnectByTimeout
+                | EchoReply
+                | Unrecognized
+        )
+    }
+}
+
 kinds! {
     /// A client asks who is there; a server that does not use multicast sends it frames from then on.
     Connect = 0
@@ -108,6 +129,17 @@ pub fn put_text(kind: MessageKind, text: &str, out: &mut Vec<u8>) {
     });
 }
 
+/// Bytes of a client's request to connect in front of the version that it wants: `Ping` in place of a name, versions and a flag.
+const WANTED_VERSION_AT: usize = NAME_BYTES + 4 + 4 + 1;
+
+/// The version of the bitstream that a client wants with its request to connect: from the SDK of Motive 3 on, with zeros for
+/// any.
+#[must_use]
+pub fn read_wanted_version(body: &[u8]) -> Option<Bitstream> {
+    let [major, minor, _, _] = Cursor::new(body.get(WANTED_VERSION_AT..)?).array()?;
+    (major != 0).then_some(Bitstream::new(major, minor))
+}
+
 /// A client's time, and in a reply the server's clock.
 pub fn put_echo(client_time: u64, server_ticks: Option<u64>, out: &mut Vec<u8>) {
     let kind = if server_ticks.is_some() { MessageKind::EchoReply } else { MessageKind::Echo };
@@ -141,6 +173,12 @@ fn put_sender(name: &str, app_version: [u8; 4], version: Bitstream, out: &mut Ve
     out.extend_from_slice(&field);
     out.extend_from_slice(&app_version);
     out.extend_from_slice(&[version.major, version.minor, 0, 0]);
+}
+
+/// A name as frames and definitions have it, terminated by a NUL and without others.
+pub(super) fn put_name(name: &str, out: &mut Vec<u8>) {
+    out.extend(name.bytes().filter(|byte| *byte != 0));
+    out.push(0);
 }
 
 /// Longest text of a server's that is kept, in characters.

@@ -3,6 +3,7 @@
 //! [`NatNetHost`] is the client's end, sans-io; it sends [line commands](crate::transport::polled). What a server says and
 //! understands is in the same modules, so that both ends have one description of every message.
 
+mod assets;
 mod bodies;
 mod bring_up;
 pub(crate) mod discovery;
@@ -19,6 +20,7 @@ mod stream_run;
 use std::net::Ipv4Addr;
 
 pub use self::{
+    assets::{AssetTable, ServedMarker, in_m},
     discovery::find_servers,
     frame::{
         ACTIVE, ChannelSamples, FrameEnd, FrameOfData, FrameToSend, HAS_MODEL, MEASURED,
@@ -28,10 +30,13 @@ pub use self::{
     host::NatNetHost,
     message::{
         Bitstream, HEADER_BYTES, MESSAGE_BYTES_MAX, Message, MessageKind, ServerInfo, StreamInfo,
-        put_discovery, put_echo, put_message, put_text, read_echo_reply,
+        put_discovery, put_echo, put_message, put_text, read_echo_reply, read_wanted_version,
     },
     model::{Asset, AssetKind, MarkerSet, Model, ModelError, SampledDescription},
-    server::{CLIENTS_MAX, NatNetServer, ServedStream, ServerDatagram, ServerSettings},
+    server::{
+        CLIENTS_MAX, DatagramContent, NatNetServer, ServedStream, ServerDatagram, ServerSettings,
+        StreamReport,
+    },
 };
 use crate::{
     device::{Claim, Family},

@@ -2,7 +2,7 @@
 
 use super::{
     frame::put_size,
-    message::{Bitstream, MessageKind, put_message, text_of},
+    message::{Bitstream, MessageKind, put_message, put_name, text_of},
 };
 use crate::bytes::{Cursor, WireValue};
 
@@ -315,11 +315,6 @@ fn read_body_markers(cursor: &mut Cursor<'_>, version: Bitstream) -> Option<Vec<
         }
     }
     Some(names)
-}
-
-fn put_name(name: &str, out: &mut Vec<u8>) {
-    out.extend(name.bytes().filter(|byte| *byte != 0));
-    out.push(0);
 }
 
 fn put_names(names: &[String], out: &mut Vec<u8>) {

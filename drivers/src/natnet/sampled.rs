@@ -28,6 +28,8 @@ pub(super) struct DeviceGroups {
     groups: Vec<DeviceGroup>,
     /// Devices that were left out: too many, or too many channels.
     n_left_out: usize,
+    /// Devices whose first frame is unlike what the server states: what that is, and what is recorded.
+    contradictions: Vec<String>,
     /// Frames of a device that had another number of channels or samples, or was not announced.
     pub(super) n_misfits: u64,
     values: Vec<f32>,
@@ -52,9 +54,12 @@ impl DeviceGroups {
             let of = |data: &SampledData<'_>| {
                 (data.is_plate, data.id) == (description.is_plate, description.id)
             };
-            let seen = seen().find(of).and_then(samples_of);
+            let data = seen().find(of);
+            let seen = data.and_then(samples_of);
             let n_samples = seen.or(samples_per_frame).unwrap_or(1);
-            groups.add(description, n_samples, rate_millihertz);
+            groups.compare(description, data, samples_per_frame);
+            let as_sent = data.and_then(|data| as_sent(description, &data));
+            groups.add(as_sent.as_ref().unwrap_or(description), n_samples, rate_millihertz);
         }
         for data in seen() {
             let is_new =
@@ -66,6 +71,33 @@ impl DeviceGroups {
             }
         }
         groups
+    }
+
+    /// Notes where the first frame contradicts what the server states.
+    fn compare(
+        &mut self,
+        description: &SampledDescription,
+        data: Option<SampledData<'_>>,
+        stated: Option<u32>,
+    ) {
+        let Some(data) = data.filter(|_| self.contradictions.len() < GROUPS_MAX) else { return };
+        let SampledDescription { name, channels, .. } = description;
+        let (described, sent) = (channels.len(), data.n_channels as usize);
+        if described != sent {
+            self.contradictions.push(format!(
+                "'{name}' has {described} channels by its description and {sent} in frames, which are recorded"
+            ));
+        }
+        if let (Some(sent), Some(stated)) = (samples_of(data), stated)
+            && sent < stated
+            && !stated.is_multiple_of(sent)
+        {
+            // A divisor is another rate than that of the first device. Anything else is a device that has just started.
+            self.contradictions.push(format!(
+                "'{name}' has {sent} samples in a frame, not the {stated} that the server states: frames with another number \
+                 are left out"
+            ));
+        }
     }
 
     fn add(&mut self, description: &SampledDescription, samples_per_frame: u32, rate: u32) {
@@ -98,15 +130,16 @@ impl DeviceGroups {
         self.groups.iter().map(|group| &group.info)
     }
 
-    /// What is left out, for the take.
-    pub(super) fn remark(&self) -> Option<String> {
-        (self.n_left_out > 0).then(|| {
+    /// What is left out or unlike what the server states, for the take.
+    pub(super) fn remarks(&self) -> Vec<String> {
+        let left_out = (self.n_left_out > 0).then(|| {
             format!(
                 "{} force plates or devices are left out: at most {GROUPS_MAX} of at most {SAMPLED_CHANNELS_MAX} channels \
                  are recorded",
                 self.n_left_out
             )
-        })
+        });
+        self.contradictions.iter().cloned().chain(left_out).collect()
     }
 
     /// Passes on the samples of a frame, which is the `index`th of the device and was exposed at `device_ticks`.
@@ -152,6 +185,18 @@ fn samples_of(data: SampledData<'_>) -> Option<u32> {
     let n_samples = data.channels().next()?.count();
     let n_samples = data.channels().all(|c| c.count() == n_samples).then_some(n_samples)?;
     u32::try_from(n_samples).ok().filter(|n| (1..=SAMPLES_PER_FRAME_MAX).contains(n))
+}
+
+/// A description with as many channels as frames have, by their names as far as these go.
+fn as_sent(description: &SampledDescription, data: &SampledData<'_>) -> Option<SampledDescription> {
+    let n_channels = data.channels().count();
+    if n_channels == description.channels.len() || n_channels == 0 {
+        return None;
+    }
+    let mut channels = description.channels.clone();
+    channels.truncate(n_channels);
+    channels.extend((channels.len() + 1..=n_channels).map(|n| format!("channel {n}")));
+    Some(SampledDescription { channels, ..description.clone() })
 }
 
 /// The description of a device that the server does not describe.

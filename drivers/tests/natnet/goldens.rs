@@ -1,6 +1,6 @@
 //! Messages whose bytes are known from elsewhere: those that Motive 2.1 and `NatNetLib` 3.0 sent, as published with `python_natnet`
 //! (<https://github.com/mje-nz/python_natnet/tree/master/test_data>). Their values are written out here; the checksum says
-//! that the bytes are the same as there.
+//! that the bytes are the same as there. A frame of Motive 1.9 is published with `natnet-decode`.
 
 use std::net::Ipv4Addr;
 
@@ -246,5 +246,87 @@ fn definitions_read() {
     assert_eq!(sets, [("RaceQuad", "Marker5"), ("all", "RaceQuad_5")]);
     for cut in 0..body.len() {
         assert!(Model::read(&body[..cut], V3_0).is_err(), "{cut}");
+    }
+}
+
+/// A frame that Motive 1.9 sent, whose bitstream 2.9 has the layout of 2.10: a rigid body with its markers, and these as
+/// labelled ones. Published with `natnet-decode` (MIT,
+/// <https://github.com/nordmoen/natnet-decode/tree/master/tests/data>, `frame-motive-1.9.0-001.bin`).
+#[test]
+fn a_frame_before_3_0_has_its_bytes() {
+    let places = [
+        [0x3EB0_3BD4, 0x3C77_F097, 0x3E1A_284B],
+        [0x3E46_7D13, 0x3C78_6AC9, 0x3E1E_FA87],
+        [0x3E4C_E0F5, 0x3C85_694E, 0x3EB5_F746],
+    ];
+    let sizes: [u32; 3] = [0x3CB6_6188, 0x3CAB_1B18, 0x3CB6_DBEC];
+    let body: [u32; 7] =
+        [0x3E7B_3A3A, 0x3C8A_F031, 0x3E61_71B9, 0x3AFB_046E, 0xBC83_9F32, 0xB996_3E29, 0xBF7F_F76B];
+    let mut bytes = Vec::new();
+    put_message(MessageKind::Frame, &mut bytes, |out| {
+        fn put(out: &mut Vec<u8>, values: &[u32]) {
+            values.iter().for_each(|value| out.extend(value.to_le_bytes()));
+        }
+        put(out, &[11_823_217, 2]);
+        for name in [&b"Triangle\0"[..], b"all\0"] {
+            out.extend(name);
+            put(out, &[3]);
+            put(out, places.as_flattened());
+        }
+        // No others, one rigid body, and its markers, their numbers and sizes.
+        put(out, &[0, 1, 2]);
+        put(out, &body);
+        put(out, &[3]);
+        put(out, places.as_flattened());
+        put(out, &[1, 2, 3]);
+        put(out, &sizes);
+        put(out, &[0x38F2_7800]);
+        out.extend(1_u16.to_le_bytes());
+        // No skeletons, and the labelled markers.
+        put(out, &[0, 3]);
+        for (index, (place, size)) in places.iter().zip(sizes).enumerate() {
+            put(out, &[0x2_0001 + index as u32]);
+            put(out, place);
+            put(out, &[size]);
+            out.extend((HAS_MODEL | MEASURED).to_le_bytes());
+        }
+        // No force plates; latency, timecode, time stamp, flags and tag.
+        put(out, &[0, 0x47C0_6F67, 0, 0]);
+        out.extend(98_526.808_333_333_33_f64.to_le_bytes());
+        out.extend([0; 6]);
+    });
+    is_file(&bytes, 319, 0xFCD5_9236);
+    let body_read = Message::of(&bytes).unwrap().body;
+    let frame = FrameOfData::read(body_read, Bitstream::OLDEST).unwrap();
+    assert_eq!((frame.number, frame.n_bodies), (11_823_217, [1, 0, 0]));
+    let labelled: Vec<_> = frame.markers().collect();
+    let expected: Vec<_> = places
+        .iter()
+        .zip(sizes)
+        .enumerate()
+        .map(|(index, (place, size_m))| NatNetMarker {
+            id: 0x2_0001 + index as u32,
+            position_m: floats(*place),
+            size_m: f32::from_bits(size_m),
+            flags: HAS_MODEL | MEASURED,
+            residual_m: 0.0,
+        })
+        .collect();
+    assert_eq!(labelled, expected);
+    let [x, y, z, qx, qy, qz, qw] = floats(body);
+    let read: Vec<_> = frame.bodies().collect();
+    assert_eq!(
+        read,
+        [WireBody {
+            id: 2,
+            position_m: [x, y, z],
+            quaternion_xyzw: [qx, qy, qz, qw],
+            error_m: f32::from_bits(0x38F2_7800),
+            is_tracked: true,
+        }]
+    );
+    assert!((frame.end.timestamp_s - 98_526.808_333).abs() < 1e-6 && frame.has_tag);
+    for other in [Bitstream::new(2, 11), Bitstream::new(3, 0), Bitstream::new(4, 1)] {
+        assert!(FrameOfData::read(body_read, other).is_none_or(|read| !read.has_tag), "{other}");
     }
 }

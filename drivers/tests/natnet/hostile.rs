@@ -1,8 +1,8 @@
-//! Mutated packets in both directions: no panic, bounded memory, and back in step.
+//! Mutated packets in both directions: no panic, and back in step.
 
 use mocapd_drivers::natnet::{
-    Bitstream, HEADER_BYTES, MessageKind, NatNetServer, ServedStream, put_echo, put_message,
-    put_text,
+    Bitstream, CLIENTS_MAX, DatagramContent, FrameOfData, HEADER_BYTES, Message, MessageKind,
+    NatNetServer, ServedStream, ServerDatagram, ServerInfo, put_echo, put_message, put_text,
 };
 use mocapd_testkit::random::Random;
 
@@ -70,6 +70,7 @@ fn packets(version: Bitstream) -> Vec<Vec<u8>> {
 /// A stream goes on behind a mutated datagram.
 #[test]
 fn the_driver_is_back_in_step_after_mutated_datagrams() {
+    let (mut n_refused, mut n_lost) = (0, 0);
     for seed in 0..N_MUTATIONS {
         let mut random = Random::new(SEED + seed);
         let version = VERSIONS[random.below(VERSIONS.len())];
@@ -89,6 +90,7 @@ fn the_driver_is_back_in_step_after_mutated_datagrams() {
         }
         pair.steps(60);
         if pair.driver.is_over() {
+            n_refused += 1;
             continue;
         }
         pair.driver.command(mocapd_drivers::device::Command::Start { line_bytes_per_s: 0 });
@@ -98,6 +100,7 @@ fn the_driver_is_back_in_step_after_mutated_datagrams() {
         pair.steps(2);
         if pair.driver.is_over() {
             // A forged version, or a change of the clock: that is reported.
+            n_lost += 1;
             continue;
         }
         let before = pair.driver.reported.frames.len();
@@ -113,6 +116,8 @@ fn the_driver_is_back_in_step_after_mutated_datagrams() {
         assert!(pair.driver.reported.frames.iter().all(finite), "seed {seed}");
         assert!(pair.driver.reported.notes.len() < 70, "seed {seed}");
     }
+    // Forged versions and rates: few of all mutations.
+    assert!(n_refused < N_MUTATIONS / 20 && n_lost < N_MUTATIONS / 20, "{n_refused}, {n_lost}");
 }
 
 #[test]
@@ -170,25 +175,135 @@ fn the_server_survives_mutated_commands() {
 fn clients_that_are_gone_or_too_many_cost_nothing() {
     let stream = ServedStream::Unicast(1511);
     let mut server = NatNetServer::new(settings(Bitstream::NEWEST, stream));
-    let mut connect = Vec::new();
-    put_text(MessageKind::Connect, "Ping", &mut connect);
-    for port in 0..2000 {
-        let address = std::net::SocketAddr::from(([10, 0, (port % 50) as u8, 1], 20_000 + port));
-        server.receive(address, &connect, 0, 0);
+    let connect = connect(None);
+    let at = |n: u16| std::net::SocketAddr::from(([10, 0, (n % 50) as u8, 1], 20_000 + n));
+    for n in 0..2000 {
+        server.receive(at(n), &connect, 0, 0);
     }
     server.take_datagrams();
     frame_bytes(0, &[], 0, &mut server);
     let n = server.take_datagrams().len();
-    assert_eq!(
-        n,
-        2 * mocapd_drivers::natnet::CLIENTS_MAX,
-        "its own socket, and the port of its machine"
-    );
+    assert_eq!(n, 2 * CLIENTS_MAX, "its own socket, and the port of its machine");
+    assert_eq!(server.n_refused(), 2000 - CLIENTS_MAX as u64);
     let keep_alive = [10, 0, 0, 0];
-    let one = std::net::SocketAddr::from(([10, 0, 49, 1], 21_999));
-    server.receive(one, &keep_alive, 0, 9_000 * MS);
+    server.receive(at(1), &keep_alive, 0, 9_000 * MS);
+    // One that has been silent makes room.
+    server.receive(at(1999), &connect, 0, 9_000 * MS);
+    assert!(server.reports().iter().any(|report| report.address == at(1999)));
     let frame = mocapd_drivers::natnet::FrameToSend::default();
-    assert_eq!(server.frame(&frame, 15_000 * MS), Some(2));
+    assert_eq!(server.frame(&frame, 15_000 * MS), Some(4));
     assert_eq!(server.frame(&frame, 30_000 * MS), Some(0));
     assert!(!server.has_listeners());
+}
+
+/// A request to connect, as clients from the SDK of Motive 3 on send it where they want a version.
+fn connect(version: Option<[u8; 4]>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    match version {
+        None => put_text(MessageKind::Connect, "Ping", &mut bytes),
+        Some(version) => put_message(MessageKind::Connect, &mut bytes, |out| {
+            out.extend(*b"Ping");
+            out.resize(4 + 265, 0);
+            out.extend(version);
+            out.push(0);
+        }),
+    }
+    bytes
+}
+
+#[test]
+fn each_client_has_its_version_and_its_machine_that_of_the_last() {
+    let stream = ServedStream::Unicast(1511);
+    let mut server = NatNetServer::new(settings(Bitstream::new(4, 1), stream)).limited_to(3);
+    let at = |port| std::net::SocketAddr::from(([10, 0, 0, 1], port));
+    server.receive(at(1), &connect(Some([0; 4])), 0, 0);
+    server.receive(at(2), &connect(Some([3, 1, 0, 0])), 0, 0);
+    // Readers take the layout from what the server states: that of their own frames.
+    let stated = |datagram: &ServerDatagram| {
+        ServerInfo::read(Message::of(&datagram.bytes).unwrap().body).unwrap().bitstream
+    };
+    let versions: Vec<_> = server.take_datagrams().iter().map(stated).collect();
+    assert_eq!(versions, [Bitstream::new(4, 1), Bitstream::new(3, 1)]);
+    server.receive(at(3), &connect(Some([5, 0, 0, 0])), 0, 0);
+    server.receive(at(4), &connect(None), 0, 0);
+    server.take_datagrams();
+    assert_eq!(server.n_refused(), 1);
+    let versions = |server: &NatNetServer| -> Vec<String> {
+        server.reports().iter().map(|report| report.version.to_string()).collect()
+    };
+    assert_eq!(versions(&server), ["4.1", "3.1", "4.1"]);
+    let mut request = Vec::new();
+    put_text(MessageKind::Request, "Bitstream,3.0.0", &mut request);
+    server.receive(at(3), &request, 0, 0);
+    server.take_datagrams();
+    assert_eq!(versions(&server), ["4.1", "3.1", "3.0"]);
+    frame_bytes(7, &[50_007], 0, &mut server);
+    let sent = server.take_datagrams();
+    let found: Vec<_> =
+        sent.iter().map(|datagram| (datagram.to.port(), datagram.content)).collect();
+    let frames = [1, 2, 3].map(|port| (port, DatagramContent::Frame));
+    assert_eq!(found, [&frames[..], &[(1511, DatagramContent::Copy)]].concat());
+    let reads = |datagram: &ServerDatagram, version| {
+        let body = Message::of(&datagram.bytes).unwrap().body;
+        FrameOfData::read(body, version).is_some_and(|frame| frame.number == 7)
+    };
+    assert!(reads(&sent[0], Bitstream::new(4, 1)) && reads(&sent[1], Bitstream::new(3, 1)));
+    assert!(reads(&sent[3], Bitstream::new(3, 0)), "the client that connected last");
+    for (datagram, is_sent) in sent.iter().zip([true, false, true, true]) {
+        server.datagram_sent(datagram, is_sent);
+    }
+    server.left_out(2);
+    let counts: Vec<_> =
+        server.reports().iter().map(|r| (r.frames_sent, r.frames_missed)).collect();
+    assert_eq!(counts, [(1, 2), (0, 3), (1, 2)]);
+    server.receive(at(2), &[9, 0, 0, 0], 0, 0);
+    assert_eq!((server.frames_missed(), server.reports().len()), (7, 2));
+    // Too large for a datagram: missed by all.
+    let many = vec![mocapd_drivers::natnet::NatNetMarker::default(); 3000];
+    let large = mocapd_drivers::natnet::FrameToSend { labelled: &many, ..Default::default() };
+    assert_eq!(server.frame(&large, 0), None);
+    assert_eq!(server.frames_missed(), 9);
+}
+
+/// Two servers must not answer each other for ever, and a forged request must not be answered with much more.
+#[test]
+fn words_of_servers_are_left_and_definitions_are_for_clients_and_few() {
+    for stream in [MULTICAST, ServedStream::Unicast(1511)] {
+        let mut server = NatNetServer::new(settings(Bitstream::NEWEST, stream));
+        let other = client();
+        for kind in MessageKind::ALL.iter().filter(|kind| kind.is_of_servers()) {
+            let mut bytes = Vec::new();
+            put_message(*kind, &mut bytes, |out| out.extend([0; 16]));
+            server.receive(other, &bytes, 0, 0);
+            assert_eq!(server.take_datagrams(), [], "{kind:?}");
+        }
+        let mut request = Vec::new();
+        put_message(MessageKind::RequestModel, &mut request, |_| {});
+        server.receive(other, &request, 0, 0);
+        assert_eq!(server.take_datagrams(), [], "it has not connected");
+        server.receive(other, &connect(None), 0, 0);
+        server.take_datagrams();
+        for _ in 0..100 {
+            server.receive(other, &request, 0, 500 * MS);
+        }
+        assert_eq!(server.take_datagrams().len(), 10, "in a second");
+        server.receive(other, &request, 0, 1500 * MS);
+        assert_eq!(server.take_datagrams().len(), 1);
+        // What another server sends is no sign of life.
+        server.receive(other, &[100, 0, 0, 0], 0, 9_000 * MS);
+        server.forget_silent(12_000 * MS);
+        server.receive(other, &request, 0, 12_000 * MS);
+        assert_eq!(server.take_datagrams(), []);
+    }
+}
+
+#[test]
+fn a_client_at_the_port_of_frames_gets_each_once() {
+    let mut server = NatNetServer::new(settings(Bitstream::NEWEST, ServedStream::Unicast(1511)));
+    for port in [1511, 2000] {
+        let address = std::net::SocketAddr::from(([10, 0, 0, 1], port));
+        server.receive(address, &connect(None), 0, 0);
+    }
+    server.take_datagrams();
+    assert_eq!(server.frame(&mocapd_drivers::natnet::FrameToSend::default(), 0), Some(2));
 }

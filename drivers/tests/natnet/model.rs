@@ -1,8 +1,8 @@
 //! Definitions and frames in every layout, written by the server and read by the driver.
 
 use mocapd_drivers::natnet::{
-    Asset, AssetKind, Bitstream, FrameOfData, Message, MessageKind, Model, ModelError,
-    NatNetServer, ServedStream, put_message,
+    Asset, AssetKind, Bitstream, FrameOfData, FrameToSend, Message, MessageKind, Model, ModelError,
+    NatNetServer, SampledToSend, ServedStream, put_frame, put_message,
 };
 
 use crate::pair::{GROUP, frame_bytes, model, settings};
@@ -67,10 +67,11 @@ fn descriptions_that_state_their_size_are_skipped_and_others_refused() {
     assert_eq!(unknown(Bitstream::new(3, 1)), Err(ModelError::UnknownType(77)));
 }
 
-/// From 4.2 on some writers have a quaternion in front of a rigid body's markers.
+/// A rigid body as both samples of the vendor's SDK 4.2 read it: from 4.2 on, four floats of a rotation stand between its
+/// position and its markers.
 #[test]
-fn a_rigid_bodys_markers_are_found_by_the_size() {
-    for rotation in [0, 16] {
+fn a_rigid_bodys_markers_are_behind_its_rotation_from_4_2_on() {
+    let described = |rotation: usize| {
         let mut out = Vec::new();
         put_message(MessageKind::Model, &mut out, |out| {
             out.extend([1_u32, 1].into_iter().flat_map(u32::to_le_bytes));
@@ -83,8 +84,40 @@ fn a_rigid_bodys_markers_are_found_by_the_size() {
             out.extend((body.len() as u32).to_le_bytes());
             out.extend(body);
         });
-        let model = Model::read(Message::of(&out).unwrap().body, Bitstream::NEWEST).unwrap();
-        assert_eq!(model.assets[0].markers, ["tip", "tail"], "{rotation}");
+        out
+    };
+    let read = |bytes: &[u8], version| Model::read(Message::of(bytes).unwrap().body, version);
+    // Servers of either version that have the other's layout are told by the size.
+    for rotation in [0, 16] {
+        for version in [Bitstream::new(4, 1), Bitstream::NEWEST] {
+            let model = read(&described(rotation), version).unwrap();
+            assert_eq!(model.assets[0].markers, ["tip", "tail"], "{version} {rotation}");
+        }
+    }
+    // What we write has that of its version: a reader that knows no other finds the number of markers.
+    let mut sent = Model::default();
+    let (kind, id, name) = (AssetKind::RigidBody, 5, "wand".to_owned());
+    sent.assets.push(Asset { kind, id, name, markers: Vec::new() });
+    for (version, rotation) in [(Bitstream::new(4, 1), 0), (Bitstream::NEWEST, 16)] {
+        let mut bytes = Vec::new();
+        sent.put(version, &mut bytes);
+        let fixed = 4 + 4 + 8 + 5 + 4 + 4 + 12;
+        assert_eq!(bytes.len(), fixed + rotation + 4, "{version}");
+    }
+}
+
+/// A device that has just started, or samples that come later than their frame.
+#[test]
+fn a_frame_without_samples_has_its_channels() {
+    let plates = [SampledToSend { id: 1, n_channels: 6, samples: &[] }];
+    let frame = FrameToSend { plates: &plates, ..FrameToSend::default() };
+    for version in VERSIONS {
+        let mut bytes = Vec::new();
+        put_frame(&frame, version, &mut bytes);
+        let read = FrameOfData::read(Message::of(&bytes).unwrap().body, version).unwrap();
+        let plate = read.sampled().next().unwrap();
+        let counts: Vec<_> = plate.channels().map(|channel| channel.count()).collect();
+        assert_eq!((plate.n_channels, counts), (6, vec![0; 6]), "{version}");
     }
 }
 

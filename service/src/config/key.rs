@@ -1,6 +1,11 @@
 //! A configuration key: its type and default, how its value is read, and how it is written out.
 
-use std::{net::SocketAddr, ops::RangeInclusive, path::PathBuf, time::Duration};
+use std::{
+    net::{SocketAddr, SocketAddrV4},
+    ops::RangeInclusive,
+    path::PathBuf,
+    time::Duration,
+};
 
 use mocapd_store::without_secrets;
 use serde::Serialize;
@@ -10,6 +15,7 @@ use toml::de::DeValue;
 use super::{
     Config,
     problem::{ConfigProblem, SourceLocation, excerpt},
+    publishers::group,
 };
 use crate::units::{self, duration_text, size_text};
 
@@ -437,6 +443,13 @@ impl ConfigValue for Option<SocketAddr> {
 
     fn to_json(&self) -> Option<Json> {
         Some(json!(self.map_or_else(String::new, |address| address.to_string())))
+    }
+}
+
+/// A multicast group and a port.
+impl ConfigValue for SocketAddrV4 {
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        raw.text(|text| group(text).map_err(Some))
     }
 }
 

@@ -9,7 +9,9 @@ use std::{
 
 use mocapd_acquire::pipeline::{STRETCH_LENGTHS, SYNC_MAX};
 use mocapd_codec::{ResamplerKind, Tolerance};
-use mocapd_drivers::qtm::CLIENTS_MAX as QTM_CLIENTS_MAX;
+use mocapd_drivers::{
+    lsl::INLETS_MAX, natnet::CLIENTS_MAX as NATNET_CLIENTS_MAX, qtm::CLIENTS_MAX as QTM_CLIENTS_MAX,
+};
 use mocapd_store::{ObjectUrl, is_url};
 use serde_json::json;
 
@@ -20,6 +22,7 @@ use super::{
         address, field, path,
     },
     problem::suggestion,
+    publishers,
 };
 use crate::{
     http::CONNECTIONS_MAX, log::Level, subject::NAME_BYTES_MAX, trigger::DELAY_MAX, units,
@@ -39,6 +42,8 @@ pub const SECTIONS: &[(&str, &str)] = &[
     ("http", "The HTTP interface: its addresses, and who may use it."),
     ("trigger", "Capture triggers over UDP, received and sent."),
     ("publish.qtm", "What is recorded, published live as Qualisys QTM does."),
+    ("publish.natnet", "What is recorded, published live as OptiTrack's Motive does."),
+    ("publish.lsl", "What is recorded, published live as streams of the Lab Streaming Layer."),
     ("log", "How much is logged."),
 ];
 
@@ -303,6 +308,56 @@ keys! {
     publish.qtm.password_file: ValueType::Text("the path of a file"),
         DefaultValue::Absent("\"/etc/mocapd/qtm-password\""), ReloadPolicy::Restart,
         field!(publish_qtm.password_file);
+    /// Whether the service publishes what it receives as a NatNet server (docs/natnet.md).
+    /// Programs that read Motive live can then read any rig; it never costs the recording a frame.
+    publish.natnet.enabled: ValueType::Flag,
+        DefaultValue::Flag(false), ReloadPolicy::Restart, field!(publish_natnet.enabled);
+    /// UDP address of that server's commands.
+    /// Only this machine can reach 127.0.0.1; 1510 is the port that clients of Motive use by default.
+    publish.natnet.listen: ValueType::Text("an address and a port"),
+        DefaultValue::Text("127.0.0.1:1510"), ReloadPolicy::Restart,
+        field!(publish_natnet.listen, |text| address(text).map_err(Some));
+    /// Group and port that frames are sent to, once for all clients, by the interface of `listen`; by default they are sent to each client.
+    /// Every machine of that network can read them.
+    publish.natnet.multicast: ValueType::Text("an IPv4 group and a port"),
+        DefaultValue::Absent("\"239.255.42.99:1511\""), ReloadPolicy::Restart,
+        field!(publish_natnet.multicast);
+    /// UDP port of a client's machine that its frames are sent to, besides the socket of its commands.
+    /// Clients differ in where they expect frames.
+    publish.natnet.data_port: ValueType::Integer(1..=65_535),
+        DefaultValue::Integer(1511), ReloadPolicy::Restart, field!(publish_natnet.data_port);
+    /// Version of frames, unless a client asks for another one, which it can from 4.0 on and without multicast.
+    /// Older clients know older versions only.
+    publish.natnet.bitstream: ValueType::Text("2.10 to 4.2"),
+        DefaultValue::Text("4.1"), ReloadPolicy::Restart,
+        field!(publish_natnet.bitstream, |text| publishers::bitstream(text).map_err(Some));
+    /// Other machines that may connect; this machine always may.
+    /// The protocol has no authentication, so that the address is all that can be checked.
+    publish.natnet.allow_from: ValueType::List { of: "an address or a network in CIDR form", max: ITEMS_MAX },
+        DefaultValue::EmptyList("192.168.10.0/24"), ReloadPolicy::Restart,
+        field!(publish_natnet.allow_from, each str::parse);
+    /// Limit on simultaneous clients that are sent frames of their own; further ones get no answer.
+    /// Each is sent every frame up to twice.
+    publish.natnet.clients_max: ValueType::Integer(1..=NATNET_CLIENTS_MAX as u64),
+        DefaultValue::Integer(10), ReloadPolicy::Restart, field!(publish_natnet.clients_max);
+    /// Whether the service publishes what it receives as streams of the Lab Streaming Layer (docs/lsl.md).
+    /// LabRecorder and other programs can then read any rig; it never costs the recording a frame.
+    publish.lsl.enabled: ValueType::Flag,
+        DefaultValue::Flag(false), ReloadPolicy::Restart, field!(publish_lsl.enabled);
+    /// IPv4 address of this machine at which the streams are found and read; ports are those of LSL's configuration.
+    /// Only this machine can reach 127.0.0.1; 0.0.0.0 means all networks.
+    publish.lsl.listen: ValueType::Text("an IPv4 address"),
+        DefaultValue::Text("127.0.0.1"), ReloadPolicy::Restart,
+        field!(publish_lsl.listen, |text| text.parse().map_err(|_| None));
+    /// Other machines that may find and read the streams; this machine always may.
+    /// The protocol has no authentication, so that the address is all that can be checked.
+    publish.lsl.allow_from: ValueType::List { of: "an address or a network in CIDR form", max: ITEMS_MAX },
+        DefaultValue::EmptyList("192.168.10.0/24"), ReloadPolicy::Restart,
+        field!(publish_lsl.allow_from, each str::parse);
+    /// Limit on simultaneous readers, counted for each stream that they read; further ones are refused.
+    /// Each may let up to 4 MiB of samples wait, whatever it asks for.
+    publish.lsl.clients_max: ValueType::Integer(1..=INLETS_MAX as u64),
+        DefaultValue::Integer(32), ReloadPolicy::Restart, field!(publish_lsl.clients_max);
     /// How much is logged to standard error, and so to the journal.
     /// `info` logs every arming, start, stop and outage, and nothing per frame.
     log.level: ValueType::Text("error, warn, info, debug or trace"),

@@ -19,7 +19,8 @@ use toml::{
 
 use super::{
     ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig,
-    NameTemplate, PROBLEMS_MAX, QtmPublishConfig, SourceLocation, TakeConfig, TriggerConfig,
+    LslPublishConfig, NameTemplate, NatNetPublishConfig, PROBLEMS_MAX, QtmPublishConfig,
+    SourceLocation, TakeConfig, TriggerConfig,
     key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
@@ -168,6 +169,7 @@ impl Config {
         reader.pre_roll(&config);
         reader.listen(&config);
         reader.publish_control(&config);
+        reader.publish_natnet(&config);
         for (path, message) in check(&config) {
             reader.refuse(path, message);
         }
@@ -200,6 +202,8 @@ impl Config {
             http: HttpConfig::default(),
             trigger: TriggerConfig::default(),
             publish_qtm: QtmPublishConfig::default(),
+            publish_natnet: NatNetPublishConfig::default(),
+            publish_lsl: LslPublishConfig::default(),
             log_level: Level::default(),
         })
     }
@@ -219,9 +223,9 @@ impl<'a> ConfigReader<'a> {
         let known = SECTIONS.iter().map(|(section, _)| *section);
         // Sections of sections have names with a point.
         let is_above = |section: &&str| section.split_once('.').is_some_and(|(up, _)| up == word);
-        if let (Some(below), Some(table)) =
-            (known.clone().find(is_above), value.get_ref().as_table())
-        {
+        let below: Vec<String> =
+            known.clone().filter(is_above).map(|section| format!("[{section}]")).collect();
+        if let (false, Some(table)) = (below.is_empty(), value.get_ref().as_table()) {
             for (inner, value) in table {
                 let path = format!("{word}.{}", inner.get_ref());
                 match known.clone().find(|section| *section == path) {
@@ -230,7 +234,7 @@ impl<'a> ConfigReader<'a> {
                         let path = excerpt(&path);
                         self.refuse_name(
                             inner,
-                            format!("unknown section [{path}]: write [{below}]"),
+                            format!("unknown section [{path}]: write {}", below.join(", ")),
                         );
                     }
                 }
@@ -404,6 +408,20 @@ impl<'a> ConfigReader<'a> {
             let message = "with control = true, whoever can connect could start and stop takes: \
                            set publish.qtm.password_file too";
             self.refuse("publish.qtm.control", message.to_owned());
+        }
+    }
+
+    /// Frames to a group need one interface, and those to clients another port than commands.
+    fn publish_natnet(&mut self, config: &Config) {
+        let is_valid = self.are_valid(&["publish.natnet.listen", "publish.natnet.data_port"]);
+        if let Some(message) = config.publish_natnet.data_port_problem().filter(|_| is_valid) {
+            let is_set = self.is_set("publish.natnet.data_port");
+            let key = if is_set { "publish.natnet.data_port" } else { "publish.natnet.listen" };
+            self.refuse(key, message);
+        }
+        let is_valid = self.are_valid(&["publish.natnet.listen", "publish.natnet.multicast"]);
+        if let Some(message) = config.publish_natnet.multicast_problem().filter(|_| is_valid) {
+            self.refuse("publish.natnet.multicast", message);
         }
     }
 

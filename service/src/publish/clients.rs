@@ -1,15 +1,43 @@
 //! Who may connect to a publisher.
 
-use std::net::{IpAddr, SocketAddr};
+use std::{
+    cell::RefCell,
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    time::{Duration, Instant},
+};
+
+use mocapd_drivers::transport::network::interfaces;
 
 use super::PublisherName;
 use crate::trigger::Network;
+
+/// Time between two looks at the addresses of this machine.
+const ADDRESSES_AGE_MAX: Duration = Duration::from_secs(5);
+
+/// The addresses of this machine: a program on it that asks an address of a network asks from that address.
+#[derive(Debug, Default)]
+struct OwnAddresses {
+    all: Vec<Ipv4Addr>,
+    looked_at: Option<Instant>,
+}
+
+impl OwnAddresses {
+    fn contains(&mut self, ip: IpAddr) -> bool {
+        if self.looked_at.is_none_or(|at| at.elapsed() >= ADDRESSES_AGE_MAX) {
+            self.looked_at = Some(Instant::now());
+            let found = interfaces().unwrap_or_default();
+            self.all = found.into_iter().map(|interface| interface.address).collect();
+        }
+        self.all.iter().any(|own| *own == ip)
+    }
+}
 
 /// Which clients a publisher accepts: this machine's and those of `allow_from`, up to `clients_max`.
 #[derive(Debug)]
 pub(super) struct ClientLimits {
     name: PublisherName,
     allow_from: Vec<Network>,
+    own: RefCell<OwnAddresses>,
     clients_max: usize,
     refused: u64,
     news: Vec<String>,
@@ -27,13 +55,16 @@ pub(super) enum NotAccepted {
 impl ClientLimits {
     pub(super) fn new(name: PublisherName, allow_from: &[Network], clients_max: usize) -> Self {
         let allow_from = allow_from.to_vec();
-        Self { name, allow_from, clients_max, refused: 0, news: Vec::new() }
+        let own = RefCell::default();
+        Self { name, allow_from, own, clients_max, refused: 0, news: Vec::new() }
     }
 
     /// Whether this machine's clients, or those of another, may connect.
     pub(super) fn is_allowed(&self, ip: IpAddr) -> bool {
         let ip = ip.to_canonical();
-        ip.is_loopback() || self.allow_from.iter().any(|network| network.contains(ip))
+        ip.is_loopback()
+            || self.allow_from.iter().any(|network| network.contains(ip))
+            || self.own.try_borrow_mut().is_ok_and(|mut own| own.contains(ip))
     }
 
     /// Checks a client that connects while there are `n_clients` others, and counts and reports one that is refused.
@@ -87,5 +118,9 @@ mod tests {
         assert_eq!(news[0], "LSL client 10.2.0.1 refused: it is not in publish.lsl.allow_from");
         assert!(news[1].contains("127.0.0.1") && news[1].contains("publish.lsl.clients_max"));
         assert!(limits.take_news().is_empty());
+        // A program of this machine that asks an address of a network.
+        for interface in interfaces().unwrap() {
+            assert!(limits.is_allowed(interface.address.into()), "{interface:?}");
+        }
     }
 }

@@ -10,7 +10,10 @@
 //! [`PublisherName`] and a function that calls [`runner::start`], and its lines in [`names`] and [`open_all`].
 
 mod clients;
+mod host_time;
+mod lsl;
 mod markers;
+mod natnet;
 mod qtm;
 mod runner;
 
@@ -26,6 +29,8 @@ use mocapd_drivers::device::{BodyInfo, ForcePlateInfo, SampledGroupInfo};
 use mocapd_take::record::Header;
 
 pub use self::{
+    lsl::{LSL, open as open_lsl},
+    natnet::{NATNET, open as open_natnet},
     qtm::{QTM, open as open_qtm},
     runner::RunningPublisher,
 };
@@ -43,10 +48,12 @@ pub struct PublisherName {
 /// The publishers that a configuration enables. They have their taps from when the service starts to its end.
 #[must_use]
 pub fn names(config: &Config) -> Vec<PublisherName> {
-    [(config.publish_qtm.enabled, QTM)]
-        .into_iter()
-        .filter_map(|(is_enabled, name)| is_enabled.then_some(name))
-        .collect()
+    let all = [
+        (config.publish_qtm.enabled, QTM),
+        (config.publish_natnet.enabled, NATNET),
+        (config.publish_lsl.enabled, LSL),
+    ];
+    all.into_iter().filter_map(|(is_enabled, name)| is_enabled.then_some(name)).collect()
 }
 
 /// Opens the publishers that the engine was started with: those that `published` has a feed for.
@@ -62,6 +69,12 @@ pub fn open_all(
     let mut running = Vec::new();
     if let Some(feed) = published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
+    }
+    if let Some(feed) = engine.published(NATNET) {
+        running.push(open_natnet(&config.publish_natnet, feed, control)?);
+    }
+    if let Some(feed) = engine.published(LSL) {
+        running.push(open_lsl(&config.publish_lsl, feed, control)?);
     }
     Ok(running)
 }

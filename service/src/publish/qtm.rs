@@ -380,6 +380,7 @@ impl From<mocapd_drivers::qtm::ClientReport> for PublishedClient {
             address: report.peer.to_string(),
             version: report.minor.map_or_else(String::new, |minor| format!("1.{minor}")),
             transport: if report.by_datagrams { "udp" } else { "tcp" }.to_owned(),
+            stream: String::new(),
             is_streaming: report.is_streaming,
             is_in_control: report.is_master,
             frames_sent: report.frames_sent,

@@ -3,25 +3,20 @@
 use mocapd_drivers::{
     device::MarkerSample,
     natnet::{
-        Asset, AssetKind, Bitstream, FrameEnd, FrameToSend, HAS_MODEL, MEASURED, MESSAGE_BYTES_MAX,
-        MarkerSet, Model, NatNetMarker, NatNetServer, OCCLUDED, SampledDescription, SampledToSend,
-        SetToSend, UNLABELLED, WireBody,
+        AssetKind, AssetTable, Bitstream, FrameEnd, FrameToSend, MESSAGE_BYTES_MAX, Model,
+        NatNetServer, SampledDescription, SampledToSend, ServedMarker, SetToSend, WireBody,
     },
 };
-use mocapd_take::motion::{Motion, Position, is_gap};
+use mocapd_take::motion::{Motion, Position};
 
 use super::{NatNetError, NatNetSettings};
 use crate::{generator::PLATE_COMPONENTS, sampled::SampledSource};
 
-/// Diameter of every marker, and its residual, which motions do not have.
-const MARKER_SIZE_M: f32 = 0.014;
+/// Residual of every marker, which motions do not have.
 const RESIDUAL_M: f32 = 0.000_25;
 
 /// Radians by which a rigid body turns in a frame.
 const TURN_PER_FRAME: f64 = 0.01;
-
-/// Id of the first unlabelled marker: unlike a marker's place, so that nobody can take one for the other.
-const FIRST_ID: u32 = 1000;
 
 /// A force plate or device.
 #[derive(Debug)]
@@ -37,33 +32,14 @@ struct SampledDevice {
 /// The content of the current frame.
 #[derive(Debug)]
 pub(super) struct Content {
-    model: Model,
-    /// The columns of each asset's markers, and of the unlabelled ones.
-    assets: Vec<Vec<usize>>,
-    unlabelled_columns: Vec<usize>,
+    table: AssetTable,
     sources: Vec<SampledSource>,
     /// Samples of a channel of each source in a frame.
     samples_per_frame: Vec<u64>,
     devices: Vec<SampledDevice>,
-    positions_m: Vec<Vec<[f32; 3]>>,
     bodies: Vec<WireBody>,
-    labelled: Vec<NatNetMarker>,
-    unlabelled: Vec<NatNetMarker>,
     /// Samples of each device: one channel after another.
     samples: Vec<Vec<f32>>,
-}
-
-/// Millimetres as metres.
-fn in_m(position_mm: Position) -> [f32; 3] {
-    position_mm.map(|mm| (f64::from(mm) / 1000.0) as f32)
-}
-
-/// The asset and the marker of a label.
-fn divide(label: &str) -> (&str, &str) {
-    match label.split_once(':') {
-        Some((asset, marker)) if !asset.is_empty() && !marker.is_empty() => (asset, marker),
-        _ => ("", label),
-    }
 }
 
 impl Content {
@@ -72,49 +48,21 @@ impl Content {
         settings: &NatNetSettings,
         rate_millihertz: u32,
     ) -> Result<Self, NatNetError> {
-        let mut model = Model::default();
-        let (mut assets, mut unlabelled_columns): (Vec<Vec<usize>>, _) = (Vec::new(), Vec::new());
-        for (column, marker) in motion.info.markers.iter().enumerate() {
-            if !marker.labelled {
-                unlabelled_columns.push(column);
-                continue;
-            }
-            let (asset, name) = divide(&marker.label);
-            let index = match model.sets.iter().position(|set| set.name == asset) {
-                Some(index) => index,
-                None => {
-                    let name = asset.to_owned();
-                    let id = model.sets.len() as u32 + 1;
-                    model.sets.push(MarkerSet { name: name.clone(), markers: Vec::new() });
-                    let (kind, markers) = (AssetKind::Skeleton, Vec::new());
-                    model.assets.push(Asset { kind, id, name, markers });
-                    assets.push(Vec::new());
-                    model.sets.len() - 1
-                }
-            };
-            if let (Some(set), Some(columns)) = (model.sets.get_mut(index), assets.get_mut(index)) {
-                set.markers.push(name.to_owned());
-                columns.push(column);
-            }
-        }
+        let markers = motion.info.markers.iter();
+        let labels = markers.map(|marker| marker.labelled.then_some(marker.label.as_str()));
+        let mut table = AssetTable::new(labels);
         for name in &settings.rigid_bodies {
-            let named = |asset: &&mut Asset| asset.name == *name;
-            match model.assets.iter_mut().find(named) {
-                Some(asset) => asset.kind = AssetKind::RigidBody,
-                None => return Err(NatNetError::NoSuchAsset { name: name.clone() }),
+            if !table.has_asset(name) {
+                return Err(NatNetError::NoSuchAsset { name: name.clone() });
             }
+            table.add_body(name);
         }
         let mut content = Self {
-            model,
-            positions_m: assets.iter().map(|_| Vec::new()).collect(),
-            assets,
-            unlabelled_columns,
+            table,
             sources: settings.sampled.clone(),
             samples_per_frame: Vec::new(),
             devices: Vec::new(),
             bodies: Vec::new(),
-            labelled: Vec::new(),
-            unlabelled: Vec::new(),
             samples: Vec::new(),
         };
         content.add_devices(settings, rate_millihertz)?;
@@ -152,7 +100,7 @@ impl Content {
                     id,
                 });
                 self.samples.push(Vec::new());
-                self.model.sampled.push(SampledDescription {
+                self.table.model_mut().sampled.push(SampledDescription {
                     is_plate,
                     id,
                     name: format!("{} {id}", if is_plate { "plate" } else { "device" }),
@@ -166,17 +114,17 @@ impl Content {
     }
 
     pub(super) fn model(&self) -> &Model {
-        &self.model
+        self.table.model()
     }
 
     /// Whether definitions and frames fit into datagrams.
     pub(super) fn check_size(&self, version: Bitstream) -> Result<(), NatNetError> {
         let mut definitions = Vec::new();
-        self.model.put(version, &mut definitions);
+        self.model().put(version, &mut definitions);
         // Of a frame: names of sets; a position and a marker for each; samples; and less than 1 KiB besides.
-        let names: usize = self.model.sets.iter().map(|set| set.name.len() + 5).sum();
-        let n_labelled: usize = self.assets.iter().map(Vec::len).sum();
-        let markers = n_labelled * (12 + 26) + self.unlabelled_columns.len() * 26;
+        let names: usize = self.model().sets.iter().map(|set| set.name.len() + 5).sum();
+        let [n_labelled, n_unlabelled] = self.table.n_markers();
+        let markers = n_labelled * (12 + 26) + n_unlabelled * 26;
         let samples: usize = self
             .devices
             .iter()
@@ -201,43 +149,19 @@ impl Content {
 
     /// Gives the last labelled marker another name.
     pub(super) fn rename_last(&mut self) {
-        if let Some(name) = self.model.sets.last_mut().and_then(|set| set.markers.last_mut()) {
+        let model = self.table.model_mut();
+        if let Some(name) = model.sets.last_mut().and_then(|set| set.markers.last_mut()) {
             name.push_str(" renamed");
         }
     }
 
     /// Takes over the positions of a frame, which is the `played`th since the motion began.
     pub(super) fn fill(&mut self, row: &[Position], ghosts: &[MarkerSample], played: u64) {
-        self.labelled.clear();
-        self.unlabelled.clear();
-        let seen = |column: usize| row.get(column).copied().filter(|position| !is_gap(*position));
-        for (index, columns) in self.assets.iter().enumerate() {
-            let Some(positions_m) = self.positions_m.get_mut(index) else { continue };
-            positions_m.clear();
-            for (member, column) in columns.iter().enumerate() {
-                let position_m = seen(*column).map(in_m);
-                positions_m.push(position_m.unwrap_or_default());
-                self.labelled.push(NatNetMarker {
-                    id: ((index as u32 + 1) << 16) | (member as u32 + 1),
-                    position_m: position_m.unwrap_or_default(),
-                    size_m: MARKER_SIZE_M,
-                    flags: HAS_MODEL | if position_m.is_some() { MEASURED } else { OCCLUDED },
-                    residual_m: RESIDUAL_M,
-                });
-            }
+        let served = |position_mm| ServedMarker { position_mm, residual_m: RESIDUAL_M };
+        self.table.fill(|column| row.get(column).copied().map(served));
+        for ghost in ghosts {
+            self.table.add_unlabelled(ghost.id.into(), served(ghost.position_mm));
         }
-        let unlabelled = |id: u32, position_mm: Position| NatNetMarker {
-            id: FIRST_ID + id,
-            position_m: in_m(position_mm),
-            size_m: MARKER_SIZE_M,
-            flags: MEASURED | UNLABELLED,
-            residual_m: RESIDUAL_M,
-        };
-        let columns = self.unlabelled_columns.iter().copied();
-        let seen = columns.filter_map(|column| Some(unlabelled(column as u32, seen(column)?)));
-        self.unlabelled.extend(seen);
-        let ghosts = ghosts.iter().map(|ghost| unlabelled(ghost.id.into(), ghost.position_mm));
-        self.unlabelled.extend(ghosts);
         self.fill_bodies(played);
         self.fill_samples(played);
     }
@@ -245,7 +169,8 @@ impl Content {
     /// A rigid body is where its markers are on average, and turns about the vertical; with a marker hidden it is lost.
     fn fill_bodies(&mut self, played: u64) {
         self.bodies.clear();
-        for (asset, positions_m) in self.model.assets.iter().zip(&self.positions_m) {
+        let sets = self.table.sets().map(|(_, positions_m)| positions_m);
+        for (asset, positions_m) in self.table.model().assets.iter().zip(sets) {
             if asset.kind != AssetKind::RigidBody {
                 continue;
             }
@@ -292,15 +217,10 @@ impl Content {
         end: FrameEnd,
         now_ns: u64,
     ) -> Option<usize> {
-        let sets: Vec<SetToSend<'_>> = self
-            .model
-            .sets
-            .iter()
-            .zip(&self.positions_m)
-            .map(|(set, positions_m)| SetToSend { name: &set.name, positions_m })
-            .collect();
-        let skeletons = self.model.assets.iter().filter(|a| a.kind == AssetKind::Skeleton);
-        let skeletons: Vec<u32> = skeletons.map(|asset| asset.id).collect();
+        let sets = self.table.sets();
+        let sets: Vec<SetToSend<'_>> =
+            sets.map(|(set, positions_m)| SetToSend { name: &set.name, positions_m }).collect();
+        let skeletons = self.table.skeletons();
         let of_kind = |is_plate: bool| -> Vec<SampledToSend<'_>> {
             let all = self.devices.iter().zip(&self.samples);
             let some = all.filter(|(device, _)| device.is_plate == is_plate);
@@ -317,8 +237,8 @@ impl Content {
             sets: &sets,
             bodies: &self.bodies,
             skeletons: &skeletons,
-            labelled: &self.labelled,
-            unlabelled: &self.unlabelled,
+            labelled: self.table.labelled(),
+            unlabelled: self.table.unlabelled(),
             plates: &plates,
             devices: &devices,
             end,

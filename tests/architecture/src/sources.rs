@@ -113,6 +113,8 @@ const RULES: &[Rule] = &[
             "simulator/src/gadget/",
             "drivers/src/transport/",
             // The crate of LSL calls so what has its descriptions.
+            "drivers/src/lsl/described.rs",
+            "drivers/src/lsl/outlet/",
             "simulator/src/lsl/",
             "simulator/src/natnet/serve.rs",
             "simulator/src/qtm/serve.rs",

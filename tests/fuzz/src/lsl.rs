@@ -1,10 +1,15 @@
 //! Arbitrary bytes as what LSL's streams send, as their descriptions, and as the URIs that name them.
 
+use std::net::{Ipv4Addr, SocketAddr};
+
 use mocapd_drivers::{
     device::{Command, DeviceEvent, LinkCounters, Protocol},
     link::{GROUPS_MAX, SAMPLED_CHANNELS_MAX},
-    lsl::{Layout, LslHost, StreamDescription, StreamMessage, put_message},
+    lsl::{
+        Layout, LslHost, OutletServer, Publisher, StreamDescription, StreamMessage, put_message,
+    },
     stream_query::StreamQuery,
+    transport::network::server::StreamServer,
     uri::DeviceUri,
 };
 
@@ -28,10 +33,34 @@ pub fn read_lsl(bytes: &[u8]) {
         host(&data, data.len());
     }
     let text = String::from_utf8_lossy(wire);
+    outlet(wire, piece);
     description(&text);
     if let Ok(uri) = format!("lsl:{text}").parse::<DeviceUri>() {
         assert_eq!(uri.to_string().parse(), Ok(uri), "a URI that is written otherwise");
     }
+}
+
+/// The bytes as a request to one of our streams, and as a question: answers of a bounded size, and samples for one who may read.
+fn outlet(wire: &[u8], piece: usize) {
+    const PORT: u16 = 16_573;
+    let publisher = Publisher { name: "rig", source_id: "rig", program: "mocapd" };
+    let mut server = OutletServer::new(16_572, 1);
+    server.set_stream(PORT, Some(publisher.positions(&["A"], 100.0)), 1);
+    let at = |port| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+    assert!(server.answers(at(1), wire, || 1.0).len() <= 1);
+    let Ok(id) = server.connect_at(at(1), at(PORT)) else { panic!("there is room") };
+    for bytes in wire.chunks(piece) {
+        if server.may_receive(id) {
+            server.receive(id, bytes);
+        }
+    }
+    server.push(PORT, 1.0, &[1.0, f32::NAN, 3.0]);
+    let mut n = 0;
+    while !server.pending(id).is_empty() {
+        n += server.pending(id).len();
+        server.sent(id, 7);
+    }
+    assert!(n < 4096, "{n} bytes");
 }
 
 /// A stream of one marker and one more channel, and one of texts.

@@ -138,4 +138,11 @@ fn server(wire: &[u8], version: Bitstream) {
     }
     server.frame(&FrameToSend::default(), 0);
     assert_eq!(server.take_datagrams().len(), 1);
+    // By unicast, to a client that asked for it: its own socket, and the port of its machine.
+    let stream = ServedStream::Unicast(1511);
+    let mut server = NatNetServer::new(ServerSettings { stream, ..settings(version) });
+    server.receive(client, wire, 5, 0);
+    assert!(server.take_datagrams().len() <= 1);
+    server.frame(&FrameToSend::default(), 0);
+    assert!([0, 2].contains(&server.take_datagrams().len()));
 }

@@ -5,18 +5,17 @@
 
 mod control;
 mod delivery;
-mod outbox;
 mod recorder;
 mod samples;
 
 use std::net::SocketAddr;
 
 use self::recorder::Password;
+use self::samples::SampleHistory;
 pub use self::{
     delivery::{Datagram, Delivery, ServedFrame},
     recorder::{ClientReport, OwnerCommand, OwnerRequest},
 };
-use self::{outbox::Outbox, samples::SampleHistory};
 use super::{
     command::{
         ClientCommand, Components, DatagramTarget, StreamRate, StreamRequest, VERSIONS, WELCOME,
@@ -24,6 +23,7 @@ use super::{
     packet::{Event, Packet, PacketKind, PacketReader, put_event, put_packet, put_text},
     settings::ServedSettings,
 };
+use crate::outbox::Outbox;
 
 /// "Number of simultaneous connections is limited to 10."
 pub const CLIENTS_MAX: usize = 10;

@@ -2,6 +2,7 @@
 
 mod discovery;
 mod feed;
+mod outlets;
 mod returning;
 
 use std::{
@@ -20,6 +21,7 @@ use self::{
     returning::{Return, ReturnWatch},
 };
 pub use discovery::{FoundStream, streams};
+pub use outlets::OutletSockets;
 
 use super::{Arrival, READ_TIMEOUT, Transport, TransportError};
 use crate::{
@@ -125,6 +127,13 @@ impl LslTransport {
             turn: 0,
             arrival: Arrival::default(),
         })
+    }
+
+    /// The id of the source, if there is one stream and it states one.
+    #[must_use]
+    pub fn only_source_id(&self) -> Option<String> {
+        let [stream] = &self.streams[..] else { return None };
+        Some(stream.found.description.source_id.clone()).filter(|id| !id.is_empty())
     }
 
     fn lost(&self, cause: String) -> TransportError {

@@ -42,7 +42,7 @@ pub(super) fn connect(address: &NetworkAddress) -> Result<TcpStream, TransportEr
         }
     }
     Err(match problem {
-        Some((error, ip)) => unreachable(remedy(&error, ip, address)),
+        Some((error, ip)) => unreachable(remedy(&error, ip, address, "TCP")),
         None => unreachable(no_such_name(address)),
     })
 }
@@ -92,8 +92,13 @@ fn no_such_name(address: &NetworkAddress) -> String {
     )
 }
 
-/// What to do about a failed connection attempt.
-pub(super) fn remedy(error: &io::Error, ip: IpAddr, address: &NetworkAddress) -> String {
+/// What to do about a failed connection attempt by this protocol.
+pub(super) fn remedy(
+    error: &io::Error,
+    ip: IpAddr,
+    address: &NetworkAddress,
+    protocol: &str,
+) -> String {
     let NetworkAddress { family, port, .. } = address;
     let host = bracketed(&address.host);
     if matches!(Errno::from_io_error(error), Some(Errno::PERM | Errno::AFNOSUPPORT)) {
@@ -104,11 +109,11 @@ pub(super) fn remedy(error: &io::Error, ip: IpAddr, address: &NetworkAddress) ->
     }
     match error.kind() {
         ErrorKind::ConnectionRefused => format!(
-            "the machine is there, but nothing listens on port {port}: start the program there, or give its port, \
+            "the machine is there, but nothing listens on {protocol} port {port}: start the program there, or give its port, \
              {family}:{host}:PORT"
         ),
         ErrorKind::TimedOut | ErrorKind::WouldBlock => format!(
-            "no answer in {} s: check that the machine is on, its address, and that no firewall blocks TCP port {port}",
+            "no answer in {} s: check that the machine is on, its address, and that no firewall blocks {protocol} port {port}",
             CONNECT_TIMEOUT.as_secs()
         ),
         ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {

@@ -95,6 +95,8 @@ pub(super) fn listening_socket(
     let address = group.unwrap_or(interface);
     socket.bind(&SocketAddr::from((address, port)).into())?;
     if let Some(group) = group {
+        // Only what comes by this interface: by default a socket gets the groups that other programs joined on others, too.
+        socket.set_multicast_all_v4(false)?;
         socket.join_multicast_v4(&group, &interface)?;
     }
     Ok(socket.into())

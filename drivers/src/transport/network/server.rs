@@ -4,7 +4,7 @@
 
 use std::{
     io::{self, ErrorKind, Read, Write},
-    net::{Shutdown, SocketAddr, TcpListener, TcpStream},
+    net::{Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket},
     os::fd::AsRawFd,
     time::{Duration, Instant},
 };
@@ -39,7 +39,15 @@ pub trait StreamServer {
     /// Identifies a client.
     type Id: Copy;
 
-    /// Accepts a client.
+    /// Accepts a client that connected to the address `local`.
+    ///
+    /// # Errors
+    /// The bytes that it gets before its connection is closed.
+    fn connect_at(&mut self, peer: SocketAddr, _local: SocketAddr) -> Result<Self::Id, Vec<u8>> {
+        self.connect(peer)
+    }
+
+    /// Accepts a client of a server with one port.
     ///
     /// # Errors
     /// The bytes that it gets before its connection is closed.
@@ -64,11 +72,11 @@ pub trait StreamServer {
     fn sent(&mut self, id: Self::Id, n: usize);
 }
 
-/// A port and the connections of its clients.
+/// Ports and the connections of their clients.
 #[derive(Debug)]
 pub struct TcpServer<Id> {
     address: SocketAddr,
-    listener: Option<TcpListener>,
+    listeners: Vec<TcpListener>,
     /// When accepting goes on, after the system refused.
     accepts_at: Option<Instant>,
     connections: Vec<Connection<Id>>,
@@ -82,28 +90,40 @@ impl<Id: Copy> TcpServer<Id> {
     pub fn open(address: SocketAddr) -> io::Result<Self> {
         let listener = listen(address)?;
         let address = listener.local_addr()?;
-        Ok(Self { address, listener: Some(listener), accepts_at: None, connections: Vec::new() })
+        let listeners = vec![listener];
+        Ok(Self { address, listeners, accepts_at: None, connections: Vec::new() })
     }
 
-    /// Where clients connect.
+    /// Opens one more port, which stays open until all are closed.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn open_another(&mut self, address: SocketAddr) -> io::Result<SocketAddr> {
+        let listener = listen(address)?;
+        let address = listener.local_addr()?;
+        self.listeners.push(listener);
+        Ok(address)
+    }
+
+    /// Where clients connect: the first port.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Closes the port and all connections, as if the cable were pulled; the caller forgets the clients.
+    /// Closes all ports and connections, as if the cable were pulled; the caller forgets the clients.
     pub fn unplug(&mut self) {
         self.connections.drain(..).for_each(Connection::close);
-        self.listener = None;
+        self.listeners.clear();
     }
 
-    /// Opens the port again, if it is closed.
+    /// Opens the first port again, if it is closed.
     ///
     /// # Errors
     /// The system's.
     pub fn plug(&mut self) -> io::Result<()> {
-        if self.listener.is_none() {
-            self.listener = Some(listen(self.address)?);
+        if self.listeners.is_empty() {
+            self.listeners.push(listen(self.address)?);
         }
         Ok(())
     }
@@ -128,30 +148,18 @@ impl<Id: Copy> TcpServer<Id> {
             return;
         }
         self.accepts_at = None;
-        let Some(listener) = &self.listener else { return };
-        for _ in 0..ACCEPTED_MAX {
-            let (mut stream, peer) = match listener.accept() {
-                Ok(accepted) => accepted,
-                Err(error) if error.kind() == ErrorKind::WouldBlock => return,
-                Err(error) if is_of_client(&error) => continue,
-                Err(_) => {
-                    self.accepts_at = Some(Instant::now() + ACCEPT_PAUSE);
-                    return;
-                }
-            };
-            if stream.set_nonblocking(true).is_err() || stream.set_nodelay(true).is_err() {
-                continue;
-            }
-            // Without these, a client is served all the same.
-            let fd = stream.as_raw_fd();
-            setsockopt(fd, SndBuf, &SEND_BUFFER_BYTES).ok();
-            setsockopt(fd, KeepAlive, &true).ok();
-            setsockopt(fd, TcpKeepIdle, &KEEP_ALIVE_AFTER_S).ok();
-            setsockopt(fd, TcpKeepInterval, &KEEP_ALIVE_EVERY_S).ok();
-            match server.connect(peer) {
-                Ok(id) => self.connections.push(Connection { id, stream, is_over: false }),
-                // A fresh connection has room for a message. If it is gone, nobody reads it.
-                Err(message) => drop(stream.write_all(&message)),
+        for listener in &self.listeners {
+            for _ in 0..ACCEPTED_MAX {
+                let (stream, peer) = match listener.accept() {
+                    Ok(accepted) => accepted,
+                    Err(error) if error.kind() == ErrorKind::WouldBlock => break,
+                    Err(error) if is_of_client(&error) => continue,
+                    Err(_) => {
+                        self.accepts_at = Some(Instant::now() + ACCEPT_PAUSE);
+                        return;
+                    }
+                };
+                self.connections.extend(welcome(stream, peer, server));
             }
         }
     }
@@ -164,6 +172,19 @@ impl<Id: Copy> TcpServer<Id> {
         &mut self,
         server: &mut impl StreamServer<Id = Id>,
         timeout: Duration,
+    ) -> io::Result<()> {
+        self.wait_also(server, timeout, &[])
+    }
+
+    /// As [`wait`](Self::wait), or until one of these sockets has something to read.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn wait_also(
+        &mut self,
+        server: &mut impl StreamServer<Id = Id>,
+        timeout: Duration,
+        others: &[&UdpSocket],
     ) -> io::Result<()> {
         let timeout = Timespec::try_from(timeout).unwrap_or_default();
         let mut fds: Vec<PollFd<'_>> = Vec::with_capacity(self.connections.len() + 1);
@@ -178,8 +199,9 @@ impl<Id: Copy> TcpServer<Id> {
                 polled.push(index);
             }
         }
-        let listener = self.listener.as_ref().filter(|_| self.accepts_at.is_none());
-        fds.extend(listener.map(|listener| PollFd::new(listener, PollFlags::IN)));
+        let listeners = self.listeners.iter().filter(|_| self.accepts_at.is_none());
+        fds.extend(listeners.map(|listener| PollFd::new(listener, PollFlags::IN)));
+        fds.extend(others.iter().map(|socket| PollFd::new(*socket, PollFlags::IN)));
         match poll(&mut fds, Some(&timeout)) {
             Ok(_) | Err(rustix::io::Errno::INTR) => {}
             Err(error) => return Err(error.into()),
@@ -195,9 +217,9 @@ impl<Id: Copy> TcpServer<Id> {
         Ok(())
     }
 
-    /// Closes the port, and all connections once their clients have what is pending, at most after `timeout`.
+    /// Closes the ports, and all connections once their clients have what is pending, at most after `timeout`.
     pub fn finish(mut self, server: &mut impl StreamServer<Id = Id>, timeout: Duration) {
-        self.listener = None;
+        self.listeners.clear();
         let until = Instant::now() + timeout;
         loop {
             self.exchange(server);
@@ -208,6 +230,30 @@ impl<Id: Copy> TcpServer<Id> {
             std::thread::sleep(Duration::from_millis(1));
         }
         self.unplug();
+    }
+}
+
+/// The connection of a client, if the server accepts it.
+fn welcome<Id: Copy>(
+    mut stream: TcpStream,
+    peer: SocketAddr,
+    server: &mut impl StreamServer<Id = Id>,
+) -> Option<Connection<Id>> {
+    stream.set_nonblocking(true).ok()?;
+    stream.set_nodelay(true).ok()?;
+    // Without these, a client is served all the same.
+    let fd = stream.as_raw_fd();
+    setsockopt(fd, SndBuf, &SEND_BUFFER_BYTES).ok();
+    setsockopt(fd, KeepAlive, &true).ok();
+    setsockopt(fd, TcpKeepIdle, &KEEP_ALIVE_AFTER_S).ok();
+    setsockopt(fd, TcpKeepInterval, &KEEP_ALIVE_EVERY_S).ok();
+    match server.connect_at(peer, stream.local_addr().ok()?) {
+        Ok(id) => Some(Connection { id, stream, is_over: false }),
+        Err(message) => {
+            // A fresh connection has room for a message. If it is gone, nobody reads it.
+            stream.write_all(&message).ok();
+            None
+        }
     }
 }
 

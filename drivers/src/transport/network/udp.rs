@@ -57,7 +57,7 @@ impl UdpTransport {
         let interface = match &address.local {
             Some(local) => multicast::interface_address(local).map_err(unreachable)?,
             None => multicast::address_towards(target).map_err(|error| {
-                unreachable(connect::remedy(&error, IpAddr::V4(*target.ip()), address))
+                unreachable(connect::remedy(&error, IpAddr::V4(*target.ip()), address, "UDP"))
             })?,
         };
         let peer = IpAddr::V4(*target.ip());

@@ -70,8 +70,23 @@ fn for_unknown_keys_the_nearest_one_is_suggested() {
     refused("[arm]\ntolerance = '1mm'", (2, 1), "", &["'tolerance'", "[arm]", "[take]"]);
     refused("tolerance = '1mm'", (1, 1), "", &["'tolerance'", "[take]"]);
     refused("[devices]\nuri = 'auto'", (1, 2), "", &["[devices]", "'device'"]);
-    let all = "rig, device, take, subject, arm, archive, http, trigger, publish.qtm, log";
-    refused("[publish.studio]", (1, 10), "", &["[publish.studio]", "[publish.qtm]"]);
+    let all = "rig, device, take, subject, arm, archive, http, trigger, publish.qtm, publish.natnet, publish.lsl, log";
+    let sections = "[publish.qtm], [publish.natnet], [publish.lsl]";
+    refused("[publish.studio]", (1, 10), "", &["[publish.studio]", sections]);
+    let natnet = |keys: &str| format!("[publish.natnet]\n{keys}");
+    let group = natnet("multicast = '239.1.1.1:1511'\nlisten = '0.0.0.0:1510'");
+    refused(
+        &group,
+        (2, 13),
+        "publish.natnet.multicast",
+        &["publish.natnet.listen", "192.168.10.2"],
+    );
+    let port = natnet("data_port = 1510");
+    refused(&port, (2, 13), "publish.natnet.data_port", &["1510", "publish.natnet.listen"]);
+    let bitstream = natnet("bitstream = '5.0'");
+    refused(&bitstream, (2, 13), "publish.natnet.bitstream", &["2.10 to 4.2 are known"]);
+    let group = natnet("multicast = '10.0.0.1:1511'");
+    refused(&group, (2, 13), "publish.natnet.multicast", &["224 to 239"]);
     refused("[publish.qtm]\nclient_max = 1", (2, 1), "", &["[publish.qtm]", "'clients_max'"]);
     refused("publish = 1", (1, 1), "", &["publish", "publish.qtm"]);
     let no_password = "[publish.qtm]\ncontrol = true";

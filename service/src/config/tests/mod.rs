@@ -67,6 +67,19 @@ allow_from = ["10.1.0.0/16"]
 clients_max = 3
 control = true
 password_file = "/etc/mocapd/qtm-password"
+[publish.natnet]
+enabled = true
+listen = "10.1.0.2:1610"
+multicast = "239.255.42.98:1600"
+data_port = 1600
+bitstream = "3.1"
+allow_from = ["10.1.0.0/16"]
+clients_max = 4
+[publish.lsl]
+enabled = true
+listen = "0.0.0.0"
+allow_from = ["10.1.0.0/16"]
+clients_max = 5
 [log]
 level = "trace"
 "#;
@@ -91,6 +104,8 @@ fn an_empty_file_is_the_defaults() {
     assert_eq!(config.http.listen, Some("127.0.0.1:7060".parse::<SocketAddr>().unwrap()));
     assert_eq!(config.trigger.listen, None);
     assert!(!config.publish_qtm.enabled && config.publish_qtm.listen.ip().is_loopback());
+    assert!(!config.publish_natnet.enabled && config.publish_natnet.listen.ip().is_loopback());
+    assert!(!config.publish_lsl.enabled && config.publish_lsl.listen.is_loopback());
     assert_eq!(config.log_level, Level::Info);
     assert_eq!(config.notes(), [""; 0]);
 }
@@ -116,6 +131,10 @@ fn every_key_is_read() {
     assert!(config.trigger.allow_from[0].contains("192.168.10.3".parse().unwrap()));
     assert!(config.publish_qtm.allow_from[0].contains("10.1.2.3".parse().unwrap()));
     assert_eq!((config.publish_qtm.clients_max, config.publish_qtm.control), (3, true));
+    let natnet = &config.publish_natnet;
+    assert_eq!(natnet.multicast, "239.255.42.98:1600".parse().ok());
+    assert_eq!((natnet.bitstream.to_string().as_str(), natnet.data_port), ("3.1", 1600));
+    assert!(config.publish_lsl.listen.is_unspecified() && config.publish_lsl.clients_max == 5);
     assert_eq!(config.log_level, Level::Trace);
     // Each differs from its default, so a key that is ignored shows.
     let changes = parse("").unwrap().changes(&config);
@@ -236,6 +255,15 @@ fn questionable_settings_are_noted() {
     assert_eq!(notes(&publish(&format!("{outside}\nallow_from = ['10.0.0.1']"))), [""; 0]);
     about(&publish("allow_from = ['10.0.0.1']"), &["publish.qtm.allow_from", "127.0.0.1:22223"]);
     about(&publish("password_file = 'x'"), &["publish.qtm.password_file", "control"]);
+    let natnet = |keys: &str| format!("[publish.natnet]\nenabled = true\n{keys}");
+    about(&natnet("listen = '0.0.0.0:1510'"), &["publish.natnet.allow_from", "192.168.10.0/24"]);
+    about(&natnet("allow_from = ['10.0.0.1']"), &["publish.natnet.allow_from", "0.0.0.0:1510"]);
+    let group = "listen = '10.0.0.2:1510'\nallow_from = ['10.0.0.1']\nmulticast = '239.1.1.1:1511'";
+    about(&natnet(group), &["every machine", "239.1.1.1:1511"]);
+    let lsl = |keys: &str| format!("[publish.lsl]\nenabled = true\n{keys}");
+    about(&lsl("listen = '10.0.0.2'"), &["publish.lsl.allow_from", "10.0.0.2"]);
+    about(&lsl("allow_from = ['10.0.0.1']"), &["publish.lsl.allow_from", "0.0.0.0"]);
+    assert_eq!(notes(&lsl("")), [""; 0]);
     let nobody = ["http.socket", "http.listen", "trigger.listen"];
     about("[http]\nlisten = ''\nsocket = ''", &nobody);
     about("[device]\nraw_log = true", &["device.raw_log"]);

@@ -1,4 +1,4 @@
-//! What waits for a client: packets in order, of which frames may be dropped.
+//! What waits for a client of a server: packets in order, of which frames may be dropped.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -18,7 +18,7 @@ struct WaitingPacket {
 
 /// The packets that wait for a client.
 #[derive(Debug, Default)]
-pub(super) struct Outbox {
+pub(crate) struct Outbox {
     packets: VecDeque<WaitingPacket>,
     /// Bytes of the first packet that were sent.
     sent: usize,
@@ -31,13 +31,13 @@ pub(super) struct Outbox {
 }
 
 impl Outbox {
-    pub(super) fn put(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
+    pub(crate) fn put(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
         let mut bytes = Vec::new();
         write(&mut bytes);
         self.push(bytes.into(), false);
     }
 
-    pub(super) fn put_frame(&mut self, bytes: Arc<[u8]>) {
+    pub(crate) fn put_frame(&mut self, bytes: Arc<[u8]>) {
         self.push(bytes, true);
     }
 
@@ -49,7 +49,7 @@ impl Outbox {
     }
 
     /// Drops the oldest frame of which nothing was sent. Returns whether there was one.
-    pub(super) fn drop_oldest_frame(&mut self) -> bool {
+    pub(crate) fn drop_oldest_frame(&mut self) -> bool {
         let begun = usize::from(self.sent > 0);
         let oldest = self.packets.iter().skip(begun).position(|packet| packet.is_frame);
         let Some(packet) = oldest.and_then(|at| self.packets.remove(begun + at)) else {
@@ -61,18 +61,18 @@ impl Outbox {
     }
 
     /// Drops everything.
-    pub(super) fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.packets.clear();
         (self.sent, self.waiting, self.frames_waiting) = (0, 0, 0);
     }
 
     /// The bytes to send next: the rest of the first packet.
-    pub(super) fn next(&self) -> &[u8] {
+    pub(crate) fn next(&self) -> &[u8] {
         self.packets.front().and_then(|packet| packet.bytes.get(self.sent..)).unwrap_or_default()
     }
 
     /// The connection took the first `n` of them.
-    pub(super) fn sent(&mut self, n: usize) {
+    pub(crate) fn sent(&mut self, n: usize) {
         let n = n.min(self.next().len());
         self.sent += n;
         self.waiting -= n;
@@ -86,31 +86,36 @@ impl Outbox {
     }
 
     /// Whether nothing may be added that the client did not ask for.
-    pub(super) fn is_full(&self) -> bool {
+    pub(crate) fn is_full(&self) -> bool {
         !self.has_room_for(1)
     }
 
     /// Whether a packet of so many bytes may wait.
-    pub(super) fn has_room_for(&self, bytes: usize) -> bool {
+    pub(crate) fn has_room_for(&self, bytes: usize) -> bool {
         self.waiting + bytes <= BYTES_MAX && self.packets.len() < PACKETS_MAX
     }
 
+    /// Whether a part of a frame was sent.
+    pub(crate) fn has_begun_frame(&self) -> bool {
+        self.sent > 0 && self.packets.front().is_some_and(|packet| packet.is_frame)
+    }
+
     /// Bytes that wait.
-    pub(super) fn waiting(&self) -> usize {
+    pub(crate) fn waiting(&self) -> usize {
         self.waiting
     }
 
-    pub(super) fn frames_waiting(&self) -> usize {
+    pub(crate) fn frames_waiting(&self) -> usize {
         self.frames_waiting
     }
 
     /// Frames that the connection took whole.
-    pub(super) fn frames_sent(&self) -> u64 {
+    pub(crate) fn frames_sent(&self) -> u64 {
         self.frames_sent
     }
 
     /// Bytes ever queued.
-    pub(super) fn queued(&self) -> u64 {
+    pub(crate) fn queued(&self) -> u64 {
         self.queued
     }
 }

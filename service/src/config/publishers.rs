@@ -1,0 +1,157 @@
+//! The sections `[publish.natnet]` and `[publish.lsl]`.
+
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+
+use mocapd_drivers::natnet::Bitstream;
+
+use super::Network;
+
+/// The section `[publish.natnet]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NatNetPublishConfig {
+    /// Whether it is published.
+    pub enabled: bool,
+    /// The UDP address of commands.
+    pub listen: SocketAddr,
+    /// The group that frames go to; to each client by default.
+    pub multicast: Option<SocketAddrV4>,
+    /// The UDP port of a client's machine that its frames go to as well.
+    pub data_port: usize,
+    /// The version of frames, unless a client asks for another one.
+    pub bitstream: Bitstream,
+    /// The other machines that may connect.
+    pub allow_from: Vec<Network>,
+    /// Limit on simultaneous clients.
+    pub clients_max: usize,
+}
+
+impl Default for NatNetPublishConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            listen: (Ipv4Addr::LOCALHOST, 0).into(),
+            multicast: None,
+            data_port: 0,
+            bitstream: Bitstream::NEWEST,
+            allow_from: Vec::new(),
+            clients_max: 0,
+        }
+    }
+}
+
+impl NatNetPublishConfig {
+    /// Remarks on the section, one line each.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let Self { enabled: true, listen, multicast, allow_from, .. } = self else {
+            return Vec::new();
+        };
+        let is_local = listen.ip().to_canonical().is_loopback();
+        let example = format!("0.0.0.0:{}", listen.port());
+        let mut notes = reach_notes("natnet", &listen.to_string(), &example, is_local, allow_from);
+        if !is_local && let Some(group) = multicast {
+            notes.push(format!(
+                "publish.natnet.multicast is {group}: every machine of that network can read the frames, whatever \
+                 publish.natnet.allow_from says"
+            ));
+        }
+        notes
+    }
+
+    /// What is wrong with the port of frames: commands and frames of a program on this machine would meet at one.
+    pub(super) fn data_port_problem(&self) -> Option<String> {
+        (self.data_port == usize::from(self.listen.port())).then(|| {
+            format!(
+                "{} is the port of publish.natnet.listen: frames for programs on this machine would come back to the service; \
+                 choose another one",
+                self.data_port
+            )
+        })
+    }
+
+    /// What is wrong with a group: frames leave by one interface, which the address tells.
+    pub(super) fn multicast_problem(&self) -> Option<String> {
+        let group = self.multicast?;
+        match self.listen.ip() {
+            std::net::IpAddr::V4(ip) if !ip.is_unspecified() => None,
+            _ => Some(format!(
+                "frames to the group {group} leave by one interface: set publish.natnet.listen to its IPv4 address, such as \
+                 192.168.10.2:{}",
+                self.listen.port()
+            )),
+        }
+    }
+}
+
+/// The section `[publish.lsl]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LslPublishConfig {
+    /// Whether it is published.
+    pub enabled: bool,
+    /// The address of this machine at which streams are read.
+    pub listen: Ipv4Addr,
+    /// The other machines that may read.
+    pub allow_from: Vec<Network>,
+    /// Limit on simultaneous readers of streams.
+    pub clients_max: usize,
+}
+
+impl Default for LslPublishConfig {
+    fn default() -> Self {
+        let (enabled, listen) = (false, Ipv4Addr::LOCALHOST);
+        Self { enabled, listen, allow_from: Vec::new(), clients_max: 0 }
+    }
+}
+
+impl LslPublishConfig {
+    /// Remarks on the section, one line each.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let Self { enabled: true, listen, allow_from, .. } = self else {
+            return Vec::new();
+        };
+        reach_notes("lsl", &listen.to_string(), "0.0.0.0", listen.is_loopback(), allow_from)
+    }
+}
+
+/// Remarks on a section whose address and networks contradict each other.
+fn reach_notes(
+    id: &str,
+    listen: &str,
+    example: &str,
+    is_local: bool,
+    allow_from: &[Network],
+) -> Vec<String> {
+    match (is_local, allow_from.is_empty()) {
+        (true, false) => vec![format!(
+            "publish.{id}.allow_from has no effect: only this machine can reach publish.{id}.listen = {listen}; listen on \
+             {example} for others"
+        )],
+        (false, true) => vec![format!(
+            "publish.{id}.listen is {listen}, but no other machine may connect: list those that may in \
+             publish.{id}.allow_from, such as allow_from = [\"192.168.10.0/24\"]"
+        )],
+        _ => Vec::new(),
+    }
+}
+
+/// Reads a group and its port.
+pub(super) fn group(text: &str) -> Result<SocketAddrV4, String> {
+    let parsed: SocketAddrV4 = text
+        .parse()
+        .map_err(|_| "it is not an IPv4 group with a port, as 239.255.42.99:1511".to_owned())?;
+    match parsed {
+        group if !group.ip().is_multicast() => {
+            Err("it is no multicast group: those begin with 224 to 239".to_owned())
+        }
+        group if group.port() == 0 => Err("the port is 0".to_owned()),
+        group => Ok(group),
+    }
+}
+
+/// Reads a version of the bitstream.
+pub(super) fn bitstream(text: &str) -> Result<Bitstream, String> {
+    let version: Bitstream = text.parse()?;
+    if (Bitstream::OLDEST..=Bitstream::NEWEST).contains(&version) {
+        return Ok(version);
+    }
+    Err(format!("{} to {} are known", Bitstream::OLDEST, Bitstream::NEWEST))
+}

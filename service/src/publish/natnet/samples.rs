@@ -1,0 +1,343 @@
+//! Sampled channels as NatNet sends them: with each frame, as many samples as belong to it.
+
+use std::collections::VecDeque;
+
+use mocapd_acquire::pipeline::TappedBatch;
+use mocapd_drivers::{
+    device::SampledGroupInfo,
+    natnet::{SampledDescription, SampledToSend},
+};
+
+use super::super::PublishedDevice;
+
+/// Time of the samples that wait for their frames: several times that of the longest batch.
+const HELD_S: f64 = 1.0;
+
+/// A force plate or device of the definitions.
+#[derive(Debug)]
+struct SampledDevice {
+    group: u8,
+    /// The indices of its channels in the group.
+    channels: Vec<usize>,
+    is_plate: bool,
+    id: u32,
+    /// The samples of the current frame: one channel after another.
+    samples: Vec<f32>,
+}
+
+/// The samples of a group that wait for their frames.
+#[derive(Debug)]
+struct GroupQueue {
+    info: SampledGroupInfo,
+    /// Samples of a channel in a frame.
+    per_frame: f64,
+    /// The values, and the number of the first sample.
+    values: VecDeque<f32>,
+    first: u64,
+    /// Whether a batch has come, so that the number behind the last one is known.
+    is_begun: bool,
+    /// The row of a frame, and the number of its first sample, which may be one before the first of all.
+    anchor: Option<(u64, i64)>,
+    /// Those of the current frame: the place of the first one, and their number.
+    current: (usize, usize),
+}
+
+/// All sampled channels of a device.
+#[derive(Debug, Default)]
+pub(super) struct ServedSamples {
+    devices: Vec<SampledDevice>,
+    groups: Vec<GroupQueue>,
+}
+
+impl ServedSamples {
+    /// The force plates of a device, and each of its groups without those: with what the definitions state about them.
+    pub(super) fn new(device: &PublishedDevice) -> (Self, Vec<SampledDescription>) {
+        let mut served = Self::default();
+        let mut described = Vec::new();
+        for info in &device.sampled {
+            let plates = device.plates.iter().filter(|plate| plate.group == info.id);
+            let mut rest: Vec<usize> = (0..info.channels.len()).collect();
+            for plate in plates {
+                let channels: Vec<usize> =
+                    plate.channels.iter().map(|at| usize::from(*at)).collect();
+                rest.retain(|channel| !channels.contains(channel));
+                described.push(served.add(info, channels, true, plate.number.into()));
+            }
+            if !rest.is_empty() {
+                described.push(served.add(info, rest, false, u32::from(info.id) + 1));
+            }
+            served.groups.push(GroupQueue {
+                per_frame: f64::from(info.rate_millihertz) / 1000.0 / device.header.rate_hz,
+                info: info.clone(),
+                // A second of samples: see `held_max`.
+                values: VecDeque::default(),
+                first: 0,
+                is_begun: false,
+                anchor: None,
+                current: (0, 0),
+            });
+        }
+        (served, described)
+    }
+
+    fn add(
+        &mut self,
+        info: &SampledGroupInfo,
+        channels: Vec<usize>,
+        is_plate: bool,
+        id: u32,
+    ) -> SampledDescription {
+        let stated = channels.iter().filter_map(|channel| info.channels.get(*channel));
+        let (names, units): (Vec<String>, Vec<&str>) =
+            stated.map(|channel| (channel.name.clone(), channel.unit.as_str())).unzip();
+        let name = format!("{} {id}", if is_plate { "plate" } else { "device" });
+        // Volts, or what the device calibrated.
+        let data_type = u32::from(!units.is_empty() && units.iter().all(|unit| *unit == "V"));
+        let group = info.id;
+        self.devices.push(SampledDevice { group, channels, is_plate, id, samples: Vec::new() });
+        SampledDescription { is_plate, id, name, data_type, channels: names }
+    }
+
+    /// Whether there are none.
+    pub(super) fn is_empty(&self) -> bool {
+        self.groups.is_empty()
+    }
+
+    /// Samples of the first group in a frame.
+    pub(super) fn per_frame(&self) -> u32 {
+        self.groups.first().map_or(0, |group| group.per_frame.round() as u32)
+    }
+
+    /// Takes over a batch.
+    pub(super) fn push(&mut self, batch: &TappedBatch) {
+        if let Some(group) = self.groups.iter_mut().find(|group| group.info.id == batch.group) {
+            group.push(batch);
+        }
+    }
+
+    /// Selects the samples of a frame.
+    pub(super) fn select(&mut self, row: u64) {
+        let Self { devices, groups } = self;
+        for group in groups.iter_mut() {
+            group.select(row);
+            for device in devices.iter_mut().filter(|device| device.group == group.info.id) {
+                device.samples.clear();
+                for channel in &device.channels {
+                    group.put_channel(*channel, &mut device.samples);
+                }
+            }
+            group.release();
+        }
+    }
+
+    /// The force plates, or the other devices, with the samples of the frame.
+    pub(super) fn to_send(&self, is_plate: bool) -> Vec<SampledToSend<'_>> {
+        let devices = self.devices.iter().filter(|device| device.is_plate == is_plate);
+        let to_send = devices.map(|device| SampledToSend {
+            id: device.id,
+            n_channels: device.channels.len(),
+            samples: &device.samples,
+        });
+        to_send.collect()
+    }
+}
+
+impl GroupQueue {
+    fn n_channels(&self) -> usize {
+        self.info.channels.len().max(1)
+    }
+
+    fn n_held(&self) -> u64 {
+        (self.values.len() / self.n_channels()) as u64
+    }
+
+    fn held_max(&self) -> u64 {
+        (f64::from(self.info.rate_millihertz) / 1000.0 * HELD_S).ceil().max(1.0) as u64
+    }
+
+    fn push(&mut self, batch: &TappedBatch) {
+        if usize::from(batch.n_channels) != self.n_channels() {
+            return;
+        }
+        let end = self.first + self.n_held();
+        let missing = batch.first.checked_sub(end);
+        let follows = missing.filter(|missing| self.is_begun && *missing <= self.held_max());
+        if follows.is_none() {
+            // The first one, numbers that begin anew, or a long gap.
+            self.values.clear();
+            (self.first, self.is_begun, self.anchor) = (batch.first, true, None);
+        } else if let Some(missing) = follows {
+            // Samples that are missing stay so: those behind them keep their frames.
+            let n = missing as usize * self.n_channels();
+            self.values.extend(std::iter::repeat_n(f32::NAN, n));
+        }
+        let scaled = |(place, value): (usize, &f32)| {
+            let channel = self.info.channels.get(place)?;
+            Some(((f64::from(*value) - channel.offset) * channel.scale) as f32)
+        };
+        for sample in batch.samples.chunks_exact(self.n_channels()) {
+            self.values.extend(sample.iter().enumerate().filter_map(scaled));
+        }
+        let excess = self.n_held().saturating_sub(self.held_max());
+        self.drop_front(excess);
+    }
+
+    fn drop_front(&mut self, n: u64) {
+        self.values.drain(..(n as usize * self.n_channels()).min(self.values.len()));
+        self.first += n;
+    }
+
+    /// Selects the samples of a row. Where they have not come, this frame goes without, and those of all later ones are so
+    /// much older: as many as a batch has, until frames never wait for one.
+    fn select(&mut self, row: u64) {
+        self.current = (0, 0);
+        let (first, end) = (self.first.cast_signed(), (self.first + self.n_held()).cast_signed());
+        let (anchor_row, anchor) = match self.anchor {
+            Some((at, anchor)) if row >= at => (at, anchor),
+            _ if self.values.is_empty() => return,
+            _ => (row, first),
+        };
+        let samples_in = |rows: u64| (rows as f64 * self.per_frame + 1e-6).floor() as i64;
+        let start = anchor.saturating_add(samples_in(row - anchor_row));
+        let stop = anchor.saturating_add(samples_in(row - anchor_row + 1));
+        self.anchor = if stop > end {
+            Some((anchor_row, anchor - (stop - start)))
+        } else if start < first {
+            // They are gone: frames came too late for them.
+            None
+        } else {
+            self.current = ((start - first) as usize, (stop - start) as usize);
+            Some((anchor_row, anchor))
+        };
+    }
+
+    fn put_channel(&self, channel: usize, out: &mut Vec<f32>) {
+        let (start, n) = self.current;
+        let values = self.values.iter().skip(start * self.n_channels() + channel);
+        out.extend(values.step_by(self.n_channels()).take(n));
+    }
+
+    /// Drops the samples of the frame and those before it.
+    fn release(&mut self) {
+        let (start, n) = self.current;
+        self.drop_front((start + n) as u64);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mocapd_drivers::device::SampledChannelInfo;
+
+    use super::*;
+
+    fn queue(per_frame: f64) -> ServedSamples {
+        let channels = vec![SampledChannelInfo { scale: 1.0, ..SampledChannelInfo::default() }; 2];
+        let info = SampledGroupInfo {
+            rate_millihertz: 1_000_000,
+            channels,
+            ..SampledGroupInfo::default()
+        };
+        let mut served = ServedSamples::default();
+        served.add(&info, vec![1], true, 1);
+        let group = GroupQueue {
+            info,
+            per_frame,
+            values: VecDeque::default(),
+            first: 0,
+            is_begun: false,
+            anchor: None,
+            current: (0, 0),
+        };
+        served.groups.push(group);
+        served
+    }
+
+    fn push(served: &mut ServedSamples, numbers: std::ops::Range<u64>) {
+        let samples: Vec<f32> = numbers.clone().flat_map(|n| [-(n as f32), n as f32]).collect();
+        let batch =
+            TappedBatch { first: numbers.start, n_channels: 2, samples, ..TappedBatch::default() };
+        served.push(&batch);
+    }
+
+    fn select(served: &mut ServedSamples, row: u64) -> Vec<f32> {
+        served.select(row);
+        served.to_send(true)[0].samples.to_vec()
+    }
+
+    #[test]
+    fn each_sample_comes_with_one_frame_and_always_as_many() {
+        let mut served = queue(4.0);
+        let mut found = Vec::new();
+        // Batches of three frames, which come with every third one.
+        for row in 0..30 {
+            if row % 3 == 0 {
+                push(&mut served, row * 4 + 100..row * 4 + 112);
+            }
+            found.push(select(&mut served, row));
+        }
+        let all: Vec<f32> = found.iter().flatten().copied().collect();
+        let expected: Vec<f32> = (100..220).map(|n| n as f32).collect();
+        assert_eq!(all, expected[..all.len()]);
+        assert!(found.iter().all(|samples| samples.len() == 4), "{found:?}");
+    }
+
+    #[test]
+    fn frames_that_came_too_early_go_without_and_later_ones_never_wait() {
+        let mut served = queue(4.0);
+        push(&mut served, 0..4);
+        let mut counts = Vec::new();
+        for row in 0..20 {
+            counts.push(select(&mut served, row).len());
+            if row % 2 == 1 {
+                push(&mut served, row * 4..row * 4 + 8);
+            }
+        }
+        assert!(counts[4..].iter().all(|n| *n == 4), "{counts:?}");
+    }
+
+    #[test]
+    fn samples_of_frames_that_are_missing_go_with_them_and_missing_samples_are_not_numbers() {
+        let mut served = queue(2.0);
+        push(&mut served, 0..8);
+        assert_eq!(select(&mut served, 10), [0.0, 1.0]);
+        assert_eq!(select(&mut served, 12), [4.0, 5.0], "row 11 was lost");
+        push(&mut served, 10..12);
+        assert_eq!(select(&mut served, 13), [6.0, 7.0]);
+        assert!(select(&mut served, 14).iter().all(|value| value.is_nan()));
+        assert_eq!(select(&mut served, 15), [10.0, 11.0]);
+        // Numbers begin anew.
+        push(&mut served, 0..4);
+        assert_eq!(select(&mut served, 16), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn a_batch_that_is_lost_is_not_numbers_where_one_comes_with_each_frame() {
+        let mut served = queue(4.0);
+        let mut found = Vec::new();
+        for row in 0..20 {
+            if row != 10 {
+                push(&mut served, row * 4..row * 4 + 4);
+            }
+            found.push(select(&mut served, row));
+        }
+        assert_eq!((found[9][0], found[10].len()), (36.0, 0), "it may still come");
+        assert!(found[11].iter().all(|value| value.is_nan()));
+        let rest: Vec<f32> = found[12..].iter().flatten().copied().collect();
+        let expected: Vec<f32> = (44..44 + rest.len()).map(|n| n as f32).collect();
+        assert_eq!((rest, found[19].len()), (expected, 4));
+    }
+
+    #[test]
+    fn rates_that_are_no_multiple_send_more_or_less_and_memory_is_bounded() {
+        let mut served = queue(2.5);
+        push(&mut served, 0..10);
+        let counts: Vec<_> = (0..4).map(|row| select(&mut served, row).len()).collect();
+        assert_eq!(counts, [2, 3, 2, 3]);
+        for n in 0..100 {
+            push(&mut served, 10 + n * 100..110 + n * 100);
+        }
+        assert_eq!(served.groups[0].n_held(), 1000);
+        assert_eq!(select(&mut served, 100), [0.0; 0], "gone: frames came too late for them");
+        assert_eq!(select(&mut served, 101).len(), 2);
+    }
+}
