@@ -263,7 +263,8 @@ impl ServedSettings {
             put(xml, 3, "Device_ID", &device.id.to_string());
             put(xml, 3, "Device_Name", &format!("Board {}", device.id));
             put(xml, 3, "Channels", &device.channels.len().to_string());
-            put(xml, 3, "Frequency", &device.rate_hz.to_string());
+            // The vendor's parser wants a whole number.
+            put(xml, 3, "Frequency", &device.rate_hz.round().to_string());
             if minor < 11 {
                 put(xml, 3, "Unit", &unit_of(device));
             }
@@ -293,7 +294,7 @@ impl ServedSettings {
         for plate in &self.plates {
             xml.push_str("        <Plate>\n");
             put(xml, 3, "Plate_ID", &plate.id.to_string());
-            put(xml, 3, "Frequency", &plate.rate_hz.to_string());
+            put(xml, 3, "Frequency", &plate.rate_hz.round().to_string());
             put(xml, 3, "Name", &format!("Force plate {}", plate.id));
             if let Some(corners) = plate.corners_mm {
                 xml.push_str("            <Location>\n");

@@ -141,6 +141,69 @@ fn bodies_satisfy_the_sdk(root: Node<'_, '_>, minor: u32) -> Option<usize> {
     (stated == of(bodies, "Body")).then_some(stated)
 }
 
+/// What `DeserializeAnalogSettings` and `DeserializeForceSettings` require: how many devices and plates are read.
+fn samples_satisfy_the_sdk(root: Node<'_, '_>, minor: u32) -> Option<(usize, usize)> {
+    fn numbers(node: Node<'_, '_>, names: &[&str]) -> Option<()> {
+        names.iter().try_for_each(|name| text(node, name)?.parse::<f32>().ok().map(drop))
+    }
+    fn unsigned(node: Node<'_, '_>, name: &str) -> Option<u32> {
+        text(node, name)?.parse().ok()
+    }
+    let (analog, force) = (child(root, "Analog")?, child(root, "Force")?);
+    if minor < 11 {
+        text(analog, "Unit")?;
+    }
+    let (mut n_devices, mut n_plates) = (0, 0);
+    for device in analog.children().filter(|child| child.has_tag_name("Device")) {
+        unsigned(device, "Device_ID")?;
+        unsigned(device, "Frequency")?;
+        text(device, "Device_Name")?;
+        numbers(child(device, "Range")?, &["Min", "Max"])?;
+        let stated = unsigned(device, "Channels")? as usize;
+        let of = |name: &'static str| device.children().filter(move |c| c.has_tag_name(name));
+        let is_whole = |channel: &Node<'_, '_>| {
+            child(*channel, "Label").is_some() && child(*channel, "Unit").is_some()
+        };
+        let found = match minor < 11 {
+            true => of("Label").count(),
+            false => of("Channel").filter(is_whole).count(),
+        };
+        (stated == found).then_some(())?;
+        n_devices += 1;
+    }
+    text(force, "Unit_Length")?;
+    text(force, "Unit_Force")?;
+    for plate in force.children().filter(|child| child.has_tag_name("Plate")) {
+        unsigned(plate, "Plate_ID")?;
+        unsigned(plate, "Frequency")?;
+        if let Some(location) = child(plate, "Location") {
+            for corner in ["Corner1", "Corner2", "Corner3", "Corner4"] {
+                numbers(child(location, corner)?, &["X", "Y", "Z"])?;
+            }
+        }
+        n_plates += 1;
+    }
+    Some((n_devices, n_plates))
+}
+
+#[test]
+fn our_samples_satisfy_the_rules_of_the_cpp_sdk() {
+    let channels = vec![("EMG".to_owned(), "V".to_owned()), (String::new(), String::new())];
+    let analog = vec![AnalogDevice { id: 1, rate_hz: 1000.5, channels }];
+    let (x, y) = (450.0, 300.5);
+    let corners_mm = Some([[x, y, 0.0], [-x, y, 0.0], [-x, -y, 0.0], [x, -y, 0.0]]);
+    let plate = |corners_mm| ForcePlate { id: 2, rate_hz: 1000.0, corners_mm };
+    let plates = vec![plate(None), plate(corners_mm)];
+    let served = ServedSettings { analog, plates, ..served() };
+    let request = SettingsRequest { analog: true, force: true, ..SettingsRequest::default() };
+    for minor in 8..=28 {
+        let xml = served.to_xml(minor, request).unwrap();
+        let document = Document::parse(&xml).unwrap();
+        let found = samples_satisfy_the_sdk(document.root_element(), minor);
+        assert_eq!(found, Some((1, 2)), "1.{minor}: {xml}");
+    }
+}
+
 fn with_bodies() -> ServedSettings {
     let points_mm = vec![[60.0, 0.0, -0.5], [0.0, 1e-3, 60.0]];
     let cup = BodySettings { name: "cup <&>".to_owned(), colour: Some([1, 2, 255]), points_mm };
