@@ -70,10 +70,10 @@ pub fn open_all(
     if let Some(feed) = published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
     }
-    if let Some(feed) = engine.published(NATNET) {
+    if let Some(feed) = published(NATNET) {
         running.push(open_natnet(&config.publish_natnet, feed, control)?);
     }
-    if let Some(feed) = engine.published(LSL) {
+    if let Some(feed) = published(LSL) {
         running.push(open_lsl(&config.publish_lsl, feed, control)?);
     }
     Ok(running)
