@@ -25,6 +25,8 @@ pub mod bids;
 pub(crate) mod c3d;
 mod csv;
 #[cfg(feature = "full")]
+pub mod foxglove;
+#[cfg(feature = "full")]
 mod mcap;
 #[cfg(feature = "full")]
 mod metadata;
