@@ -13,19 +13,26 @@ export function clientText({ address, version, transport, is_streaming: isStream
   return known.join(" · ");
 }
 
-/** The line above the list. Pure. */
-export function publishText({ protocol, listen, clients, clients_max: max, frames_missed: missed }) {
-  const total = missed > 0 ? `, ${plural(missed, "frame")} missed in all` : "";
+/** What is known of a server, as one line. Pure. */
+export function publishText({ protocol, listen, clients, clients_max: max, frames_missed: missed, poses_left_out: poses, batches_left_out: batches }) {
+  let total = missed > 0 ? `, ${plural(missed, "frame")} missed in all` : "";
+  if (poses > 0) total += `, poses of ${plural(poses, "frame")} left out`;
+  if (batches > 0) total += `, ${plural(batches, "batch", "batches")} of samples left out`;
   return `${protocol.toUpperCase()} at ${listen}: ${clients.length} of ${max}${total}`;
 }
 
+/** The lines of the list: each server, and its clients. Pure. */
+export function publishedLines(publish) {
+  return publish.flatMap((server) => [publishText(server), ...server.clients.map(clientText)]);
+}
+
 /** Shows the list, if anything is published. */
-export function showPublished({ publish }) {
-  setHidden(byId("published"), !publish);
-  if (!publish) return;
-  setText(byId("published-count"), publishText(publish));
+export function showPublished({ publish = [] }) {
+  setHidden(byId("published"), publish.length === 0);
+  if (publish.length === 0) return;
+  setText(byId("published-count"), plural(publish.reduce((sum, { clients }) => sum + clients.length, 0), "client"));
   const list = byId("published-clients");
-  const lines = publish.clients.map(clientText);
+  const lines = publishedLines(publish);
   while (list.children.length > lines.length) list.lastElementChild.remove();
   while (list.children.length < lines.length) list.append(h("li", {}));
   lines.forEach((line, index) => setText(list.children[index], line));

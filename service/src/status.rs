@@ -90,12 +90,12 @@ pub struct Status {
     /// The upload of finished takes; null without `archive.url`.
     #[serde(default)]
     pub archive: Option<ArchiveStatus>,
-    /// What is published live; null if nothing is.
+    /// What is published live, by protocol; empty if nothing is.
     #[serde(default)]
-    pub publish: Option<PublishStatus>,
+    pub publish: Vec<PublishStatus>,
 }
 
-/// A server that publishes frames live.
+/// A server that publishes live what is received.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct PublishStatus {
     /// Its protocol: `qtm`.
@@ -106,8 +106,21 @@ pub struct PublishStatus {
     pub clients_max: usize,
     /// Connections that were refused: too many, or from an address that is not allowed.
     pub clients_refused: u64,
-    /// Frames that clients missed since the service was started, also those that have left.
+    /// Frames that clients were sent since the service was started, also those that have left.
+    #[serde(default)]
+    pub frames_sent: u64,
+    /// Frames that clients missed since then, also those that have left.
     pub frames_missed: u64,
+    /// Frames of those that all clients missed because the server was too slow.
+    #[serde(default)]
+    pub frames_left_out: u64,
+    /// Frames whose poses of rigid bodies all clients missed because the server was too slow, or because they came without
+    /// their frame or long after it.
+    #[serde(default)]
+    pub poses_left_out: u64,
+    /// Batches of sampled channels that all clients missed because the server was too slow.
+    #[serde(default)]
+    pub batches_left_out: u64,
     /// The clients.
     pub clients: Vec<PublishedClient>,
 }

@@ -13,7 +13,7 @@ use mocapd_service::{
     http::{HttpOptions, HttpServer, Token},
     log::Log,
     notify::Notifier,
-    publish::QtmPublisher,
+    publish::{self, RunningPublisher},
     status::ServiceEventKind,
     triggered::Triggers,
 };
@@ -106,11 +106,11 @@ fn signals() -> anyhow::Result<Receiver<i32>> {
     Ok(receiver)
 }
 
-/// The servers that requests arrive on: HTTP, capture triggers, and clients of QTM.
+/// The servers that requests arrive on: HTTP, capture triggers, and clients of publishers.
 struct Servers {
     http: Option<HttpServer>,
     triggers: Option<Triggers>,
-    publisher: Option<QtmPublisher>,
+    publishers: Vec<RunningPublisher>,
 }
 
 impl Servers {
@@ -126,8 +126,8 @@ impl Servers {
                 .notify(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
         }
         let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
-        let publisher = QtmPublisher::open(&config.publish_qtm, engine.published(), control)?;
-        Ok(Self { http, triggers, publisher })
+        let publishers = publish::open_all(config, engine, control)?;
+        Ok(Self { http, triggers, publishers })
     }
 
     /// Applies those changes of a new configuration that take effect immediately.
@@ -150,9 +150,7 @@ impl Servers {
     }
 
     fn close(self) {
-        if let Some(publisher) = self.publisher {
-            publisher.close();
-        }
+        self.publishers.into_iter().for_each(RunningPublisher::close);
         if let Some(triggers) = self.triggers {
             triggers.close();
         }

@@ -40,7 +40,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
             memory_max_bytes: 64 << 20,
         },
         archive: ArchiveConfig::default(),
-        publishes: false,
+        publishers: Vec::new(),
     }
 }
 

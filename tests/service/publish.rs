@@ -19,7 +19,7 @@ use mocapd_service::{
     config::{DeviceChoice, QtmPublishConfig},
     control::{Control, Request},
     engine::{Engine, EngineOptions},
-    publish::QtmPublisher,
+    publish::{QTM, RunningPublisher, open_qtm},
     status::{PublishStatus, PublishedClient, State},
 };
 use mocapd_simulator::{
@@ -62,7 +62,7 @@ struct Published {
     _directory: tempfile::TempDir,
     _source: Source,
     engine: Arc<Engine>,
-    publisher: Option<QtmPublisher>,
+    publisher: Option<RunningPublisher>,
 }
 
 impl Published {
@@ -73,12 +73,13 @@ impl Published {
             QtmPublishConfig { enabled: true, clients_max: 10, ..QtmPublishConfig::default() };
         change(&mut publish);
         let options = options(directory.path(), directory.path());
-        let mut options = EngineOptions { publishes: true, ..options };
+        let mut options = EngineOptions { publishers: vec![QTM], ..options };
         options.device.uri = DeviceChoice::At(source.uri.parse().unwrap());
         options.take.codec = fast(1.0);
         let engine = Arc::new(Engine::start(options, &Heartbeat::default()).unwrap());
         let control: Arc<dyn Control> = Arc::<Engine>::clone(&engine);
-        let publisher = QtmPublisher::open(&publish, engine.published(), &control).unwrap();
+        let feed = engine.published(QTM).unwrap();
+        let publisher = Some(open_qtm(&publish, feed, &control).unwrap());
         Self { _directory: directory, _source: source, engine, publisher }
     }
 
@@ -87,7 +88,7 @@ impl Published {
     }
 
     fn status(&self) -> PublishStatus {
-        self.engine.status().publish.unwrap_or_default()
+        self.engine.status().publish.into_iter().next().unwrap_or_default()
     }
 
     fn client(&self, address: SocketAddr) -> Option<PublishedClient> {

@@ -25,10 +25,10 @@ use self::{
 use super::{
     Counts, PipelineConfig, PipelineProgress, SplitAt,
     commands::{CommandReceiver, TAKE_COMMANDS_MAX, TakeCommand},
-    frame_tap::{FrameTapSender, TappedFrame},
     messages::{Control, FrameTimes, ToWriter},
     plan::Plan,
     pool::Feed,
+    publish_tap::{FramePlace, PublishTapSender},
     ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
     sampled::{BatchOutcome, SampledIntake},
     split::SplitSchedule,
@@ -104,8 +104,8 @@ pub struct Intake {
     finished: bool,
     commands: CommandReceiver,
     tap: PreviewSender,
-    /// Every frame, for a publisher.
-    frames: Option<FrameTapSender>,
+    /// For publishers.
+    publish: Vec<PublishTapSender>,
     samples: SampledIntake,
     pose_step: PoseStep,
     /// Announcements of sampled channels that were reported.
@@ -127,7 +127,7 @@ pub(super) struct ReaderEndpoints {
     pub(super) to_writer: ToWriter,
     pub(super) commands: CommandReceiver,
     pub(super) tap: PreviewSender,
-    pub(super) frames: Option<FrameTapSender>,
+    pub(super) publish: Vec<PublishTapSender>,
     pub(super) samples: SampledIntake,
     pub(super) progress: Arc<PipelineProgress>,
 }
@@ -145,7 +145,7 @@ impl Intake {
             to_writer,
             commands,
             tap,
-            frames,
+            publish,
             samples,
             progress,
         } = ends;
@@ -200,7 +200,7 @@ impl Intake {
             finished: false,
             commands,
             tap,
-            frames,
+            publish,
             samples,
             pose_step: PoseStep::new(config.recorded_bodies().len()),
             groups_reported: 0,
@@ -240,9 +240,9 @@ impl Intake {
         let (row, n_channels) = (self.next_row + self.pending.rows(), self.n_channels);
         let head = PreviewFrame { row, device_ticks, arrival_ns, n_channels, is_displayed: false };
         self.tap.offer(head, &self.row[..n_channels]);
-        if let Some(frames) = &mut self.frames {
-            let head = TappedFrame { row, device_ticks, arrival_ns, n_channels, left_out: 0 };
-            frames.offer(head, &self.row[..n_channels]);
+        let place = FramePlace { seq: frame.seq, row, device_ticks, arrival_ns };
+        for tap in &mut self.publish {
+            tap.frame(place, &self.row[..n_channels]);
         }
         self.make_room();
         if !self.has_room() {
@@ -273,9 +273,14 @@ impl Intake {
     /// Accepts a batch of samples: all of it goes into the ring of its group, or is counted as lost.
     pub fn samples(&mut self, batch: &SampleBatch<'_>) {
         let segment = self.clocks.segment();
-        if self.samples.batch(batch, self.feed.next_stretch(), segment) == BatchOutcome::Refused {
-            let what = format_args!("samples of group {}", batch.group);
-            self.count_refused(what);
+        match self.samples.batch(batch, self.feed.next_stretch(), segment) {
+            BatchOutcome::Accepted { first } => {
+                self.publish.iter_mut().for_each(|tap| tap.batch(first, batch));
+            }
+            BatchOutcome::Duplicate => {}
+            BatchOutcome::Refused => {
+                self.count_refused(format_args!("samples of group {}", batch.group));
+            }
         }
     }
 

@@ -13,7 +13,6 @@
 mod commands;
 mod counts;
 mod disk;
-mod frame_tap;
 mod group;
 mod intake;
 mod messages;
@@ -21,6 +20,7 @@ pub mod offline;
 mod plan;
 mod pool;
 mod progress;
+mod publish_tap;
 mod ring;
 mod sampled;
 mod split;
@@ -38,11 +38,11 @@ pub use commands::{
 };
 pub use counts::{Counts, PendingRows};
 pub use disk::{DiskSpace, RESERVE_MIN_BYTES, check_disk_space};
-pub use frame_tap::{FrameTap, TappedFrame, TappedMarker};
 pub use group::{Visibility, VisibilityCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
 pub use progress::{PipelineProgress, TakeProgress, lock};
+pub use publish_tap::{PublishTap, TappedBatch, TappedFrame, TappedMarker};
 pub use ring::{PreviewFrame, PreviewReceiver};
 pub use sampled::{SampleColumn, SampleRange, SampleTapReceiver};
 pub use split::{NextTake, Split, SplitAt, TakeSeries};
@@ -76,8 +76,8 @@ pub struct ArmedHandles {
     pub takes: CommandSender,
     /// Frames to preview.
     pub tap: PreviewReceiver,
-    /// Every frame, if the configuration wants it.
-    pub frames: Option<FrameTap>,
+    /// What the device sends, for each publisher of the configuration.
+    pub publish_taps: Vec<PublishTap>,
     /// Sampled channels to preview.
     pub sample_tap: SampleTapReceiver,
     /// The visibility of each marker.
@@ -169,8 +169,9 @@ impl Pipeline {
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
         let (takes, commands) = commands::command_channel();
         let (tap_in, tap) = ring::tap(plan.n_slots);
-        let frames = config.tap_frames.then(|| frame_tap::frame_tap(config.rate_hz, plan.n_slots));
-        let (frames_in, frames) = frames.unzip();
+        let publish_taps =
+            (0..config.publish_taps).map(|_| publish_tap::publish_tap(config, plan.n_slots));
+        let (publish_in, publish_taps) = publish_taps.unzip();
         let ends = ReaderEndpoints {
             rings,
             timeline,
@@ -178,7 +179,7 @@ impl Pipeline {
             to_writer,
             commands,
             tap: tap_in,
-            frames: frames_in,
+            publish: publish_in,
             samples,
             progress: Arc::clone(&progress),
         };
@@ -197,7 +198,7 @@ impl Pipeline {
             written
         })?;
         let seen = visibility.unwrap_or_default();
-        let armed = ArmedHandles { takes, tap, frames, sample_tap, seen };
+        let armed = ArmedHandles { takes, tap, publish_taps, sample_tap, seen };
         Ok((intake, Self { pool, sampling, writer, progress, take: None }, armed))
     }
 

@@ -59,8 +59,9 @@ pub struct PipelineConfig {
     pub sync_every: Duration,
     /// Length and memory of the pre-roll, if there is one.
     pub pre_roll: Option<PreRollConfig>,
-    /// Whether every frame is copied for a publisher: see [`ArmedHandles::frames`](super::ArmedHandles::frames).
-    pub tap_frames: bool,
+    /// Number of publishers for which what is received is copied: see
+    /// [`ArmedHandles::publish_taps`](super::ArmedHandles::publish_taps).
+    pub publish_taps: usize,
     /// Where its threads send their heartbeats.
     pub heartbeat: Heartbeat,
 }
@@ -94,13 +95,14 @@ impl PipelineConfig {
             key_every: Duration::from_secs(10),
             sync_every: SYNC_EVERY,
             pre_roll: None,
-            tap_frames: false,
+            publish_taps: 0,
             heartbeat: Heartbeat::default(),
         }
     }
 
     /// The bodies that are recorded. Poses of others are refused, which is counted and reported.
-    pub(super) fn recorded_bodies(&self) -> &[BodyInfo] {
+    #[must_use]
+    pub fn recorded_bodies(&self) -> &[BodyInfo] {
         self.bodies.get(..BODIES_MAX).unwrap_or(&self.bodies)
     }
 

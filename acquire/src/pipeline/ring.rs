@@ -77,6 +77,10 @@ impl<T: Copy> RingConsumer<T> {
         self.0.try_pop()
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Whether no more items will come: the producer is gone, and the ring is empty.
     pub(super) fn is_over(&self) -> bool {
         !self.0.write_is_held() && self.0.is_empty()

@@ -154,6 +154,12 @@ impl Rig {
         &self.channels.sampled
     }
 
+    /// The device's force plates.
+    #[must_use]
+    pub fn plates(&self) -> &[ForcePlateInfo] {
+        &self.channels.plates
+    }
+
     /// The device's rigid bodies.
     #[must_use]
     pub fn bodies(&self) -> &[BodyInfo] {

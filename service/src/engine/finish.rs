@@ -304,7 +304,7 @@ mod tests {
             subject: None,
             arm: ArmConfig { memory_max_bytes: 1 << 20, ..ArmConfig::default() },
             archive: ArchiveConfig::default(),
-            publishes: false,
+            publishers: Vec::new(),
         };
         Engine::start(options, &Heartbeat::default()).unwrap()
     }

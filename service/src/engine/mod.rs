@@ -64,7 +64,7 @@ use super::{
     },
     finished::{EditNotes, MovedTake, Rename, Restore, TakeNotes, Trash, TrashedTake},
     live::LiveFeed,
-    publish::{Publication, PublishedFeed},
+    publish::{self, Publications, PublishedFeed, PublisherName},
     status::{
         MarkerQuality, PendingStart, Presence, ServiceEventKind, State, Status, TakeStatus,
         TakeSummary,
@@ -103,7 +103,7 @@ struct Inner {
     /// Summaries of the takes in the folder.
     summaries: Mutex<SummaryCache>,
     uploads: Uploads,
-    publication: Publication,
+    publications: Publications,
     claims: TakeClaims,
     rates: Rates,
     stopping: AtomicBool,
@@ -119,6 +119,7 @@ impl Engine {
     /// A thread cannot be started.
     pub fn start(options: EngineOptions, heartbeat: &Heartbeat) -> anyhow::Result<Self> {
         let arm_at_start = options.arm.at_start;
+        let publications = Publications::new(&options.publishers);
         let inner = Arc::new(Inner {
             core: Mutex::new(Core::new(options)),
             changed: Condvar::new(),
@@ -129,7 +130,7 @@ impl Engine {
             statistics: Mutex::new(MarkerStatistics::default()),
             summaries: Mutex::default(),
             uploads: Uploads::default(),
-            publication: Publication::default(),
+            publications,
             claims: TakeClaims::default(),
             rates: Rates::default(),
             stopping: AtomicBool::new(false),
@@ -175,10 +176,10 @@ impl Engine {
         self.inner.publish(ServiceEventKind::State, "configuration reloaded", None);
     }
 
-    /// The frames for a publisher, of which there is one at most.
+    /// What is received, for a publisher that the engine was started with.
     #[must_use]
-    pub fn published(&self) -> PublishedFeed {
-        self.inner.publication.feed()
+    pub fn published(&self, name: PublisherName) -> Option<PublishedFeed> {
+        self.inner.publications.feed(name)
     }
 
     /// Finishes the take, stops the device and ends the threads.
@@ -401,8 +402,8 @@ pub struct EngineOptions {
     pub arm: ArmConfig,
     /// Where finished takes are uploaded to.
     pub archive: ArchiveConfig,
-    /// Whether every frame is passed on to a publisher.
-    pub publishes: bool,
+    /// The publishers that everything is passed on to. Others in a configuration that is reloaded wait for a restart.
+    pub publishers: Vec<PublisherName>,
 }
 
 impl EngineOptions {
@@ -421,7 +422,7 @@ impl EngineOptions {
             subject: config.subject.load().context("[subject]")?.map(Arc::new),
             arm: config.arm.clone(),
             archive: config.archive.clone(),
-            publishes: config.publish_qtm.enabled,
+            publishers: publish::names(config),
         })
     }
 

@@ -95,7 +95,7 @@ impl Inner {
                 left_s: None,
             },
             archive: self.uploads.status(&options.archive),
-            publish: self.publication.status(),
+            publish: self.publications.status(),
         };
         status.device.is_awaited = core.arm_requested && status.device.presence == Presence::Absent;
         core.fill_session(&mut status, measured_hz);

@@ -30,7 +30,7 @@ use super::{
 };
 use crate::{
     config::{key_hint, message_with_keys},
-    publish::PublishedSource,
+    publish::PublishedDevice,
     status::ServiceEventKind,
 };
 
@@ -226,7 +226,7 @@ impl Inner {
         };
         let config = PipelineConfig {
             pre_roll: Some(pre_roll),
-            tap_frames: options.publishes,
+            publish_taps: self.publications.len(),
             heartbeat: self.heartbeat.clone(),
             ..rig.pipeline_config(options.take.codec)
         };
@@ -246,10 +246,14 @@ impl Inner {
             stop: Arc::clone(stop),
             header: header.clone(),
         };
-        if let Some(frames) = armed.frames {
-            let (progress, header) = (Arc::clone(&progress), header.clone());
-            self.publication.add(PublishedSource { frames, progress, header });
-        }
+        let device = PublishedDevice {
+            header: header.clone(),
+            progress: Arc::clone(&progress),
+            bodies: config.recorded_bodies().to_vec(),
+            sampled: config.sampled.clone(),
+            plates: rig.plates().to_vec(),
+        };
+        self.publications.set_device(armed.publish_taps, &device);
         // The hub drops the previous session: it checks this channel in every round.
         let (tap, sample_tap) = (armed.tap, armed.sample_tap);
         let sampled = config.sampled.clone();

@@ -25,9 +25,7 @@ use prometheus_client::{
 };
 
 use super::{Counts, Shared, problem::Problem};
-use crate::status::{
-    ArchiveStatus, PublishStatus, PublishedClient, State, Status, TakeStatus, TakeSummary,
-};
+use crate::status::{ArchiveStatus, PublishStatus, State, Status, TakeStatus, TakeSummary};
 
 const OPEN_METRICS: &str = "application/openmetrics-text";
 
@@ -103,8 +101,8 @@ impl Collector for StatusMetrics {
         if let Some(archive) = &self.status.archive {
             of_archive(archive, &mut out)?;
         }
-        if let Some(publish) = &self.status.publish {
-            of_publish(publish, &mut out)?;
+        if !self.status.publish.is_empty() {
+            of_publish(&self.status.publish, &mut out)?;
         }
         if let Some(take) = &self.status.last_take {
             of_last_take(take, &mut out)?;
@@ -307,24 +305,39 @@ impl StatusMetrics {
     }
 }
 
-fn of_publish(publish: &PublishStatus, out: &mut MetricWriter<'_>) -> fmt::Result {
-    figures! { out:
-        /// Clients that what is recorded is published to
-        gauge publish_clients = publish.clients.len() as f64;
-        /// Clients that were refused: too many, or from an address that is not allowed
-        counter publish_clients_refused = publish.clients_refused;
-        /// Frames that clients missed, also those that have left
-        counter publish_frames_missed = publish.frames_missed;
-    }
-    let of_clients = |value: fn(&PublishedClient) -> u64| {
-        let clients = publish.clients.iter();
-        clients.map(|client| (client.address.as_str(), value(client))).collect::<Vec<_>>()
+/// What each client was sent is in the status alone: their addresses would be ever new series.
+fn of_publish(publish: &[PublishStatus], out: &mut MetricWriter<'_>) -> fmt::Result {
+    let by = |value: fn(&PublishStatus) -> u64| {
+        let values = publish.iter().map(|status| (status.protocol.as_str(), value(status)));
+        values.collect::<Vec<_>>()
     };
-    let sent = of_clients(|client| client.frames_sent);
-    out.by("publish_client_frames_sent", "Frames sent to a connected client", "client", &sent)?;
-    let missed = of_clients(|client| client.frames_missed);
-    let help = "Frames that a connected client requested and missed";
-    out.by("publish_client_frames_missed", help, "client", &missed)
+    let figures: [(&str, &str, fn(&PublishStatus) -> u64); 7] = [
+        ("clients", "Clients that what is received is published to", |it| it.clients.len() as u64),
+        (
+            "clients_refused",
+            "Clients that were refused: too many, or from an address that is not allowed",
+            |it| it.clients_refused,
+        ),
+        ("frames_sent", "Frames that clients were sent, also those that have left", |it| {
+            it.frames_sent
+        }),
+        ("frames_missed", "Frames that clients missed, also those that have left", |it| {
+            it.frames_missed
+        }),
+        (
+            "frames_left_out",
+            "Frames that all clients missed because the server was too slow",
+            |it| it.frames_left_out,
+        ),
+        ("poses_left_out", "Frames whose poses all clients missed", |it| it.poses_left_out),
+        ("batches_left_out", "Batches of samples that all clients missed", |it| {
+            it.batches_left_out
+        }),
+    ];
+    for (name, help, value) in figures {
+        out.by(&format!("publish_{name}"), help, "protocol", &by(value))?;
+    }
+    Ok(())
 }
 
 fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> fmt::Result {

@@ -1,70 +1,198 @@
-//! What is recorded, published live to programs on this machine or the network, by their own protocols.
+//! What is received, published live to programs on this machine or the network, by their own protocols.
 //!
-//! A publisher has a thread of its own. Frames reach it through rings beside those of the recording, and wait for each client
-//! in a bounded queue; a publisher that is too slow, or a client, misses frames, which are counted, and nothing waits for it.
+//! Each publisher has a thread and a tap of its own (`acquire/src/pipeline/publish_tap.rs`). Frames and samples reach it
+//! through rings beside those of the recording; what waits for its clients is bounded. A publisher that is too slow, or a
+//! client, misses some, which is counted, and nothing waits for it.
+//!
+//! A protocol implements [`LivePublisher`]: what to do with frames, samples and sockets. [`runner`] does the rest for all of
+//! them: it opens the port until that succeeds, follows the device, takes what waits in the tap, reports clients, and ends.
+//! [`clients`] says who may connect. To add one: its section of the configuration with `enabled`, a module here with a
+//! [`PublisherName`] and a function that calls [`runner::start`], and its lines in [`names`] and [`open_all`].
 
+mod clients;
 mod markers;
 mod qtm;
+mod runner;
 
-use std::sync::{Arc, Mutex};
+use std::{
+    io,
+    net::SocketAddr,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
 
-use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_acquire::pipeline::{FrameTap, PipelineProgress, lock};
+use mocapd_acquire::pipeline::{PipelineProgress, PublishTap, TappedBatch, TappedFrame, lock};
+use mocapd_drivers::device::{BodyInfo, ForcePlateInfo, SampledGroupInfo};
 use mocapd_take::record::Header;
 
-pub use self::qtm::QtmPublisher;
-use crate::status::PublishStatus;
+pub use self::{
+    qtm::{QTM, open as open_qtm},
+    runner::RunningPublisher,
+};
+use crate::{config::Config, control::Control, engine::Engine, status::PublishStatus};
 
-/// Devices that were armed and wait for the publisher: one that is over, and its successor.
-const SOURCES_MAX: usize = 2;
+/// What a protocol is called.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PublisherName {
+    /// In the configuration, where `[publish.ID]` is its section, in the status and in metrics: lower-case letters.
+    pub id: &'static str,
+    /// In messages.
+    pub title: &'static str,
+}
 
-/// The frames of a device from when it is armed until it is disarmed.
+/// The publishers that a configuration enables. They have their taps from when the service starts to its end.
+#[must_use]
+pub fn names(config: &Config) -> Vec<PublisherName> {
+    [(config.publish_qtm.enabled, QTM)]
+        .into_iter()
+        .filter_map(|(is_enabled, name)| is_enabled.then_some(name))
+        .collect()
+}
+
+/// Opens the publishers that the engine was started with.
+///
+/// # Errors
+/// A file that the configuration names cannot be used; the message says what to do. A port that cannot be opened is a
+/// warning.
+pub fn open_all(
+    config: &Config,
+    engine: &Engine,
+    control: &Arc<dyn Control>,
+) -> anyhow::Result<Vec<RunningPublisher>> {
+    let mut running = Vec::new();
+    if let Some(feed) = engine.published(QTM) {
+        running.push(open_qtm(&config.publish_qtm, feed, control)?);
+    }
+    Ok(running)
+}
+
+/// A device that is armed: what publishers say about it.
+#[derive(Debug, Clone)]
+pub struct PublishedDevice {
+    /// The template of its takes' headers: rate, axis, device and the markers known at the start.
+    pub header: Header,
+    /// Has the channels of all markers so far.
+    pub progress: Arc<PipelineProgress>,
+    /// Its rigid bodies, in the order of the poses.
+    pub bodies: Vec<BodyInfo>,
+    /// Its groups of sampled channels.
+    pub sampled: Vec<SampledGroupInfo>,
+    /// Its force plates.
+    pub plates: Vec<ForcePlateInfo>,
+}
+
+/// A device from when it is armed until it is disarmed, for one publisher.
 #[derive(Debug)]
 pub(crate) struct PublishedSource {
-    pub(crate) frames: FrameTap,
-    pub(crate) progress: Arc<PipelineProgress>,
-    pub(crate) header: Header,
+    pub(crate) tap: PublishTap,
+    pub(crate) device: PublishedDevice,
 }
 
-/// The end of a publication that the engine has.
-#[derive(Debug)]
-pub(crate) struct Publication {
-    sources: Sender<PublishedSource>,
-    feed: PublishedFeed,
+/// What a publisher wants to be copied for it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct WantedKinds {
+    /// Frames with their markers and poses.
+    pub(crate) frames: bool,
+    /// Batches of sampled channels.
+    pub(crate) samples: bool,
 }
 
-/// The end of a publication that a publisher has.
+impl WantedKinds {
+    fn any(self) -> bool {
+        self.frames || self.samples
+    }
+}
+
+/// A protocol with its sockets. Its thread calls it in turns: source, samples, frames, exchange; and from time to time status.
+///
+/// Nothing here may wait except [`exchange`](Self::exchange), and there only for as long as it is allowed to.
+pub(crate) trait LivePublisher {
+    /// Where clients connect, which is known once a free port was found.
+    fn address(&self) -> SocketAddr;
+
+    /// A device was armed, or is not any more.
+    fn set_device(&mut self, device: Option<&PublishedDevice>);
+
+    /// What clients want at present. What nobody wants is not copied.
+    fn wanted(&self) -> WantedKinds;
+
+    /// Passes a frame on to the clients that want frames; some come after none is wanted any more.
+    fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame);
+
+    /// The same for a batch of samples. Batches come before the frames that arrived at the same time.
+    fn samples(&mut self, device: &PublishedDevice, batch: &TappedBatch);
+
+    /// Receives from the clients and sends what waits for them, and then waits until more can be done, for at most `timeout`.
+    ///
+    /// # Errors
+    /// The system's; the publisher is called again.
+    fn exchange(&mut self, timeout: Duration) -> io::Result<()>;
+
+    /// Messages about clients since the last call, for the events. Few are passed on.
+    fn take_news(&mut self) -> Vec<String>;
+
+    /// The clients and what they were sent. What its tap left out is filled in elsewhere.
+    fn status(&self) -> PublishStatus;
+
+    /// The service ends: clients get what waits for them, for at most some tenths of a second.
+    fn close(self);
+}
+
+/// The ends of all publishers that the engine has.
+#[derive(Debug, Default)]
+pub(crate) struct Publications(Vec<PublishedFeed>);
+
+/// The end that a publisher has.
 #[derive(Debug, Clone)]
 pub struct PublishedFeed {
-    sources: Receiver<PublishedSource>,
-    status: Arc<Mutex<Option<PublishStatus>>>,
+    name: PublisherName,
+    shared: Arc<Shared>,
 }
 
-impl Default for Publication {
-    fn default() -> Self {
-        let (sender, sources) = bounded(SOURCES_MAX);
-        Self { sources: sender, feed: PublishedFeed { sources, status: Arc::default() } }
-    }
+#[derive(Debug, Default)]
+struct Shared {
+    /// The device that was armed last, until its publisher takes it over. An earlier one is over by then, and nothing was
+    /// copied of it.
+    source: Mutex<Option<PublishedSource>>,
+    status: Mutex<Option<PublishStatus>>,
 }
 
-impl Publication {
-    /// Passes a device on that was armed. If nobody takes the earlier ones, its frames are not published.
-    pub(crate) fn add(&self, source: PublishedSource) {
-        self.sources.try_send(source).ok();
+impl Publications {
+    /// One for each of these publishers, whether they run or not.
+    pub(crate) fn new(names: &[PublisherName]) -> Self {
+        let feed = |name: &PublisherName| PublishedFeed { name: *name, shared: Arc::default() };
+        Self(names.iter().map(feed).collect())
     }
 
-    /// What the publisher reports, if there is one.
-    pub(crate) fn status(&self) -> Option<PublishStatus> {
-        lock(&self.feed.status).clone()
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
     }
 
-    pub(crate) fn feed(&self) -> PublishedFeed {
-        self.feed.clone()
+    /// Passes a device on that was armed, with a tap for each publisher.
+    pub(crate) fn set_device(&self, taps: Vec<PublishTap>, device: &PublishedDevice) {
+        for (feed, tap) in self.0.iter().zip(taps) {
+            let source = PublishedSource { tap, device: device.clone() };
+            *lock(&feed.shared.source) = Some(source);
+        }
+    }
+
+    /// What the publishers that run report.
+    pub(crate) fn status(&self) -> Vec<PublishStatus> {
+        self.0.iter().filter_map(|feed| lock(&feed.shared.status).clone()).collect()
+    }
+
+    pub(crate) fn feed(&self, name: PublisherName) -> Option<PublishedFeed> {
+        self.0.iter().find(|feed| feed.name == name).cloned()
     }
 }
 
 impl PublishedFeed {
+    /// The device that was armed since the last call.
+    fn take_source(&self) -> Option<PublishedSource> {
+        lock(&self.shared.source).take()
+    }
+
     fn report(&self, status: Option<PublishStatus>) {
-        *lock(&self.status) = status;
+        *lock(&self.shared.status) = status;
     }
 }

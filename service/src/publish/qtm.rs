@@ -1,15 +1,18 @@
 //! A server of the QTM RT protocol for what is recorded (docs/qtm.md).
 
 use std::{
+    io,
     net::{SocketAddr, UdpSocket},
     sync::Arc,
-    thread::JoinHandle,
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use anyhow::{Context, anyhow};
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use mocapd_acquire::threads::{self, StopReceiver, StopSender};
+use crossbeam_channel::{Receiver, Sender, bounded};
+use mocapd_acquire::{
+    pipeline::{TappedBatch, TappedFrame},
+    threads,
+};
 use mocapd_drivers::{
     qtm::{
         CLIENTS_MAX, ClientId, DISCOVERY_PORT, OwnerCommand, OwnerRequest, QtmServer, ServedFrame,
@@ -22,140 +25,69 @@ use mocapd_drivers::{
 };
 
 use super::{
-    PublishedFeed, PublishedSource,
+    LivePublisher, PublishedDevice, PublishedFeed, PublisherName, RunningPublisher, WantedKinds,
+    clients::{ClientLimits, NotAccepted},
     markers::{MarkerMap, header_of},
+    runner,
 };
 use crate::{
     config::QtmPublishConfig,
     control::{Control, EventFeed, Mark, Request, Start},
     http::Token,
     status::{PublishStatus, PublishedClient, ServiceEvent, ServiceEventKind, State},
-    trigger::{Network, RateLimit},
 };
 
-/// Time between two looks at the frames while a client requests them: well below the 3 ms in which they reach its socket.
-const POLL_STREAMING: Duration = Duration::from_millis(1);
-
-/// Frames between two looks at the clients: their sockets take as many at once.
-const FRAMES_A_TURN: usize = 16;
-
-/// The same while nobody does: the rings hold half a second.
-const POLL_IDLE: Duration = Duration::from_millis(20);
-
-/// Time between two reports of the clients to the status.
-const REPORT_INTERVAL: Duration = Duration::from_millis(200);
+/// The QTM RT protocol.
+pub const QTM: PublisherName = PublisherName { id: "qtm", title: "QTM" };
 
 /// What the server says to be.
 const VERSION: &str = concat!("mocapd ", env!("CARGO_PKG_VERSION"));
 
-/// Time between two attempts to open the port: an address that comes with the network needs some seconds.
-const REOPEN_INTERVAL: Duration = Duration::from_secs(5);
-
 /// How long clients have to take what is pending when the service stops.
 const DRAIN: Duration = Duration::from_millis(500);
 
-/// The publisher, until it is closed.
-#[derive(Debug)]
-pub struct QtmPublisher {
-    address: SocketAddr,
-    stopper: StopSender,
-    threads: Vec<JoinHandle<()>>,
-}
-
-impl QtmPublisher {
-    /// Opens the port and publishes; `None` if the configuration does not want it.
-    ///
-    /// A port that cannot be opened is a warning, and tried again until it can: the recording does without clients.
-    ///
-    /// # Errors
-    /// The password file cannot be used; the message says what to do.
-    pub fn open(
-        config: &QtmPublishConfig,
-        feed: PublishedFeed,
-        control: &Arc<dyn Control>,
-    ) -> anyhow::Result<Option<Self>> {
-        if !config.enabled {
-            return Ok(None);
+/// Opens the port and publishes.
+///
+/// # Errors
+/// The password file cannot be used; the message says what to do.
+pub fn open(
+    config: &QtmPublishConfig,
+    feed: PublishedFeed,
+    control: &Arc<dyn Control>,
+) -> anyhow::Result<RunningPublisher> {
+    let password = match &config.password_file {
+        Some(file) if config.control => {
+            Some(Token::read(file).context("publish.qtm.password_file")?.into_text())
         }
-        let password = match &config.password_file {
-            Some(file) if config.control => {
-                Some(Token::read(file).context("publish.qtm.password_file")?.into_text())
-            }
-            _ => None,
-        };
-        let listen = config.listen;
-        let sockets = Sockets::open(listen);
-        let address = sockets.as_ref().map_or(listen, |sockets| sockets.clients.address());
-        let message = match &sockets {
-            Ok(_) => format!("published for clients of QTM at {address}"),
-            Err(error) => format!("{error:#}; tried again every {} s", REOPEN_INTERVAL.as_secs()),
-        };
-        let kind =
-            if sockets.is_ok() { ServiceEventKind::State } else { ServiceEventKind::Warning };
-        control.notify(kind, &message);
-        let (requests, requested) = bounded(CLIENTS_MAX);
-        let (replies, replied) = bounded(CLIENTS_MAX);
-        let (stopper, stopped) = threads::stop_channel();
-        let has_control = password.is_some();
-        let (opener, until) = (Arc::clone(control), stopped.clone());
-        let owner = Arc::clone(control);
-        let config = config.clone();
-        let worker = move |Sockets { clients, datagrams, responder }| PublishWorker {
-            clients,
-            datagrams,
-            responder,
-            server: AllowedServer {
-                server: QtmServer::of_recorder(VERSION.to_owned(), config.clients_max, password),
-                allow_from: config.allow_from.clone(),
-                refused: 0,
-                news: Vec::new(),
-            },
-            config,
-            feed,
-            source: None,
+        _ => None,
+    };
+    let (requests, requested) = bounded(CLIENTS_MAX);
+    let (replies, replied) = bounded(CLIENTS_MAX);
+    let has_control = password.is_some();
+    let (listen, config, owner) = (config.listen, config.clone(), Arc::clone(control));
+    let open = move || {
+        let sockets = Sockets::open(config.listen)?;
+        let server =
+            QtmServer::of_recorder(VERSION.to_owned(), config.clients_max, password.clone());
+        let limits = ClientLimits::new(QTM, &config.allow_from, config.clients_max);
+        Ok(QtmPublisher {
+            sockets,
+            server: AllowedServer { server, limits, news: Vec::new(), sent_to_gone: 0 },
             map: MarkerMap::default(),
-            markers: Vec::new(),
             events: owner.events(),
-            control: owner,
-            requests,
-            replied,
+            control: Arc::clone(&owner),
+            requests: requests.clone(),
+            replied: replied.clone(),
             n_executing: 0,
-            is_behind: false,
-            rate_limit: RateLimit::default(),
-            began: Instant::now(),
-            reported: None,
-            stopped,
-        };
-        let publish = move || {
-            let sockets =
-                sockets.ok().or_else(|| Sockets::wait_for(listen, &until, opener.as_ref()));
-            if let Some(sockets) = sockets {
-                worker(sockets).run();
-            }
-        };
-        let mut running = vec![threads::spawn("mocapd-qtm", publish)?];
-        if has_control {
-            let control = Arc::clone(control);
-            let execute = move || execute_requests(control.as_ref(), &requested, &replies);
-            running.push(threads::spawn("mocapd-qtm-ctl", execute)?);
-        }
-        Ok(Some(Self { address, stopper, threads: running }))
+        })
+    };
+    let mut running = runner::start(feed, control, listen, open)?;
+    if has_control {
+        let control = Arc::clone(control);
+        let execute = move || execute_requests(control.as_ref(), &requested, &replies);
+        running.add_thread(threads::spawn("mocapd-qtm-ctl", execute)?);
     }
-
-    /// Where clients connect.
-    #[must_use]
-    pub fn address(&self) -> SocketAddr {
-        self.address
-    }
-
-    /// Disconnects all clients.
-    pub fn close(self) {
-        drop(self.stopper);
-        for thread in self.threads {
-            // A thread that panicked has reported it already.
-            drop(thread.join());
-        }
-    }
+    Ok(running)
 }
 
 /// What the publisher listens at and sends from.
@@ -179,63 +111,34 @@ impl Sockets {
         datagrams.set_nonblocking(true).context("cannot make a UDP socket non-blocking")?;
         Ok(Self { clients, datagrams, responder: Responder::open(DISCOVERY_PORT).ok() })
     }
-
-    /// Tries until the port can be opened, or the service stops.
-    fn wait_for(listen: SocketAddr, stopped: &StopReceiver, control: &dyn Control) -> Option<Self> {
-        loop {
-            // Nothing is sent on it: it ends when it is time to stop.
-            if stopped.channel().recv_timeout(REOPEN_INTERVAL)
-                == Err(RecvTimeoutError::Disconnected)
-            {
-                return None;
-            }
-            if let Ok(sockets) = Self::open(listen) {
-                let address = sockets.clients.address();
-                let message = format!("published for clients of QTM at {address}");
-                control.notify(ServiceEventKind::State, &message);
-                return Some(sockets);
-            }
-        }
-    }
 }
 
 /// The server, and who may connect to it.
 #[derive(Debug)]
 struct AllowedServer {
     server: QtmServer,
-    allow_from: Vec<Network>,
-    refused: u64,
-    /// Messages about clients, for the events.
+    limits: ClientLimits,
+    /// Messages about clients that left, for the events.
     news: Vec<String>,
-}
-
-impl AllowedServer {
-    fn is_allowed(&self, peer: SocketAddr) -> bool {
-        let ip = peer.ip().to_canonical();
-        ip.is_loopback() || self.allow_from.iter().any(|network| network.contains(ip))
-    }
+    /// Frames that clients were sent which are gone.
+    sent_to_gone: u64,
 }
 
 impl StreamServer for AllowedServer {
     type Id = ClientId;
 
     fn connect(&mut self, peer: SocketAddr) -> Result<ClientId, Vec<u8>> {
-        let connected = match self.is_allowed(peer) {
-            false => Err((QtmServer::exclusion(), "it is not in publish.qtm.allow_from")),
-            true => self.server.connect(peer).ok_or_else(|| {
-                (QtmServer::refusal(), "publish.qtm.clients_max are connected already")
-            }),
-        };
-        connected.map_err(|(message, why)| {
-            self.refused += 1;
-            self.news.push(format!("QTM client {} refused: {why}", peer.ip().to_canonical()));
-            message
-        })
+        self.limits.check(peer, self.server.reports().len()).map_err(|refusal| match refusal {
+            NotAccepted::Address => QtmServer::exclusion(),
+            NotAccepted::Full => QtmServer::refusal(),
+        })?;
+        self.server.connect(peer).ok_or_else(QtmServer::refusal)
     }
 
     fn disconnect(&mut self, id: ClientId) {
-        let report = self.server.disconnect(id).filter(|report| report.frames_missed > 0);
-        if let Some(report) = report {
+        let Some(report) = self.server.disconnect(id) else { return };
+        self.sent_to_gone += report.frames_sent;
+        if report.frames_missed > 0 {
             self.news.push(format!(
                 "QTM client {} has left: it read too slowly, and missed {} of {} frames",
                 report.peer,
@@ -266,82 +169,94 @@ impl StreamServer for AllowedServer {
     }
 }
 
-/// The state of the publisher's thread.
+/// The server with its sockets, and the owner of the measurement.
 #[derive(Debug)]
-struct PublishWorker {
-    clients: TcpServer<ClientId>,
-    datagrams: UdpSocket,
-    /// Answers searches, unless another program uses their port alone.
-    responder: Option<Responder>,
+struct QtmPublisher {
+    sockets: Sockets,
     server: AllowedServer,
-    config: QtmPublishConfig,
-    feed: PublishedFeed,
-    source: Option<PublishedSource>,
     map: MarkerMap,
-    markers: Vec<mocapd_acquire::pipeline::TappedMarker>,
     events: EventFeed,
     control: Arc<dyn Control>,
     requests: Sender<OwnerRequest>,
     replied: Receiver<OwnerReply>,
     /// Commands that are being executed.
     n_executing: usize,
-    /// Whether more frames wait than one turn sends.
-    is_behind: bool,
-    rate_limit: RateLimit,
-    began: Instant,
-    reported: Option<Instant>,
-    stopped: StopReceiver,
 }
 
-impl PublishWorker {
-    fn run(mut self) {
-        let is_recording = self.control.status().state == State::Recording;
-        self.follow_source();
-        self.server.server.set_capturing(is_recording);
-        while !self.stopped.is_stopped() {
-            self.follow_source();
-            self.pass_requests();
-            self.follow_takes();
-            self.publish_frames();
-            self.send_datagrams();
-            self.answer_searches();
-            self.clients.exchange(&mut self.server);
-            self.report();
-            let is_streaming = self.server.server.wants_frames() && self.source.is_some();
-            let timeout = match is_streaming {
-                true if self.is_behind => Duration::ZERO,
-                true => POLL_STREAMING,
-                false => POLL_IDLE,
-            };
-            if let Err(error) = self.clients.wait(&mut self.server, timeout) {
-                // Not at once again: the system may be out of memory.
-                std::thread::sleep(POLL_IDLE);
-                self.warn(&format!("waiting for QTM clients failed: {error}"));
-            }
-        }
-        self.server.server.set_source(None);
-        self.send_datagrams();
-        self.clients.finish(&mut self.server, DRAIN);
-        self.feed.report(None);
+impl LivePublisher for QtmPublisher {
+    fn address(&self) -> SocketAddr {
+        self.sockets.clients.address()
     }
 
-    /// Takes over a device that was armed, or ends the measurement of one that was disarmed.
-    fn follow_source(&mut self) {
-        while let Ok(source) = self.feed.sources.try_recv() {
+    fn set_device(&mut self, device: Option<&PublishedDevice>) {
+        let settings = device.map(|device| {
             self.map = MarkerMap::default();
-            let n_channels = source.header.channels.len();
-            self.map.follow(n_channels, &source.progress);
-            self.server.server.set_source(Some(self.map.settings(&source.header)));
-            self.source = Some(source);
+            self.map.follow(device.header.channels.len(), &device.progress);
+            self.map.settings(&device.header)
+        });
+        self.server.server.set_source(settings);
+        // A take may have begun already; later ones are events.
+        let is_recording = device.is_some() && self.control.status().state == State::Recording;
+        self.server.server.set_capturing(is_recording);
+    }
+
+    fn wanted(&self) -> WantedKinds {
+        WantedKinds { frames: self.server.server.wants_frames(), samples: false }
+    }
+
+    fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame) {
+        let server = &mut self.server.server;
+        server.left_out(frame.frames_left_out);
+        if self.map.follow(frame.markers.len(), &device.progress) {
+            server.set_source(Some(self.map.settings(&device.header)));
         }
-        let Some(source) = &self.source else { return };
-        source.frames.set_wanted(self.server.server.wants_frames());
-        if source.frames.is_over() {
-            self.source = None;
-            self.server.server.set_source(None);
+        self.map.fill(&frame.markers);
+        let tick_hz = device.header.device.as_ref().map_or(1_000_000, |device| device.tick_hz);
+        let header = header_of(frame, tick_hz);
+        let MarkerMap { labelled, unlabelled, .. } = &self.map;
+        server.frame(&ServedFrame { header, rates: [0; 2], labelled, unlabelled });
+    }
+
+    fn samples(&mut self, _: &PublishedDevice, _: &TappedBatch) {}
+
+    fn exchange(&mut self, timeout: Duration) -> io::Result<()> {
+        self.pass_requests();
+        self.follow_takes();
+        self.send_datagrams();
+        self.answer_searches();
+        self.sockets.clients.exchange(&mut self.server);
+        self.sockets.clients.wait(&mut self.server, timeout)
+    }
+
+    fn take_news(&mut self) -> Vec<String> {
+        let mut news = self.server.limits.take_news();
+        news.append(&mut self.server.news);
+        news
+    }
+
+    fn status(&self) -> PublishStatus {
+        let AllowedServer { server, limits, sent_to_gone, .. } = &self.server;
+        let clients: Vec<_> = server.reports().into_iter().map(PublishedClient::from).collect();
+        let sent: u64 = clients.iter().map(|client| client.frames_sent).sum();
+        PublishStatus {
+            protocol: QTM.id.to_owned(),
+            listen: self.address().to_string(),
+            clients_max: limits.clients_max(),
+            clients_refused: limits.refused(),
+            frames_sent: sent + sent_to_gone,
+            frames_missed: server.frames_missed(),
+            clients,
+            ..PublishStatus::default()
         }
     }
 
+    fn close(mut self) {
+        self.send_datagrams();
+        self.sockets.clients.finish(&mut self.server, DRAIN);
+    }
+}
+
+impl QtmPublisher {
     /// Tells clients of takes that began or ended, after the reply to a command that caused it.
     fn follow_takes(&mut self) {
         while self.n_executing == 0
@@ -351,34 +266,13 @@ impl PublishWorker {
         }
     }
 
-    fn publish_frames(&mut self) {
-        let Some(source) = &mut self.source else { return };
-        let server = &mut self.server.server;
-        let tick_hz = source.header.device.as_ref().map_or(1_000_000, |device| device.tick_hz);
-        self.is_behind = true;
-        for _ in 0..FRAMES_A_TURN {
-            let Some(frame) = source.frames.next(&mut self.markers) else {
-                self.is_behind = false;
-                break;
-            };
-            server.left_out(frame.left_out);
-            if self.map.follow(frame.n_channels, &source.progress) {
-                server.set_source(Some(self.map.settings(&source.header)));
-            }
-            self.map.fill(&self.markers);
-            let header = header_of(&frame, tick_hz);
-            let MarkerMap { labelled, unlabelled, .. } = &self.map;
-            server.frame(&ServedFrame { header, rates: [0; 2], labelled, unlabelled });
-        }
-    }
-
     /// Answers those who may connect, with the name of the rig.
     fn answer_searches(&self) {
-        let Some(responder) = &self.responder else { return };
-        let port = self.clients.address().port();
+        let Some(responder) = &self.sockets.responder else { return };
+        let port = self.address().port();
         responder.serve(|from, question| {
             let reply_port = read_discovery_request(question)?;
-            let is_allowed = self.server.is_allowed((from, reply_port).into());
+            let is_allowed = self.server.limits.is_allowed(from);
             is_allowed
                 .then(|| (reply_port, discovery_reply(&self.control.status().rig, VERSION, port)))
         });
@@ -387,7 +281,7 @@ impl PublishWorker {
     fn send_datagrams(&mut self) {
         let server = &mut self.server.server;
         for datagram in server.take_datagrams() {
-            let is_sent = self.datagrams.send_to(&datagram.bytes, datagram.to).is_ok();
+            let is_sent = self.sockets.datagrams.send_to(&datagram.bytes, datagram.to).is_ok();
             server.datagram_sent(&datagram, is_sent);
         }
     }
@@ -406,31 +300,6 @@ impl PublishWorker {
             self.n_executing = self.n_executing.saturating_sub(1);
             let reply = reply.as_ref().map(|text| *text).map_err(String::as_str);
             self.server.server.complete(client, reply);
-        }
-    }
-
-    fn report(&mut self) {
-        for message in std::mem::take(&mut self.server.news) {
-            self.warn(&message);
-        }
-        if self.reported.is_some_and(|at| at.elapsed() < REPORT_INTERVAL) {
-            return;
-        }
-        self.reported = Some(Instant::now());
-        let server = &self.server.server;
-        self.feed.report(Some(PublishStatus {
-            protocol: "qtm".to_owned(),
-            listen: self.clients.address().to_string(),
-            clients_max: self.config.clients_max,
-            clients_refused: self.server.refused,
-            frames_missed: server.frames_missed(),
-            clients: server.reports().into_iter().map(PublishedClient::from).collect(),
-        }));
-    }
-
-    fn warn(&mut self, message: &str) {
-        if let Some(message) = self.rate_limit.admit(message, self.began.elapsed()) {
-            self.control.notify(ServiceEventKind::Warning, &message);
         }
     }
 }

@@ -1,5 +1,5 @@
 import { causes, metrics } from "/metrics.js";
-import { clientText, publishText } from "/published.js";
+import { clientText, publishText, publishedLines } from "/published.js";
 import { RateHistory } from "/history.js";
 import { COLUMNS, level, sorted } from "/markers.js";
 import { equal, isTrue, near, test } from "./harness.js";
@@ -142,4 +142,7 @@ test("a client that missed frames says so", () => {
   isTrue(clientText({ ...client, is_streaming: false, is_in_control: true }).endsWith("requests no frames · in control"));
   const publish = { protocol: "qtm", listen: "127.0.0.1:22223", clients: [client], clients_max: 10, frames_missed: 3 };
   equal(publishText(publish), "QTM at 127.0.0.1:22223: 1 of 10, 3 frames missed in all");
+  const samples = { ...publish, protocol: "lsl", clients: [], frames_missed: 0, poses_left_out: 1, batches_left_out: 2 };
+  equal(publishText(samples), "LSL at 127.0.0.1:22223: 0 of 10, poses of 1 frame left out, 2 batches of samples left out");
+  equal(publishedLines([publish, samples]), [publishText(publish), clientText(client), publishText(samples)]);
 });

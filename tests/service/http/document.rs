@@ -128,10 +128,10 @@ fn examples() -> Vec<(&'static str, Value)> {
             ..TakeSummary::default()
         }),
         archive: Some(ArchiveStatus::default()),
-        publish: Some(PublishStatus {
+        publish: vec![PublishStatus {
             clients: vec![PublishedClient::default()],
             ..PublishStatus::default()
-        }),
+        }],
         ..Status::default()
     };
     let first_frame = FirstFrame { device_ticks: 1, arrival_ns: 2, before_request_s: 0.5 };

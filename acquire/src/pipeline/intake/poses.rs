@@ -69,6 +69,9 @@ impl Intake {
         self.pose_step.last_poses = Some(frame.seq);
         let segment = self.clocks.segment();
         let outcome = self.samples.poses(frame, self.feed.next_stretch(), segment);
+        for tap in &mut self.publish {
+            tap.poses(frame.seq, self.samples.pose_rows());
+        }
         if let PosesOutcome::Refused { body } = outcome {
             self.count_refused(format_args!("poses of body {body}"));
         }

@@ -1,5 +1,6 @@
 //! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
 
+use mocapd_codec::poses::PoseRow;
 use mocapd_drivers::{
     device::{BodyInfo, EndOfPoses, PoseFrame, SampleBatch, SampledGroupInfo},
     link::SAMPLE_VALUES_MAX,
@@ -37,8 +38,11 @@ const SEGMENT_STRETCHES: u32 = 2;
 /// What became of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::pipeline) enum BatchOutcome {
-    /// It is in the ring, or was counted as lost or as a duplicate.
-    Counted,
+    /// It is in the ring, or was counted as lost because the ring is full. `first` is the number of its first sample since the
+    /// pipeline began.
+    Accepted { first: u64 },
+    /// It came before, and was counted.
+    Duplicate,
     /// Its group was not announced before the start, or the batch does not fit it.
     Refused,
 }
@@ -176,16 +180,14 @@ impl SampledIntake {
         }
         // While no stretch ends, nothing else wakes its thread.
         let is_block_ended = group.batch(batch, stretch, segment);
-        let first = group.accepted;
+        let Some(first) = group.accepted else { return BatchOutcome::Duplicate };
         if let Some(index) = index.map(usize::from) {
             if is_block_ended {
                 self.wakes.wake(index);
             }
-            if let Some(first) = first {
-                self.tap.offer(index, first, batch);
-            }
+            self.tap.offer(index, first, batch);
         }
-        BatchOutcome::Counted
+        BatchOutcome::Accepted { first }
     }
 
     /// Whether an announcement has the bodies that were known at the start, and no others.
@@ -203,6 +205,11 @@ impl SampledIntake {
         let outcome = self.poses.fill(frame);
         self.put_poses((frame.number, frame.device_ticks), stretch, segment);
         outcome
+    }
+
+    /// The rows of all bodies in the last frame that had poses, in the order of the bodies.
+    pub(in crate::pipeline) fn pose_rows(&self) -> &[PoseRow] {
+        self.poses.rows()
     }
 
     /// Counts the poses that are missing up to the end of a run.

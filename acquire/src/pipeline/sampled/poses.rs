@@ -110,6 +110,11 @@ impl PoseRows {
         outcome
     }
 
+    /// The rows of the last frame that had poses, by body.
+    pub(super) fn rows(&self) -> &[PoseRow] {
+        self.row.as_chunks().0
+    }
+
     /// Takes the number of samples at the end.
     pub(super) fn end(&mut self, end: &EndOfPoses) {
         self.count(end.seq);

@@ -1,0 +1,523 @@
+//! What a device sends, for one publisher: frames with their markers and poses, and batches of sampled channels, copied into
+//! rings beside those of the recording, without waiting. What does not fit is left out and counted.
+//!
+//! Frames and batches have rings of their own, so that neither costs the other a place. Nothing is copied of what nobody
+//! wants, and the memory of a ring is not used before something is.
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+
+use mocapd_codec::poses::{POSE_CHANNELS, PoseRow};
+use mocapd_drivers::{
+    device::{SampleBatch, SampleForm},
+    link::SAMPLE_VALUES_MAX,
+};
+use mocapd_take::{
+    motion::{GAP, Position},
+    poses::{Pose, PoseReader},
+    record::SampledGroup,
+};
+
+use super::{
+    PipelineConfig,
+    ring::{RingConsumer, RingProducer, Sample, ring},
+};
+use crate::host_clock::monotonic_ns;
+
+/// Time of what the rings hold, in seconds: many times what a thread waits for a processor.
+const HELD_S: f64 = 0.5;
+
+/// Frames that they hold at least.
+const HELD_FRAMES_MIN: usize = 64;
+
+/// Memory of the markers and poses, and that of the samples: beyond it the rings hold them for a shorter time. 200 markers at
+/// 1000 Hz need 2 MB, as do 64 channels at 10 kHz.
+const HELD_BYTES_MAX: usize = 16 << 20;
+
+/// Batches that the rings hold at least and at most: half a second of groups of 1 kHz that come one sample at a time needs 500
+/// each, of which there are 16 at most; faster ones come in longer batches.
+const HELD_BATCHES_MIN: usize = 64;
+const HELD_BATCHES_MAX: usize = 1 << 14;
+
+/// How long a frame waits for its poses: devices send both together, so only a line that delivers them in different reads
+/// separates them. That of a frame behind it ends the wait.
+const POSES_WAIT_NS: u64 = 5_000_000;
+
+/// A marker of a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TappedMarker {
+    /// Its position; NaN if it was not seen.
+    pub position_mm: Position,
+    /// The device's residual in units of 10 micrometres; 0 if it reports none.
+    pub residual_10um: u8,
+}
+
+/// A frame. Kept from one to the next, it is filled without allocation.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TappedFrame {
+    /// Its row, counted from the start of the pipeline. A row that is skipped is a frame that did not arrive, or was left out.
+    pub row: u64,
+    /// Time by the device's clock.
+    pub device_ticks: u64,
+    /// Arrival of its last byte, by the host's monotonic clock.
+    pub arrival_ns: u64,
+    /// Its markers, by slot.
+    pub markers: Vec<TappedMarker>,
+    /// The poses of all bodies, in the order in which the device announced them, as the device sent them; empty if none came
+    /// with the frame.
+    pub poses: Vec<Pose>,
+    /// Frames before it that arrived and were left out here, because the rings were full.
+    pub frames_left_out: u64,
+    /// Frames before it of which the poses arrived and were left out, because the rings were full, or they came without their
+    /// frame or long after it.
+    pub poses_left_out: u64,
+}
+
+/// A batch of a group of sampled channels. Kept from one to the next, it is filled without allocation.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TappedBatch {
+    /// The number of the group.
+    pub group: u8,
+    /// Number of its first sample, counted from the start of the pipeline. Numbers that are skipped are samples that did not
+    /// arrive, or were left out.
+    pub first: u64,
+    /// Time of its first sample by the device's clock.
+    pub device_ticks: u64,
+    /// The form in which it was sent.
+    pub form: SampleForm,
+    /// Number of channels.
+    pub n_channels: u8,
+    /// The samples as the device sent them, one after another; of each, all channels in order.
+    pub samples: Vec<f32>,
+    /// Batches before it, of any group, that were left out here, because the rings were full.
+    pub batches_left_out: u64,
+}
+
+/// What a publisher wants at present.
+#[derive(Debug, Default)]
+struct Wanted {
+    frames: AtomicBool,
+    samples: AtomicBool,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct FrameHead {
+    row: u64,
+    device_ticks: u64,
+    arrival_ns: u64,
+    n_channels: usize,
+    left_out: u64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct PosesHead {
+    row: u64,
+    left_out: u64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct BatchHead {
+    group: u8,
+    n_channels: u8,
+    form: SampleForm,
+    n_values: u32,
+    first: u64,
+    device_ticks: u64,
+    left_out: u64,
+}
+
+/// The frame that was copied last.
+#[derive(Debug, Clone, Copy)]
+struct LastFrame {
+    seq: u32,
+    row: u64,
+    has_poses: bool,
+}
+
+/// Where and when a frame arrived.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FramePlace {
+    pub(super) seq: u32,
+    pub(super) row: u64,
+    pub(super) device_ticks: u64,
+    pub(super) arrival_ns: u64,
+}
+
+/// The reader's end.
+#[derive(Debug)]
+pub(super) struct PublishTapSender {
+    frames: RingProducer<FrameHead>,
+    markers: RingProducer<Sample>,
+    poses: RingProducer<PosesHead>,
+    pose_rows: RingProducer<PoseRow>,
+    batches: RingProducer<BatchHead>,
+    samples: RingProducer<f32>,
+    wanted: Arc<Wanted>,
+    last: Option<LastFrame>,
+    frames_left_out: u64,
+    poses_left_out: u64,
+    batches_left_out: u64,
+}
+
+/// The publisher's end.
+#[derive(Debug)]
+pub struct PublishTap {
+    frames: RingConsumer<FrameHead>,
+    markers: RingConsumer<Sample>,
+    poses: RingConsumer<PosesHead>,
+    pose_rows: RingConsumer<PoseRow>,
+    batches: RingConsumer<BatchHead>,
+    samples: RingConsumer<f32>,
+    wanted: Arc<Wanted>,
+    /// The bodies of every frame that has poses.
+    n_bodies: usize,
+    reader: PoseReader,
+    /// A frame that waits for its poses, and poses of a later frame.
+    waiting_frame: Option<FrameHead>,
+    waiting_poses: Option<PosesHead>,
+    poses_left_out: u64,
+    row: Vec<Sample>,
+}
+
+/// The ends of a tap for frames of up to `n_slots` channels.
+pub(super) fn publish_tap(
+    config: &PipelineConfig,
+    n_slots: usize,
+) -> (PublishTapSender, PublishTap) {
+    let n_bodies = config.recorded_bodies().len();
+    let frame_bytes = n_slots * size_of::<Sample>() + n_bodies * size_of::<PoseRow>();
+    let n_frames = ((config.rate_hz * HELD_S) as usize)
+        .min(HELD_BYTES_MAX / frame_bytes.max(1))
+        .max(HELD_FRAMES_MIN);
+    let (mut n_batches, mut n_values) = (0.0, 0.0);
+    for group in &config.sampled {
+        let n_samples = f64::from(group.rate_millihertz) / 1000.0 * HELD_S;
+        n_batches += n_samples;
+        n_values += n_samples * group.channels.len() as f64;
+    }
+    let n_batches = (n_batches as usize).clamp(HELD_BATCHES_MIN, HELD_BATCHES_MAX);
+    let n_values = (n_values as usize).min(HELD_BYTES_MAX / size_of::<f32>());
+    // The longest batch fits while another is read.
+    let n_values = if config.sampled.is_empty() { 1 } else { n_values.max(2 * SAMPLE_VALUES_MAX) };
+    let (frames, frames_out) = ring(n_frames);
+    let (markers, markers_out) = ring(n_frames * n_slots.max(1));
+    let (poses, poses_out) = ring(n_frames);
+    let (pose_rows, pose_rows_out) = ring(n_frames * n_bodies.max(1));
+    let (batches, batches_out) = ring(n_batches);
+    let (samples, samples_out) = ring(n_values);
+    let wanted = Arc::new(Wanted::default());
+    let sender = PublishTapSender {
+        frames,
+        markers,
+        poses,
+        pose_rows,
+        batches,
+        samples,
+        wanted: Arc::clone(&wanted),
+        last: None,
+        frames_left_out: 0,
+        poses_left_out: 0,
+        batches_left_out: 0,
+    };
+    let tap = PublishTap {
+        frames: frames_out,
+        markers: markers_out,
+        poses: poses_out,
+        pose_rows: pose_rows_out,
+        batches: batches_out,
+        samples: samples_out,
+        wanted,
+        n_bodies,
+        // The rows are not rounded.
+        reader: PoseReader::new(&SampledGroup::default()),
+        waiting_frame: None,
+        waiting_poses: None,
+        poses_left_out: 0,
+        row: Vec::new(),
+    };
+    (sender, tap)
+}
+
+impl PublishTapSender {
+    /// Copies a frame, if somebody wants it.
+    pub(super) fn frame(&mut self, place: FramePlace, row: &[Sample]) {
+        self.last = None;
+        if !self.wanted.frames.load(Ordering::Relaxed) {
+            (self.frames_left_out, self.poses_left_out) = (0, 0);
+            return;
+        }
+        if self.frames.vacant() == 0 || self.markers.vacant() < row.len() {
+            self.frames_left_out += 1;
+            return;
+        }
+        let FramePlace { seq, row: number, device_ticks, arrival_ns } = place;
+        self.markers.push_slice(row);
+        self.frames.push(FrameHead {
+            row: number,
+            device_ticks,
+            arrival_ns,
+            n_channels: row.len(),
+            left_out: std::mem::take(&mut self.frames_left_out),
+        });
+        self.last = Some(LastFrame { seq, row: number, has_poses: false });
+    }
+
+    /// Copies the poses of the frame that was copied last.
+    pub(super) fn poses(&mut self, seq: u32, rows: &[PoseRow]) {
+        if !self.wanted.frames.load(Ordering::Relaxed) {
+            return;
+        }
+        match &mut self.last {
+            Some(last) if last.seq == seq && last.has_poses => {}
+            Some(last)
+                if last.seq == seq
+                    && self.poses.vacant() > 0
+                    && self.pose_rows.vacant() >= rows.len() =>
+            {
+                last.has_poses = true;
+                self.pose_rows.push_slice(rows);
+                let left_out = std::mem::take(&mut self.poses_left_out);
+                self.poses.push(PosesHead { row: last.row, left_out });
+            }
+            _ => self.poses_left_out += 1,
+        }
+    }
+
+    /// Copies a batch, if somebody wants it; `first` is the number of its first sample since the pipeline began.
+    pub(super) fn batch(&mut self, first: u64, batch: &SampleBatch<'_>) {
+        if !self.wanted.samples.load(Ordering::Relaxed) {
+            self.batches_left_out = 0;
+            return;
+        }
+        let n_values = batch.samples.len();
+        if n_values == 0 {
+            return;
+        }
+        if self.batches.vacant() == 0 || self.samples.vacant() < n_values {
+            self.batches_left_out += 1;
+            return;
+        }
+        self.samples.push_slice(batch.samples);
+        self.batches.push(BatchHead {
+            group: batch.group,
+            n_channels: batch.n_channels,
+            form: batch.form,
+            n_values: n_values as u32,
+            first,
+            device_ticks: batch.device_ticks,
+            left_out: std::mem::take(&mut self.batches_left_out),
+        });
+    }
+}
+
+impl PublishTap {
+    /// Whether frames with their poses, and batches of samples, are wanted from now on. At first neither is.
+    pub fn set_wanted(&self, frames: bool, samples: bool) {
+        self.wanted.frames.store(frames, Ordering::Relaxed);
+        self.wanted.samples.store(samples, Ordering::Relaxed);
+    }
+
+    /// Fills `frame` with the next one, which has waited for its poses. Returns `false` if there is none yet.
+    pub fn next_frame(&mut self, frame: &mut TappedFrame) -> bool {
+        self.next_frame_at(monotonic_ns(), frame)
+    }
+
+    fn next_frame_at(&mut self, now_ns: u64, frame: &mut TappedFrame) -> bool {
+        let Some(head) = self.waiting_frame.take().or_else(|| self.frames.pop()) else {
+            return false;
+        };
+        // Looked at before the poses: those of this frame are in their ring before the next frame is in its own.
+        let is_followed = !self.frames.is_empty() || self.frames.is_over();
+        frame.poses.clear();
+        let is_complete = self.n_bodies == 0 || self.take_poses(head.row, &mut frame.poses);
+        let is_late = now_ns.saturating_sub(head.arrival_ns) >= POSES_WAIT_NS;
+        if !(is_complete || is_followed || is_late) {
+            self.waiting_frame = Some(head);
+            return false;
+        }
+        self.row.clear();
+        self.row.resize(head.n_channels, Sample::default());
+        self.markers.pop_slice(&mut self.row);
+        frame.markers.clear();
+        frame.markers.extend(self.row.iter().map(|sample| TappedMarker {
+            position_mm: if sample.present { sample.position_mm } else { GAP },
+            residual_10um: sample.residual_10um,
+        }));
+        frame.row = head.row;
+        frame.device_ticks = head.device_ticks;
+        frame.arrival_ns = head.arrival_ns;
+        frame.frames_left_out = head.left_out;
+        frame.poses_left_out = std::mem::take(&mut self.poses_left_out);
+        true
+    }
+
+    /// Appends the poses of a row. Returns whether they came, or will not come any more.
+    fn take_poses(&mut self, row: u64, poses: &mut Vec<Pose>) -> bool {
+        while let Some(head) = self.waiting_poses.take().or_else(|| self.poses.pop()) {
+            if head.row > row {
+                self.waiting_poses = Some(head);
+                return true;
+            }
+            self.poses_left_out += head.left_out;
+            for _ in 0..self.n_bodies {
+                let numbers = self.pose_rows.pop().unwrap_or([f32::NAN; POSE_CHANNELS]);
+                if head.row == row {
+                    poses.push(self.reader.pose(&numbers));
+                }
+            }
+            if head.row == row {
+                return true;
+            }
+            // Their frame did not wait any longer.
+            self.poses_left_out += 1;
+        }
+        false
+    }
+
+    /// Fills `batch` with the next one. Returns `false` if there is none yet.
+    pub fn next_batch(&mut self, batch: &mut TappedBatch) -> bool {
+        let Some(head) = self.batches.pop() else { return false };
+        batch.samples.clear();
+        batch.samples.resize(head.n_values as usize, 0.0);
+        self.samples.pop_slice(&mut batch.samples);
+        batch.group = head.group;
+        batch.first = head.first;
+        batch.device_ticks = head.device_ticks;
+        batch.form = head.form;
+        batch.n_channels = head.n_channels;
+        batch.batches_left_out = head.left_out;
+        true
+    }
+
+    /// Whether nothing more will come.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        self.waiting_frame.is_none() && self.frames.is_over() && self.batches.is_over()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mocapd_codec::{ResamplerKind, Settings, Tolerance, poses::without_pose};
+    use mocapd_drivers::device::{BodyInfo, SampledChannelInfo, SampledGroupInfo};
+    use mocapd_take::poses::PoseState;
+
+    use super::*;
+
+    fn tap(n_bodies: u16) -> (PublishTapSender, PublishTap) {
+        let tolerance = Tolerance::from_mm(1.0).unwrap();
+        let lossless = Settings { kind: ResamplerKind::Lossless, tolerance };
+        let body = |id| BodyInfo { id, name: id.to_string() };
+        let channels = vec![SampledChannelInfo::default(); 2];
+        let group = SampledGroupInfo {
+            rate_millihertz: 1_000_000,
+            channels,
+            ..SampledGroupInfo::default()
+        };
+        let config = PipelineConfig {
+            bodies: (0..n_bodies).map(body).collect(),
+            sampled: vec![group],
+            ..PipelineConfig::new(lossless, 100.0, 1000, Vec::new())
+        };
+        publish_tap(&config, 2)
+    }
+
+    fn place(seq: u32) -> FramePlace {
+        FramePlace { seq, row: u64::from(seq) + 100, device_ticks: 7, arrival_ns: 1_000_000 }
+    }
+
+    const ROW: [Sample; 2] = [
+        Sample { position_mm: [1.0, 2.0, 3.0], present: true, residual_10um: 7 },
+        Sample { position_mm: [0.0; 3], present: false, residual_10um: 0 },
+    ];
+
+    #[test]
+    fn every_frame_comes_through_or_is_counted() {
+        let (mut sender, mut tap) = tap(0);
+        let mut frame = TappedFrame::default();
+        sender.frame(place(0), &ROW);
+        assert!(!tap.next_frame(&mut frame), "nobody wanted it");
+        tap.set_wanted(true, false);
+        for seq in 1..=70 {
+            sender.frame(place(seq), &ROW);
+        }
+        for seq in 1..=64 {
+            assert!(tap.next_frame(&mut frame));
+            assert_eq!((frame.row, frame.frames_left_out), (seq + 100, 0));
+        }
+        let found = frame.markers[0];
+        assert_eq!((found.position_mm, found.residual_10um), ([1.0, 2.0, 3.0], 7));
+        assert!(frame.markers[1].position_mm[0].is_nan() && frame.poses.is_empty());
+        sender.frame(place(71), &ROW);
+        assert!(tap.next_frame(&mut frame) && !tap.is_over());
+        assert_eq!((frame.row, frame.frames_left_out), (171, 6));
+        drop(sender);
+        assert!(tap.is_over());
+    }
+
+    #[test]
+    fn a_frame_waits_for_its_poses_but_not_for_long() {
+        let (mut sender, mut tap) = tap(2);
+        tap.set_wanted(true, false);
+        let (mut frame, now) = (TappedFrame::default(), 1_000_000);
+        let tracked = [5.0, 6.0, 7.0, 0.6, 0.0, 0.8, 0.0, 0.25];
+        let rows = [tracked, without_pose(&tracked, 1)];
+        sender.frame(place(1), &ROW);
+        assert!(!tap.next_frame_at(now, &mut frame), "its poses have not come");
+        sender.poses(1, &rows);
+        sender.poses(1, &rows);
+        assert!(tap.next_frame_at(now, &mut frame));
+        assert_eq!((frame.row, frame.markers.len(), frame.poses_left_out), (101, 2, 0));
+        let [first, second] = frame.poses[..] else { panic!("two bodies") };
+        assert_eq!((first.state, first.position_mm), (PoseState::Tracked, [5.0, 6.0, 7.0]));
+        assert_eq!((first.quaternion, first.residual_mm), ([0.6, 0.0, 0.8, 0.0], 0.25));
+        assert_eq!(second.state, PoseState::Lost);
+        // Without poses: when the next frame is there, or after a while. Those that come then are counted.
+        sender.frame(place(2), &ROW);
+        sender.frame(place(3), &ROW);
+        assert!(tap.next_frame_at(now, &mut frame) && frame.poses.is_empty());
+        assert!(!tap.next_frame_at(now, &mut frame));
+        assert!(tap.next_frame_at(now + POSES_WAIT_NS, &mut frame) && frame.poses.is_empty());
+        sender.poses(3, &rows);
+        sender.poses(2, &rows);
+        sender.frame(place(4), &ROW);
+        sender.poses(4, &rows);
+        assert!(tap.next_frame_at(now, &mut frame));
+        assert_eq!((frame.row, frame.poses.len(), frame.poses_left_out), (104, 2, 2));
+    }
+
+    #[test]
+    fn every_batch_comes_through_or_is_counted() {
+        let (mut sender, mut tap) = tap(0);
+        tap.set_wanted(false, true);
+        let values: Vec<f32> = (0..SAMPLE_VALUES_MAX as u16).map(f32::from).collect();
+        let batch = |samples| SampleBatch {
+            group: 3,
+            number: 0,
+            first: 0,
+            device_ticks: 9,
+            form: SampleForm::Float32,
+            n_channels: 2,
+            samples,
+        };
+        for first in [0, 8192, 16384] {
+            sender.batch(first, &batch(&values));
+        }
+        sender.frame(place(1), &ROW);
+        let (mut found, mut frame) = (TappedBatch::default(), TappedFrame::default());
+        assert!(!tap.next_frame(&mut frame), "only samples are wanted");
+        for first in [0, 8192] {
+            assert!(tap.next_batch(&mut found));
+            assert_eq!((found.group, found.first, found.batches_left_out), (3, first, 0));
+            assert_eq!((found.n_channels, found.device_ticks), (2, 9));
+            assert!(found.samples == values && found.form == SampleForm::Float32);
+        }
+        assert!(!tap.next_batch(&mut found));
+        sender.batch(24576, &batch(&values[..2]));
+        assert!(tap.next_batch(&mut found));
+        assert_eq!((found.first, found.batches_left_out), (24576, 1));
+        assert_eq!(found.samples, [0.0, 1.0]);
+    }
+}
