@@ -63,6 +63,8 @@ pub struct Config {
     pub trigger: TriggerConfig,
     /// What is published live as QTM does.
     pub publish_qtm: QtmPublishConfig,
+    /// What is published live for Foxglove.
+    pub publish_foxglove: FoxglovePublishConfig,
     /// How much is logged.
     pub log_level: Level,
 }
@@ -229,6 +231,58 @@ impl QtmPublishConfig {
     }
 }
 
+/// The section `[publish.foxglove]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FoxglovePublishConfig {
+    /// Whether it is published.
+    pub enabled: bool,
+    /// The TCP address.
+    pub listen: SocketAddr,
+    /// The other machines that may connect.
+    pub allow_from: Vec<Network>,
+    /// The web pages whose scripts may connect.
+    pub origins: Vec<String>,
+    /// Limit on simultaneous clients.
+    pub clients_max: usize,
+}
+
+impl Default for FoxglovePublishConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            listen: (Ipv4Addr::LOCALHOST, 0).into(),
+            allow_from: Vec::new(),
+            origins: Vec::new(),
+            clients_max: 0,
+        }
+    }
+}
+
+impl FoxglovePublishConfig {
+    /// What to do where the service has no server for Foxglove, and does not start.
+    pub(crate) const NOT_BUILT: &str = "publish.foxglove.enabled is true, but this build cannot publish for Foxglove: use the \
+        Debian package, or build with `cargo build --release --features full`";
+
+    /// Remarks on the section, one line each.
+    fn notes(&self) -> Vec<String> {
+        let Self { enabled: true, listen, allow_from, .. } = self else { return Vec::new() };
+        let is_local = listen.ip().to_canonical().is_loopback();
+        match (is_local, allow_from.is_empty()) {
+            _ if cfg!(not(feature = "full")) => vec![Self::NOT_BUILT.to_owned()],
+            (true, false) => vec![format!(
+                "publish.foxglove.allow_from has no effect: only this machine can reach publish.foxglove.listen = {listen}; \
+                 listen on 0.0.0.0:{} for others",
+                listen.port()
+            )],
+            (false, true) => vec![format!(
+                "publish.foxglove.listen is {listen}, but no other machine may connect: list those that may in \
+                 publish.foxglove.allow_from, such as allow_from = [\"192.168.10.0/24\"]"
+            )],
+            _ => Vec::new(),
+        }
+    }
+}
+
 impl fmt::Display for DeviceChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -388,6 +442,7 @@ impl Config {
             );
         }
         notes.extend(self.publish_qtm.notes());
+        notes.extend(self.publish_foxglove.notes());
         if self.device.raw_log {
             notes.push(
                 "device.raw_log is on: every byte received while armed is logged, many times the size of the takes"

@@ -142,6 +142,9 @@ pub struct PublishedClient {
     pub frames_sent: u64,
     /// Frames that it requested and missed, because it read too slowly or the network took no more.
     pub frames_missed: u64,
+    /// Batches of sampled channels that it missed for the same reason, where they are not parts of frames.
+    #[serde(default)]
+    pub batches_missed: u64,
 }
 
 /// A start that waits for its time. A restart of the service forgets it.

@@ -18,8 +18,9 @@ use toml::{
 };
 
 use super::{
-    ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig,
-    NameTemplate, PROBLEMS_MAX, QtmPublishConfig, SourceLocation, TakeConfig, TriggerConfig,
+    ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig,
+    FoxglovePublishConfig, HttpConfig, NameTemplate, PROBLEMS_MAX, QtmPublishConfig,
+    SourceLocation, TakeConfig, TriggerConfig,
     key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
@@ -199,6 +200,7 @@ impl Config {
             http: HttpConfig::default(),
             trigger: TriggerConfig::default(),
             publish_qtm: QtmPublishConfig::default(),
+            publish_foxglove: FoxglovePublishConfig::default(),
             log_level: Level::default(),
         })
     }

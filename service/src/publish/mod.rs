@@ -10,6 +10,8 @@
 //! [`PublisherName`] and a function that calls [`runner::start`], and its lines in [`names`] and [`open_all`].
 
 mod clients;
+#[cfg(feature = "full")]
+mod foxglove;
 mod markers;
 mod qtm;
 mod runner;
@@ -23,8 +25,10 @@ use std::{
 
 use mocapd_acquire::pipeline::{PipelineProgress, PublishTap, TappedBatch, TappedFrame, lock};
 use mocapd_drivers::device::{BodyInfo, ForcePlateInfo, SampledGroupInfo};
-use mocapd_take::record::Header;
+use mocapd_take::record::{Header, Subject};
 
+#[cfg(feature = "full")]
+pub use self::foxglove::{FOXGLOVE, open as open_foxglove};
 pub use self::{
     qtm::{QTM, open as open_qtm},
     runner::RunningPublisher,
@@ -43,16 +47,20 @@ pub struct PublisherName {
 /// The publishers that a configuration enables. They have their taps from when the service starts to its end.
 #[must_use]
 pub fn names(config: &Config) -> Vec<PublisherName> {
-    [(config.publish_qtm.enabled, QTM)]
-        .into_iter()
-        .filter_map(|(is_enabled, name)| is_enabled.then_some(name))
-        .collect()
+    [
+        (config.publish_qtm.enabled, QTM),
+        #[cfg(feature = "full")]
+        (config.publish_foxglove.enabled, FOXGLOVE),
+    ]
+    .into_iter()
+    .filter_map(|(is_enabled, name)| is_enabled.then_some(name))
+    .collect()
 }
 
 /// Opens the publishers that the engine was started with.
 ///
 /// # Errors
-/// A file that the configuration names cannot be used; the message says what to do. A port that cannot be opened is a
+/// A file that the configuration names cannot be used, or this build lacks a publisher; the message says what to do. A port that cannot be opened is a
 /// warning.
 pub fn open_all(
     config: &Config,
@@ -60,8 +68,17 @@ pub fn open_all(
     control: &Arc<dyn Control>,
 ) -> anyhow::Result<Vec<RunningPublisher>> {
     let mut running = Vec::new();
+    #[cfg(not(feature = "full"))]
+    anyhow::ensure!(
+        !config.publish_foxglove.enabled,
+        crate::config::FoxglovePublishConfig::NOT_BUILT
+    );
     if let Some(feed) = engine.published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
+    }
+    #[cfg(feature = "full")]
+    if let Some(feed) = engine.published(FOXGLOVE) {
+        running.push(open_foxglove(&config.publish_foxglove, feed, control)?);
     }
     Ok(running)
 }
@@ -79,6 +96,8 @@ pub struct PublishedDevice {
     pub sampled: Vec<SampledGroupInfo>,
     /// Its force plates.
     pub plates: Vec<ForcePlateInfo>,
+    /// The subject of the configuration.
+    pub subject: Option<Arc<Subject>>,
 }
 
 /// A device from when it is armed until it is disarmed, for one publisher.

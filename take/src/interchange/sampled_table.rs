@@ -366,10 +366,8 @@ impl<'a> SampledTable<'a> {
             }
             TableSource::ForcePlates(loads, block) => {
                 loads.next_block(block)?;
-                let values = block.iter().flat_map(|load| {
-                    [load.force_n, load.moment_nm, load.cop_mm, load.free_moment_nm]
-                });
-                self.block.extend(values.flatten().map(|value| value as f32));
+                let values = block.iter().flat_map(PlateLoad::values);
+                self.block.extend(values.map(|value| value as f32));
             }
             TableSource::Recorded(_) => {}
         }
@@ -473,7 +471,9 @@ fn analog_columns(channels: &[AnalogChannel]) -> Vec<SampledColumn> {
     columns.collect()
 }
 
-fn plate_columns(plates: &[ForcePlate]) -> Vec<SampledColumn> {
+/// The columns of the loads of force plates: for each, its [values](PlateLoad::values).
+#[must_use]
+pub fn plate_columns(plates: &[ForcePlate]) -> Vec<SampledColumn> {
     let mut columns = Vec::new();
     for plate in plates {
         for (quantity, unit) in QUANTITIES {

@@ -70,7 +70,7 @@ fn for_unknown_keys_the_nearest_one_is_suggested() {
     refused("[arm]\ntolerance = '1mm'", (2, 1), "", &["'tolerance'", "[arm]", "[take]"]);
     refused("tolerance = '1mm'", (1, 1), "", &["'tolerance'", "[take]"]);
     refused("[devices]\nuri = 'auto'", (1, 2), "", &["[devices]", "'device'"]);
-    let all = "rig, device, take, subject, arm, archive, http, trigger, publish.qtm, log";
+    let all = "rig, device, take, subject, arm, archive, http, trigger, publish.qtm, publish.foxglove, log";
     refused("[publish.studio]", (1, 10), "", &["[publish.studio]", "[publish.qtm]"]);
     refused("[publish.qtm]\nclient_max = 1", (2, 1), "", &["[publish.qtm]", "'clients_max'"]);
     refused("publish = 1", (1, 1), "", &["publish", "publish.qtm"]);

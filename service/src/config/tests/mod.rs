@@ -66,6 +66,12 @@ allow_from = ["10.1.0.0/16"]
 clients_max = 3
 control = true
 password_file = "/etc/mocapd/qtm-password"
+[publish.foxglove]
+enabled = true
+listen = "[::]:8766"
+allow_from = ["10.2.0.0/16"]
+origins = ["https://app.foxglove.dev", "http://10.2.0.1:8080"]
+clients_max = 3
 [log]
 level = "trace"
 "#;
@@ -113,6 +119,7 @@ fn every_key_is_read() {
     assert!(config.trigger.allow_from[0].contains("192.168.10.3".parse().unwrap()));
     assert!(config.publish_qtm.allow_from[0].contains("10.1.2.3".parse().unwrap()));
     assert_eq!((config.publish_qtm.clients_max, config.publish_qtm.control), (3, true));
+    assert_eq!(config.publish_foxglove.origins[1], "http://10.2.0.1:8080");
     assert_eq!(config.log_level, Level::Trace);
     // Each differs from its default, so a key that is ignored shows.
     let changes = parse("").unwrap().changes(&config);

@@ -1,0 +1,447 @@
+//! The server's end of the protocol, sans-io: connections, their bytes and messages of channels go in, bytes for clients come out.
+
+use std::{net::SocketAddr, time::Duration};
+
+use mocapd_drivers::transport::network::server::StreamServer;
+use mocapd_take::interchange::foxglove::Message;
+use tungstenite::{handshake::server::Request, http::StatusCode};
+
+use super::{
+    outbox::{Counts, EntryKind, Outbox},
+    protocol::{
+        Channel, ClientMessage, SUBPROTOCOLS, Subscription, put_advertise, put_error, put_message,
+        put_server_info, put_time, put_unadvertise,
+    },
+    web_socket::{Received, Refusal, WebSocket, refuse},
+};
+use crate::publish::clients::{ClientLimits, NotAccepted};
+
+/// Time for a handshake: a connection that is silent must not occupy a place for ever.
+const HANDSHAKE_WITHIN: Duration = Duration::from_secs(10);
+
+/// Messages about clients that wait for the events; further ones would say the same.
+const NEWS_MAX: usize = 64;
+
+/// A connected client, until it is disconnected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct ClientId(u64);
+
+/// A client as the status reports it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ClientReport {
+    pub(super) peer: SocketAddr,
+    /// The subprotocol; empty until it is chosen.
+    pub(super) subprotocol: &'static str,
+    pub(super) is_streaming: bool,
+    pub(super) frames_sent: u64,
+    pub(super) missed: Counts,
+}
+
+#[derive(Debug)]
+struct Client {
+    id: ClientId,
+    peer: SocketAddr,
+    socket: WebSocket,
+    subprotocol: &'static str,
+    connected: Duration,
+    subscriptions: Vec<Subscription>,
+    outbox: Outbox,
+    /// The messages of the present frame or batch.
+    building: Vec<u8>,
+    is_over: bool,
+    missed: Counts,
+}
+
+/// A server.
+#[derive(Debug)]
+pub(super) struct FoxgloveServer {
+    name: String,
+    session: String,
+    limits: ClientLimits,
+    /// Web pages whose scripts may connect.
+    origins: Vec<String>,
+    channels: Vec<(u32, Channel)>,
+    next_channel: u32,
+    clients: Vec<Client>,
+    next_client: u64,
+    now: Duration,
+    refused: u64,
+    /// Frames that clients were sent which are gone, and what these missed.
+    gone: (u64, Counts),
+    news: Vec<String>,
+}
+
+impl FoxgloveServer {
+    /// A server of this name; `session` is another for each start of it. Scripts of web pages may connect from `origins`.
+    pub(super) fn new(
+        name: String,
+        session: String,
+        limits: ClientLimits,
+        origins: Vec<String>,
+    ) -> Self {
+        Self {
+            name,
+            session,
+            limits,
+            origins,
+            channels: Vec::new(),
+            next_channel: 1,
+            clients: Vec::new(),
+            next_client: 0,
+            now: Duration::ZERO,
+            refused: 0,
+            gone: (0, Counts::default()),
+            news: Vec::new(),
+        }
+    }
+
+    /// States the time, by any clock that does not jump.
+    pub(super) fn set_now(&mut self, now: Duration) {
+        self.now = now;
+    }
+
+    /// Announces these channels; those that were announced before and are not among them end, and subscriptions to them.
+    pub(super) fn set_channels(&mut self, channels: Vec<Channel>) {
+        let (kept, ended): (Vec<_>, Vec<_>) =
+            self.channels.drain(..).partition(|(_, channel)| channels.contains(channel));
+        let ended: Vec<u32> = ended.into_iter().map(|(id, _)| id).collect();
+        let mut added = Vec::new();
+        for channel in channels {
+            if !kept.iter().any(|(_, known)| *known == channel) {
+                added.push((self.next_channel, channel));
+                self.next_channel += 1;
+            }
+        }
+        let mut bytes = Vec::new();
+        put_unadvertise(&ended, &mut bytes);
+        put_advertise(added.iter().map(|(id, channel)| (*id, channel)), &mut bytes);
+        for client in self.clients.iter_mut().filter(|client| client.socket.is_open()) {
+            client.subscriptions.retain(|subscription| !ended.contains(&subscription.channel_id));
+            client.put(bytes.clone());
+        }
+        self.channels = kept;
+        self.channels.append(&mut added);
+    }
+
+    fn channel(&self, topic: &str) -> Option<u32> {
+        self.channels.iter().find(|(_, channel)| channel.topic == topic).map(|(id, _)| *id)
+    }
+
+    /// Whether a client wants messages of a topic.
+    pub(super) fn is_wanted(&self, topic: &str) -> bool {
+        self.channel(topic).is_some_and(|channel| {
+            self.clients.iter().any(|client| client.subscription(channel).is_some())
+        })
+    }
+
+    /// Adds a message to what the clients that want it are sent next. It is built if there is one.
+    pub(super) fn message(&mut self, topic: &str, time_ns: u64, build: impl FnOnce() -> Message) {
+        let Some(channel) = self.channel(topic).filter(|_| self.is_wanted(topic)) else { return };
+        let message = build();
+        for client in &mut self.clients {
+            if let Some(id) = client.subscription(channel) {
+                if client.building.is_empty() {
+                    put_time(time_ns, &mut client.building);
+                }
+                put_message(id, time_ns, message.as_bytes(), &mut client.building);
+            }
+        }
+    }
+
+    /// Ends the frame to which messages were added: clients are sent it whole, or miss it.
+    pub(super) fn end_frame(&mut self) {
+        self.end(EntryKind::Frame);
+    }
+
+    /// The same for a batch of samples.
+    pub(super) fn end_batch(&mut self) {
+        self.end(EntryKind::Batch);
+    }
+
+    fn end(&mut self, kind: EntryKind) {
+        for client in self.clients.iter_mut().filter(|client| !client.building.is_empty()) {
+            let bytes = std::mem::take(&mut client.building);
+            client.missed.add(client.outbox.put_droppable(bytes, kind));
+        }
+    }
+
+    /// Sends a message that may not be missed to the clients that want it.
+    pub(super) fn message_alone(&mut self, topic: &str, time_ns: u64, message: &Message) {
+        let Some(channel) = self.channel(topic) else { return };
+        for client in &mut self.clients {
+            if let Some(id) = client.subscription(channel) {
+                let mut bytes = Vec::new();
+                put_message(id, time_ns, message.as_bytes(), &mut bytes);
+                client.put(bytes);
+            }
+        }
+    }
+
+    /// Counts frames that did not reach the server: all clients miss them that want one of these topics.
+    pub(super) fn left_out(&mut self, frames: u64, topics: &[&str]) {
+        if frames == 0 {
+            return;
+        }
+        let channels: Vec<u32> = topics.iter().filter_map(|topic| self.channel(topic)).collect();
+        for client in &mut self.clients {
+            if channels.iter().any(|channel| client.subscription(*channel).is_some()) {
+                client.missed.frames += frames;
+            }
+        }
+    }
+
+    /// Messages about clients since the last call.
+    pub(super) fn take_news(&mut self) -> Vec<String> {
+        let mut news = self.limits.take_news();
+        news.append(&mut self.news);
+        news
+    }
+
+    /// Connections that were refused, and the limit on simultaneous clients.
+    pub(super) fn limits(&self) -> (u64, usize) {
+        (self.limits.refused() + self.refused, self.limits.clients_max())
+    }
+
+    /// Frames that clients were sent, and what they missed, also those that are gone.
+    pub(super) fn totals(&self) -> (u64, Counts) {
+        self.clients.iter().fold(self.gone, |(sent, mut missed), client| {
+            missed.add(client.missed);
+            (sent + client.outbox.frames_sent(), missed)
+        })
+    }
+
+    pub(super) fn reports(&self) -> Vec<ClientReport> {
+        self.clients.iter().map(Client::report).collect()
+    }
+
+    fn client(&mut self, id: ClientId) -> Option<&mut Client> {
+        self.clients.iter_mut().find(|client| client.id == id)
+    }
+
+    fn refuse(&mut self, peer: SocketAddr, why: &str) {
+        self.refused += 1;
+        if self.news.len() < NEWS_MAX {
+            let ip = peer.ip().to_canonical();
+            self.news.push(format!("Foxglove client {ip} refused: {why}"));
+        }
+    }
+
+    fn execute(&mut self, id: ClientId, received: Received) {
+        match received {
+            Received::Opened => {
+                let mut bytes = Vec::new();
+                put_server_info(&self.name, &self.session, &mut bytes);
+                let channels = self.channels.iter().map(|(id, channel)| (*id, channel));
+                put_advertise(channels, &mut bytes);
+                if let Some(client) = self.client(id) {
+                    client.put(bytes);
+                }
+            }
+            Received::Text(text) => match serde_json::from_str(&text) {
+                Ok(ClientMessage::Subscribe { subscriptions }) => {
+                    subscriptions.into_iter().for_each(|request| self.subscribe(id, request));
+                }
+                Ok(ClientMessage::Unsubscribe { subscription_ids }) => {
+                    if let Some(client) = self.client(id) {
+                        client.subscriptions.retain(|known| !subscription_ids.contains(&known.id));
+                    }
+                }
+                Ok(ClientMessage::Other) => {
+                    self.error(id, "mocapd only publishes: it has the capability 'time' alone");
+                }
+                Err(error) => {
+                    self.error(id, &format!("this is no message of the protocol: {error}"));
+                }
+            },
+            Received::Binary => {
+                self.error(id, "mocapd only publishes: it takes no messages of clients");
+            }
+            Received::Closed => {
+                if let Some(client) = self.client(id) {
+                    client.is_over = true;
+                }
+            }
+        }
+    }
+
+    fn subscribe(&mut self, id: ClientId, request: Subscription) {
+        let Subscription { id: number, channel_id } = request;
+        let is_known = self.channels.iter().any(|(id, _)| *id == channel_id);
+        let Some(client) = self.client(id) else { return };
+        // At most one for each channel, so that their number is bounded.
+        if !is_known {
+            self.error(id, &format!("there is no channel {channel_id}"));
+        } else if client.subscription(channel_id).is_some() {
+            self.error(id, &format!("channel {channel_id} is subscribed to already"));
+        } else if client.subscriptions.iter().any(|known| known.id == number) {
+            self.error(id, &format!("subscription {number} exists already"));
+        } else {
+            client.subscriptions.push(request);
+        }
+    }
+
+    fn error(&mut self, id: ClientId, message: &str) {
+        let mut bytes = Vec::new();
+        put_error(message, &mut bytes);
+        if let Some(client) = self.client(id) {
+            client.put(bytes);
+        }
+    }
+}
+
+/// The subprotocol for a request, or why it is refused.
+fn accept(request: &Request, origins: &[String]) -> Result<&'static str, Refusal> {
+    let header =
+        |name: &str| request.headers().get_all(name).iter().filter_map(|v| v.to_str().ok());
+    // The script of any web page could connect from this machine, which may. Programs have no origin, or one that no page can
+    // have, such as `file://`.
+    let is_of_page = |origin: &&str| {
+        *origin == "null" || origin.starts_with("http:") || origin.starts_with("https:")
+    };
+    if let Some(origin) = header("Origin")
+        .filter(is_of_page)
+        .find(|origin| !origins.iter().any(|known| known == origin))
+    {
+        let shown: String = origin.chars().take(100).collect();
+        return Err((StatusCode::FORBIDDEN, format!("{shown} is not in publish.foxglove.origins")));
+    }
+    let offered: Vec<&str> = header("Sec-WebSocket-Protocol")
+        .flat_map(|value| value.split(','))
+        .map(str::trim)
+        .collect();
+    SUBPROTOCOLS.into_iter().find(|ours| offered.contains(ours)).ok_or_else(|| {
+        let text =
+            format!("mocapd speaks the subprotocols {}: request one", SUBPROTOCOLS.join(" and "));
+        (StatusCode::BAD_REQUEST, text)
+    })
+}
+
+impl Client {
+    fn subscription(&self, channel: u32) -> Option<u32> {
+        let mut all = self.subscriptions.iter();
+        all.find(|subscription| subscription.channel_id == channel).map(|found| found.id)
+    }
+
+    /// Adds what may not be missed. A client that does not read is disconnected.
+    fn put(&mut self, bytes: Vec<u8>) {
+        if !self.outbox.put(bytes) {
+            self.end();
+        }
+    }
+
+    /// Disconnects it; what waits is missed.
+    fn end(&mut self) {
+        self.missed.add(self.outbox.clear());
+        self.subscriptions.clear();
+        self.building.clear();
+        self.is_over = true;
+    }
+
+    fn report(&self) -> ClientReport {
+        ClientReport {
+            peer: self.peer,
+            subprotocol: self.subprotocol,
+            is_streaming: !self.subscriptions.is_empty(),
+            frames_sent: self.outbox.frames_sent(),
+            missed: self.missed,
+        }
+    }
+}
+
+impl StreamServer for FoxgloveServer {
+    type Id = ClientId;
+
+    fn connect(&mut self, peer: SocketAddr) -> Result<ClientId, Vec<u8>> {
+        self.limits.check(peer, self.clients.len()).map_err(|refusal| {
+            let (status, why) = match refusal {
+                NotAccepted::Address => {
+                    (StatusCode::FORBIDDEN, "this address is not in publish.foxglove.allow_from")
+                }
+                NotAccepted::Full => (
+                    StatusCode::SERVICE_UNAVAILABLE,
+                    "publish.foxglove.clients_max are connected already",
+                ),
+            };
+            let mut bytes = Vec::new();
+            refuse(status, why, &mut bytes);
+            bytes
+        })?;
+        let id = ClientId(self.next_client);
+        self.next_client += 1;
+        self.clients.push(Client {
+            id,
+            peer,
+            socket: WebSocket::default(),
+            subprotocol: "",
+            connected: self.now,
+            subscriptions: Vec::new(),
+            outbox: Outbox::default(),
+            building: Vec::new(),
+            is_over: false,
+            missed: Counts::default(),
+        });
+        Ok(id)
+    }
+
+    fn disconnect(&mut self, id: ClientId) {
+        let Some(at) = self.clients.iter().position(|client| client.id == id) else { return };
+        let mut client = self.clients.swap_remove(at);
+        client.end();
+        let ClientReport { peer, frames_sent, missed: Counts { frames, batches }, .. } =
+            client.report();
+        self.gone.0 += frames_sent;
+        self.gone.1.add(client.missed);
+        if (frames > 0 || batches > 0) && self.news.len() < NEWS_MAX {
+            let n = frames_sent + frames;
+            self.news.push(format!(
+                "Foxglove client {peer} has left: it read too slowly, and missed {frames} of {n} frames and {batches} batches of samples"
+            ));
+        }
+    }
+
+    fn receive(&mut self, id: ClientId, bytes: &[u8]) {
+        let Some(at) = self.clients.iter().position(|client| client.id == id) else { return };
+        let Some(client) = self.clients.get_mut(at) else { return };
+        let (mut out, mut chosen) = (Vec::new(), Ok(client.subprotocol));
+        let choose = |request: &Request| {
+            chosen = accept(request, &self.origins);
+            chosen.clone()
+        };
+        let received = client.socket.receive(bytes, choose, &mut out);
+        client.put(out);
+        match chosen {
+            Ok(subprotocol) => client.subprotocol = subprotocol,
+            Err((_, why)) => {
+                let peer = client.peer;
+                self.refuse(peer, &why);
+            }
+        }
+        received.into_iter().for_each(|received| self.execute(id, received));
+    }
+
+    fn may_receive(&self, id: ClientId) -> bool {
+        let client = self.clients.iter().find(|client| client.id == id);
+        client.is_some_and(|client| !client.is_over && !client.outbox.is_full())
+    }
+
+    fn is_over(&self, id: ClientId) -> bool {
+        self.clients.iter().any(|client| {
+            let is_late = !client.socket.is_open()
+                && self.now.saturating_sub(client.connected) > HANDSHAKE_WITHIN;
+            client.id == id && (client.is_over || is_late)
+        })
+    }
+
+    fn pending(&self, id: ClientId) -> &[u8] {
+        self.clients
+            .iter()
+            .find(|client| client.id == id)
+            .map_or(&[], |client| client.outbox.next())
+    }
+
+    fn sent(&mut self, id: ClientId, n: usize) {
+        if let Some(client) = self.client(id) {
+            client.outbox.sent(n);
+        }
+    }
+}
