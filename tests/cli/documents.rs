@@ -391,7 +391,9 @@ fn config_check() {
                [take]\nmax_length = '1h'\n[archive]\nurl = 'file:///srv/archive/'\nremove_local_after = '168h'\n[http]\ntoken_file = 'token'\nallowed_hosts = ['rig.lab']\n\
                [trigger]\nlisten = '0.0.0.0:8989'\nsend_to = ['10.0.0.1:8989']\n";
     let publish = "[publish.qtm]\nallow_from = ['192.168.10.0/24']\ncontrol = true\npassword_file = 'token'\n";
-    let all = &format!("{publish}{all}");
+    let foxglove =
+        "[publish.foxglove]\nallow_from = ['::1']\norigins = ['https://app.foxglove.dev']\n";
+    let all = &format!("{publish}{foxglove}{all}");
     folder.write("left.toml", all);
     folder.write("token", "0123456789abcdef\n");
     folder.write("s.json", super::subjects::skeleton(&jump(1, 60.0, 1.0)));

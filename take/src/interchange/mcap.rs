@@ -16,7 +16,7 @@ use super::{
     InterchangeError, Result,
     foxglove::{self, Message, descriptor_set, field_names},
     metadata::metadata,
-    sampled_table::{SampledColumn, SampledKind, SampledTable},
+    sampled_table::{SampledColumn, SampledTable},
     text::column_labels,
 };
 use crate::motion::{FrameSource, GAP};
@@ -102,12 +102,7 @@ impl McapFile<'_> {
 
     /// A channel for the samples of a table. Its metadata has the name and unit of each field's channel.
     fn sampled_channel(&mut self, table: &SampledTable<'_>) -> Result<u16> {
-        let message = match table.kind() {
-            SampledKind::Analog => "mocapd.Analog".to_owned(),
-            SampledKind::Group(number) => format!("mocapd.Sampled{number}"),
-            SampledKind::ForcePlates(None) => "mocapd.ForcePlates".to_owned(),
-            SampledKind::ForcePlates(Some(number)) => format!("mocapd.ForcePlates{number}"),
-        };
+        let message = table.kind().message_name();
         let names: Vec<&str> = table.columns().iter().map(|c| c.name.as_str()).collect();
         let fields = field_names(&names);
         let schema = foxglove::sampled_descriptor(&message, &fields);

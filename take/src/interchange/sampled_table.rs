@@ -71,6 +71,17 @@ impl SampledKind {
         }
     }
 
+    /// The name of the message type of a row in MCAP and in live streams.
+    #[must_use]
+    pub fn message_name(self) -> String {
+        match self {
+            Self::Analog => "mocapd.Analog".to_owned(),
+            Self::Group(number) => format!("mocapd.Sampled{number}"),
+            Self::ForcePlates(None) => "mocapd.ForcePlates".to_owned(),
+            Self::ForcePlates(Some(number)) => format!("mocapd.ForcePlates{number}"),
+        }
+    }
+
     /// The kind with this name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {

@@ -445,3 +445,172 @@ impl StreamServer for FoxgloveServer {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use mocapd_take::interchange::foxglove::{LogLevel, log};
+
+    use super::*;
+    use crate::publish::PublisherName;
+
+    const NAME: PublisherName = PublisherName { id: "foxglove", title: "Foxglove" };
+
+    fn channel(topic: &str) -> Channel {
+        Channel { topic: topic.to_owned(), schema_name: "x.Y".to_owned(), schema: vec![7; 100] }
+    }
+
+    fn server(topics: &[&str]) -> FoxgloveServer {
+        let limits = ClientLimits::new(NAME, &[], 3);
+        let mut server = FoxgloveServer::new("rig".to_owned(), "1".to_owned(), limits, Vec::new());
+        server.set_channels(topics.iter().map(|topic| channel(topic)).collect());
+        server
+    }
+
+    fn connected(server: &mut FoxgloveServer) -> ClientId {
+        let id = server.connect("127.0.0.1:5000".parse().unwrap()).unwrap();
+        let request = "GET / HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n\
+            Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: other, foxglove.sdk.v1\r\n\r\n";
+        server.receive(id, request.as_bytes());
+        id
+    }
+
+    fn send(server: &mut FoxgloveServer, id: ClientId, text: &str) {
+        let length = (text.len() as u16).to_be_bytes();
+        let header = [&[0x81, 0x80 | 126], &length[..], &[0; 4]].concat();
+        server.receive(id, &[&header, text.as_bytes()].concat());
+    }
+
+    fn subscribe(server: &mut FoxgloveServer, id: ClientId, number: u32, topic: &str) {
+        let channel = server.channel(topic).unwrap();
+        let list = format!(r#"[{{"id":{number},"channelId":{channel}}}]"#);
+        send(server, id, &format!(r#"{{"op":"subscribe","subscriptions":{list}}}"#));
+    }
+
+    /// What a client that reads is sent.
+    fn read(server: &mut FoxgloveServer, id: ClientId) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        while !server.pending(id).is_empty() {
+            let n = server.pending(id).len();
+            bytes.extend_from_slice(server.pending(id));
+            server.sent(id, n);
+        }
+        bytes
+    }
+
+    fn text(bytes: &[u8]) -> String {
+        String::from_utf8_lossy(bytes).into_owned()
+    }
+
+    fn frame(server: &mut FoxgloveServer, topic: &str, n_bytes: usize) {
+        server.message(topic, 9, || log(LogLevel::Info, "", &"x".repeat(n_bytes), 9));
+        server.end_frame();
+    }
+
+    #[test]
+    fn a_client_is_told_of_channels_and_gets_those_that_it_subscribes_to() {
+        let mut server = server(&["/a", "/b"]);
+        let id = connected(&mut server);
+        let greeting = text(&read(&mut server, id));
+        assert!(greeting.contains(r#""op":"serverInfo","name":"rig""#), "{greeting}");
+        assert!(greeting.contains(r#""id":2,"topic":"/b","encoding":"protobuf""#), "{greeting}");
+        assert_eq!(server.reports()[0].subprotocol, "foxglove.sdk.v1");
+        frame(&mut server, "/a", 1);
+        assert_eq!(read(&mut server, id), b"", "it has not subscribed to it");
+        subscribe(&mut server, id, 77, "/a");
+        assert!(server.is_wanted("/a") && !server.is_wanted("/b"));
+        frame(&mut server, "/a", 1);
+        frame(&mut server, "/b", 1);
+        let found = read(&mut server, id);
+        assert_eq!(found[..11], [0x82, 9, 2, 9, 0, 0, 0, 0, 0, 0, 0], "the time");
+        assert_eq!(found[13..26], [1, 77, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0], "a message");
+        // Another device: /a is as before, and the subscription goes on.
+        server.set_channels(vec![channel("/a"), channel("/c")]);
+        let news = text(&read(&mut server, id));
+        assert!(news.contains(r#"{"op":"unadvertise","channelIds":[2]}"#), "{news}");
+        assert!(news.contains(r#""id":3,"topic":"/c""#) && !news.contains("/a"), "{news}");
+        assert!(server.is_wanted("/a"));
+        send(&mut server, id, r#"{"op":"unsubscribe","subscriptionIds":[77]}"#);
+        assert!(!server.is_wanted("/a"));
+    }
+
+    #[test]
+    fn what_is_not_possible_is_answered() {
+        let mut server = server(&["/a"]);
+        let id = connected(&mut server);
+        subscribe(&mut server, id, 1, "/a");
+        read(&mut server, id);
+        for (sent, expected) in [
+            (
+                r#"{"op":"subscribe","subscriptions":[{"id":2,"channelId":9}]}"#,
+                "there is no channel 9",
+            ),
+            (r#"{"op":"subscribe","subscriptions":[{"id":2,"channelId":1}]}"#, "already"),
+            (r#"{"op":"getParameters","parameterNames":[]}"#, "mocapd only publishes"),
+            (r#"{"op":7}"#, "no message of the protocol"),
+            ("[[[[", "no message of the protocol"),
+        ] {
+            send(&mut server, id, sent);
+            let answer = text(&read(&mut server, id));
+            assert!(answer.contains(r#""op":"status","level":2"#), "{sent}: {answer}");
+            assert!(answer.contains(expected), "{sent}: {answer}");
+        }
+        assert!(!server.is_over(id), "it stays connected");
+    }
+
+    #[test]
+    fn every_frame_is_sent_or_counted_as_missed() {
+        let mut server = server(&["/a"]);
+        let [reads, stuck] = [(); 2].map(|()| connected(&mut server));
+        for id in [reads, stuck] {
+            subscribe(&mut server, id, 1, "/a");
+        }
+        for _ in 0..100 {
+            frame(&mut server, "/a", 100_000);
+            read(&mut server, reads);
+        }
+        server.left_out(5, &["/a"]);
+        let [of_reads, of_stuck] = [0, 1].map(|at| server.reports()[at]);
+        assert_eq!((of_reads.frames_sent, of_reads.missed.frames), (100, 5));
+        // 41 of 100 kB are in 4 MiB.
+        assert_eq!((of_stuck.frames_sent, of_stuck.missed.frames), (0, 59 + 5));
+        server.disconnect(stuck);
+        let (sent, missed) = server.totals();
+        assert_eq!((sent, missed.frames), (100, 5 + 100 + 5));
+        let news = server.take_news();
+        assert!(news.len() == 1 && news[0].contains("missed 105 of 105 frames"), "{news:?}");
+    }
+
+    #[test]
+    fn clients_that_are_silent_or_do_not_read_their_replies_are_disconnected() {
+        let mut server = server(&["/a"]);
+        let silent = server.connect("127.0.0.1:5001".parse().unwrap()).unwrap();
+        server.set_now(Duration::from_secs(9));
+        let id = connected(&mut server);
+        assert!(!server.is_over(silent));
+        server.set_now(Duration::from_secs(11));
+        assert!(server.is_over(silent) && !server.is_over(id));
+        let mut n = 0;
+        while server.may_receive(id) {
+            send(&mut server, id, "garbage");
+            n += 1;
+        }
+        assert!((1000..100_000).contains(&n), "it may send {n} messages without reading");
+        assert!(!server.is_over(id), "it is only not read");
+        for number in 0..10_000 {
+            server.set_channels(vec![channel(&format!("/{number}"))]);
+        }
+        assert!(server.is_over(id) && server.pending(id).is_empty());
+    }
+
+    #[test]
+    fn the_number_of_clients_is_bounded() {
+        let mut server = server(&[]);
+        let peer = "127.0.0.1:5000".parse().unwrap();
+        (0..3).for_each(|_| drop(server.connect(peer).unwrap()));
+        let answer = text(&server.connect(peer).unwrap_err());
+        assert!(answer.starts_with("HTTP/1.1 503 ") && answer.contains("clients_max"), "{answer}");
+        let answer = text(&server.connect("10.0.0.1:1".parse().unwrap()).unwrap_err());
+        assert!(answer.starts_with("HTTP/1.1 403 ") && answer.contains("allow_from"), "{answer}");
+        assert_eq!(server.limits(), (2, 3));
+    }
+}

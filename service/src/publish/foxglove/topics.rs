@@ -73,11 +73,13 @@ pub(super) struct DeviceTopics {
 #[derive(Debug)]
 struct GroupTopics {
     number: u8,
+    kind: SampledKind,
     topic: String,
     interval_ns: f64,
     channels: Vec<SampledChannelInfo>,
     plates: Vec<ForcePlate>,
-    /// The topic of their loads.
+    /// The kind and topic of their loads.
+    loads: SampledKind,
     loads_topic: String,
     arrows: Vec<ForceArrow>,
     due_ns: u64,
@@ -126,11 +128,11 @@ impl DeviceTopics {
         }
         for group in &self.groups {
             let names: Vec<&str> = group.channels.iter().map(|c| c.name.as_str()).collect();
-            all.push(sampled_channel(&group.topic, &names));
+            all.push(sampled_channel(group.kind, &names));
             if !group.plates.is_empty() {
                 let columns = plate_columns(&group.plates);
                 let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
-                all.push(sampled_channel(&group.loads_topic, &names));
+                all.push(sampled_channel(group.loads, &names));
             }
         }
         all
@@ -284,11 +286,16 @@ fn is_due(due_ns: &mut u64, time_ns: u64, rate_hz: u64) -> bool {
     true
 }
 
-fn sampled_channel(topic: &str, names: &[&str]) -> Channel {
-    let schema_name = format!("mocapd.{}", topic.trim_start_matches('/'));
+fn sampled_channel(kind: SampledKind, names: &[&str]) -> Channel {
+    let schema_name = kind.message_name();
     let fields = foxglove::field_names(names);
     let schema = foxglove::sampled_descriptor(&schema_name, &fields);
-    Channel { topic: topic.to_owned(), schema_name, schema }
+    Channel { topic: topic_of(kind), schema_name, schema }
+}
+
+/// The topic that an export to MCAP has, too.
+fn topic_of(kind: SampledKind) -> String {
+    format!("/{}", kind.name())
 }
 
 fn group_topics(device: &PublishedDevice) -> Vec<GroupTopics> {
@@ -303,12 +310,15 @@ fn group_topics(device: &PublishedDevice) -> Vec<GroupTopics> {
             force_n: [f64::NAN; 3],
             cop_mm: [f64::NAN; 3],
         };
+        let kind = SampledKind::Group(number);
         GroupTopics {
             number: group.id,
-            topic: format!("/{}", SampledKind::Group(number).name()),
+            kind,
+            topic: topic_of(kind),
             interval_ns: 1e12 / f64::from(group.rate_millihertz.max(1)),
             channels: group.channels.clone(),
-            loads_topic: format!("/{}", loads.name()),
+            loads,
+            loads_topic: topic_of(loads),
             arrows: plates.iter().map(arrow).collect(),
             plates,
             due_ns: 0,
