@@ -259,7 +259,7 @@ impl Default for FoxglovePublishConfig {
 }
 
 impl FoxglovePublishConfig {
-    /// What to do where the service has no server for Foxglove, and does not start.
+    /// What to do where the service has no server for Foxglove.
     pub(crate) const NOT_BUILT: &str = "publish.foxglove.enabled is true, but this build cannot publish for Foxglove: use the \
         Debian package, or build with `cargo build --release --features full`";
 

@@ -98,13 +98,13 @@ pub struct Status {
 /// A server that publishes live what is received.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct PublishStatus {
-    /// Its protocol: `qtm`.
+    /// Its protocol: `qtm` or `foxglove`.
     pub protocol: String,
     /// The address at which it listens.
     pub listen: String,
     /// Limit on simultaneous clients.
     pub clients_max: usize,
-    /// Connections that were refused: too many, or from an address that is not allowed.
+    /// Connections that were refused: too many, from an address or a web page that is not allowed, or without the protocol.
     pub clients_refused: u64,
     /// Frames that clients were sent since the service was started, also those that have left.
     #[serde(default)]

@@ -190,35 +190,44 @@ fn channel_ids(message: &[u8]) -> Vec<u64> {
     channels.iter().map(|channel| channel["id"].as_u64().unwrap()).collect()
 }
 
-/// A client that reads as fast as it can, until it is told to stop: the places of its frames.
+/// A client that reads as fast as it can, until it is told to stop and nothing comes any more: the places of its frames.
 fn read_all(
     mut stream: TcpStream,
     mut frames: Box<dyn FrameReader>,
     stop: &AtomicBool,
 ) -> (TcpStream, Vec<u64>) {
-    stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
     let (mut places, mut buffer) = (Vec::new(), vec![0; 1 << 18]);
-    while !stop.load(Ordering::Relaxed) {
-        let n = stream.read(&mut buffer).unwrap();
-        assert!(n > 0, "the connection was closed");
-        frames.extend(&buffer[..n]);
-        places.extend(std::iter::from_fn(|| frames.next()));
+    loop {
+        let is_over = stop.load(Ordering::Relaxed);
+        match stream.read(&mut buffer) {
+            Ok(0) => panic!("the connection was closed"),
+            Ok(n) => {
+                frames.extend(&buffer[..n]);
+                places.extend(std::iter::from_fn(|| frames.next()));
+            }
+            Err(error) if error.kind() == ErrorKind::WouldBlock && is_over => break,
+            Err(error) => assert_eq!(error.kind(), ErrorKind::WouldBlock),
+        }
     }
     (stream, places)
 }
 
-/// A client that sends garbage, and connects again whenever it is disconnected.
-fn send_garbage(address: SocketAddr, stop: &AtomicBool) {
+/// A client that sends garbage, and connects again whenever it is disconnected: at first at once, then after a proper start.
+fn send_garbage(output: &Output, address: SocketAddr, stop: &AtomicBool) {
     let mut random = Random::new(7);
     let mut stream: Option<TcpStream> = None;
+    let mut is_proper = false;
     while !stop.load(Ordering::Relaxed) {
         let bytes: Vec<u8> = (0..1000).map(|_| random.next_u64() as u8).collect();
         match &mut stream {
             None => {
-                stream = TcpStream::connect(address).ok();
-                if let Some(stream) = &stream {
-                    stream.set_nonblocking(true).unwrap();
-                }
+                let open = match is_proper {
+                    true => (output.request)(address),
+                    false => TcpStream::connect(address).unwrap(),
+                };
+                open.set_nonblocking(true).unwrap();
+                (stream, is_proper) = (Some(open), !is_proper);
             }
             Some(open) => match open.write(&bytes) {
                 Ok(_) => {}
@@ -248,7 +257,7 @@ impl Clients {
         let read = move || read_all(good, (output.frames)(), &until);
         let good = Builder::new().name("client".to_owned()).spawn(read).unwrap();
         let until = Arc::clone(stop);
-        let garbage = move || send_garbage(address, &until);
+        let garbage = move || send_garbage(output, address, &until);
         let garbage = Builder::new().name("garbage".to_owned()).spawn(garbage).unwrap();
         let [stuck, slow] = [(); 2].map(|()| (output.request)(address));
         Self { output, local, good, garbage, stuck, slow }
@@ -262,6 +271,9 @@ impl Clients {
         })
     }
 }
+
+/// Frames that may wait for a client, or that it requested later than another: two seconds, and 4 MiB of those of QTM.
+const WAITING_MAX: u64 = 4000;
 
 fn status(engine: &Engine, output: &Output) -> PublishStatus {
     let all = engine.status().publish;
@@ -316,26 +328,38 @@ fn all_outputs_with_hostile_clients_cost_the_recording_no_frame() {
     assert!(ledger.closes && ledger.recorded > 2000, "{ledger:?}");
     assert_eq!(ledger.frames_sent, ledger.recorded, "{ledger:?}");
     read(&started.path);
+    engine.disarm(&Request::default()).unwrap();
     stop.store(true, Ordering::Relaxed);
-    for Clients { output, local, good, garbage, .. } in clients {
-        let (_connected, places) = good.join().unwrap();
+    for Clients { output, local, good, garbage, stuck, slow } in clients {
+        let (good, places) = good.join().unwrap();
         garbage.join().unwrap();
-        // Its report counts what it missed before its last frame.
+        let title = output.name.title;
+        // The status is 200 ms old at most.
         thread::sleep(Duration::from_millis(500));
         let report = client(&engine, output, local).unwrap();
-        let title = output.name.title;
         assert!(places.is_sorted_by(|a, b| a < b), "{title}: in order, and none twice");
+        assert_eq!(places.len() as u64, report.frames_sent, "{title}: {report:?}");
         let [first, last] = [0, places.len() - 1].map(|at| places[at]);
         assert_eq!((last - first) % output.step, 0, "{title}");
         let n_between = (last - first) / output.step + 1 - places.len() as u64;
         assert!(n_between <= report.frames_missed, "{title}: {n_between}, {report:?}");
-        let of_server = status(&engine, output);
+        let wanted = report.frames_sent + report.frames_missed;
+        let others = [&stuck, &slow].map(|stream| stream.local_addr().unwrap());
+        let others = others.map(|local| client(&engine, output, local).unwrap());
+        for other in &others {
+            // It requested frames some tenths of a second later, and some wait for it.
+            let counted = other.frames_sent + other.frames_missed;
+            assert!(counted <= wanted + 1000, "{title}: {counted} of {wanted}");
+            assert!(counted + WAITING_MAX >= wanted, "{title}: {counted} of {wanted}");
+        }
         println!(
-            "{title}: a client read {} frames and missed {n_between}; the others missed {}; {} refused",
+            "{title}: a client read {} frames and missed {n_between}; those that hardly read missed {} and {}; {} refused",
             places.len(),
-            of_server.frames_missed - report.frames_missed,
-            of_server.clients_refused,
+            others[0].frames_missed,
+            others[1].frames_missed,
+            status(&engine, output).clients_refused,
         );
+        drop((good, stuck, slow));
     }
     println!("recorded {} frames of {}", ledger.recorded, ledger.frames_sent);
     running.into_iter().for_each(RunningPublisher::close);

@@ -431,6 +431,10 @@ fn origin(text: &str) -> Result<String, String> {
                 .to_owned(),
         );
     }
+    let default_port = if text.starts_with("https:") { ":443" } else { ":80" };
+    if at.ends_with(default_port) {
+        return Err(format!("browsers leave {default_port} out: remove it"));
+    }
     Ok(text.to_owned())
 }
 

@@ -60,7 +60,7 @@ pub fn names(config: &Config) -> Vec<PublisherName> {
 /// Opens the publishers that the engine was started with.
 ///
 /// # Errors
-/// A file that the configuration names cannot be used, or this build lacks a publisher; the message says what to do. A port that cannot be opened is a
+/// A file that the configuration names cannot be used; the message says what to do. A port that cannot be opened is a
 /// warning.
 pub fn open_all(
     config: &Config,
@@ -69,10 +69,11 @@ pub fn open_all(
 ) -> anyhow::Result<Vec<RunningPublisher>> {
     let mut running = Vec::new();
     #[cfg(not(feature = "full"))]
-    anyhow::ensure!(
-        !config.publish_foxglove.enabled,
-        crate::config::FoxglovePublishConfig::NOT_BUILT
-    );
+    if config.publish_foxglove.enabled {
+        // A rig records without a viewer.
+        let message = crate::config::FoxglovePublishConfig::NOT_BUILT;
+        control.notify(crate::status::ServiceEventKind::Warning, message);
+    }
     if let Some(feed) = engine.published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
     }

@@ -173,14 +173,14 @@ impl FoxglovePublisher {
         while let Some(event) = self.events.next(Duration::ZERO) {
             let time_ns = u64::try_from(event.unix_ms).unwrap_or(0).saturating_mul(1_000_000);
             let entry = foxglove::log(level_of(&event), "mocapd", &event.message, time_ns);
-            self.server.message_alone(LOG, time_ns, &entry);
+            self.server.message_alone(LOG, time_ns, &entry, self.topics.is_none());
         }
         let missed = self.events.missed();
         if missed > 0 {
             let time_ns = unix_now_ns();
             let text = format!("{missed} events were missed");
             let entry = foxglove::log(LogLevel::Warning, "mocapd", &text, time_ns);
-            self.server.message_alone(LOG, time_ns, &entry);
+            self.server.message_alone(LOG, time_ns, &entry, self.topics.is_none());
         }
     }
 
@@ -194,7 +194,7 @@ impl FoxglovePublisher {
             let (level, text) = ledger_entry(&take.name, &take.ledger);
             let time_ns = unix_now_ns();
             let entry = foxglove::log(level, "ledger", &text, time_ns);
-            self.server.message_alone(LOG, time_ns, &entry);
+            self.server.message_alone(LOG, time_ns, &entry, self.topics.is_none());
         }
     }
 }

@@ -14,6 +14,9 @@ const ENTRIES_MAX: usize = 1 << 14;
 /// client that does not read them is disconnected.
 const OTHER_BYTES_MAX: usize = 2 << 20;
 
+/// Their number, so that short ones leave room for frames.
+const OTHER_ENTRIES_MAX: usize = 1 << 12;
+
 /// What messages are of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum EntryKind {
@@ -59,17 +62,21 @@ pub(super) struct Outbox {
     sent: usize,
     droppable_bytes: usize,
     other_bytes: usize,
+    other_entries: usize,
     frames_sent: u64,
 }
 
 impl Outbox {
     /// Appends messages that are not dropped. Returns `false` if too many wait.
     pub(super) fn put(&mut self, bytes: Vec<u8>) -> bool {
-        if self.other_bytes + bytes.len() > OTHER_BYTES_MAX {
+        if self.other_bytes + bytes.len() > OTHER_BYTES_MAX
+            || self.other_entries >= OTHER_ENTRIES_MAX
+        {
             return false;
         }
         if !bytes.is_empty() {
             self.other_bytes += bytes.len();
+            self.other_entries += 1;
             self.entries.push_back(Entry { bytes, kind: EntryKind::Other });
         }
         true
@@ -118,10 +125,22 @@ impl Outbox {
                     EntryKind::Frame | EntryKind::Batch => {
                         self.droppable_bytes -= entry.bytes.len();
                     }
-                    EntryKind::Other => self.other_bytes -= entry.bytes.len(),
+                    EntryKind::Other => {
+                        self.other_bytes -= entry.bytes.len();
+                        self.other_entries -= 1;
+                    }
                 }
             }
         }
+    }
+
+    /// Drops all frames and batches of which nothing was sent. Returns their numbers.
+    pub(super) fn drop_all_droppable(&mut self) -> Counts {
+        let mut dropped = Counts::default();
+        while let Some(oldest) = self.drop_oldest() {
+            dropped.count(oldest);
+        }
+        dropped
     }
 
     /// Drops everything; what the connection took a part of has no end then. Returns the frames and batches that were waiting.
@@ -135,7 +154,7 @@ impl Outbox {
     /// Whether what a client requests is to wait until it has read its replies.
     pub(super) fn is_full(&self) -> bool {
         // Half is left for what it did not request.
-        self.other_bytes > OTHER_BYTES_MAX / 2
+        self.other_bytes > OTHER_BYTES_MAX / 2 || self.other_entries > OTHER_ENTRIES_MAX / 2
     }
 
     /// Frames that the connection took whole.

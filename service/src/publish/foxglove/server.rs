@@ -19,6 +19,9 @@ use crate::publish::clients::{ClientLimits, NotAccepted};
 /// Time for a handshake: a connection that is silent must not occupy a place for ever.
 const HANDSHAKE_WITHIN: Duration = Duration::from_secs(10);
 
+/// Letters of a client's bytes that are repeated to a person.
+const SHOWN_MAX: usize = 200;
+
 /// Messages about clients that wait for the events; further ones would say the same.
 const NEWS_MAX: usize = 64;
 
@@ -48,8 +51,17 @@ struct Client {
     outbox: Outbox,
     /// The messages of the present frame or batch.
     building: Vec<u8>,
+    /// The length of the one before, which the next one mostly has.
+    last_length: usize,
+    /// The last time that it was sent. A viewer takes one that is earlier for a jump, and forgets all it has.
+    time_ns: u64,
+    /// Whether it was sent something of a frame, or of a batch, since it subscribed.
+    has_frames: bool,
+    has_batches: bool,
     is_over: bool,
     missed: Counts,
+    /// What of that it missed because it read too slowly.
+    dropped: Counts,
 }
 
 /// A server.
@@ -141,11 +153,21 @@ impl FoxgloveServer {
         for client in &mut self.clients {
             if let Some(id) = client.subscription(channel) {
                 if client.building.is_empty() {
+                    client.building.reserve(client.last_length);
+                }
+                // Before each sample of a batch as well: viewers draw a message at the last time that they were sent.
+                if time_ns > client.time_ns {
+                    client.time_ns = time_ns;
                     put_time(time_ns, &mut client.building);
                 }
                 put_message(id, time_ns, message.as_bytes(), &mut client.building);
             }
         }
+    }
+
+    /// Times begin anew, earlier than before.
+    pub(super) fn restart_time(&mut self) {
+        self.clients.iter_mut().for_each(|client| client.time_ns = 0);
     }
 
     /// Ends the frame to which messages were added: clients are sent it whole, or miss it.
@@ -160,33 +182,54 @@ impl FoxgloveServer {
 
     fn end(&mut self, kind: EntryKind) {
         for client in self.clients.iter_mut().filter(|client| !client.building.is_empty()) {
-            let bytes = std::mem::take(&mut client.building);
-            client.missed.add(client.outbox.put_droppable(bytes, kind));
+            let mut bytes = std::mem::take(&mut client.building);
+            client.last_length = bytes.len();
+            // What waits is bounded by its length, and so is its memory.
+            if bytes.capacity() > bytes.len() + bytes.len() / 8 {
+                bytes.shrink_to_fit();
+            }
+            client.has_frames |= kind == EntryKind::Frame;
+            client.has_batches |= kind == EntryKind::Batch;
+            let dropped = client.outbox.put_droppable(bytes, kind);
+            client.missed.add(dropped);
+            client.dropped.add(dropped);
         }
     }
 
-    /// Sends a message that may not be missed to the clients that want it.
-    pub(super) fn message_alone(&mut self, topic: &str, time_ns: u64, message: &Message) {
+    /// Sends a message that may not be missed to the clients that want it. With `states_time` its time is sent, too: while
+    /// nothing else states it.
+    pub(super) fn message_alone(
+        &mut self,
+        topic: &str,
+        time_ns: u64,
+        message: &Message,
+        states_time: bool,
+    ) {
         let Some(channel) = self.channel(topic) else { return };
         for client in &mut self.clients {
             if let Some(id) = client.subscription(channel) {
                 let mut bytes = Vec::new();
+                if states_time && time_ns > client.time_ns {
+                    client.time_ns = time_ns;
+                    put_time(time_ns, &mut bytes);
+                }
                 put_message(id, time_ns, message.as_bytes(), &mut bytes);
                 client.put(bytes);
             }
         }
     }
 
-    /// Counts frames that did not reach the server: all clients miss them that want one of these topics.
-    pub(super) fn left_out(&mut self, frames: u64, topics: &[&str]) {
-        if frames == 0 {
-            return;
+    /// Counts frames that did not reach the server: the clients miss them that are sent frames.
+    pub(super) fn frames_left_out(&mut self, frames: u64) {
+        for client in self.clients.iter_mut().filter(|client| client.has_frames) {
+            client.missed.frames += frames;
         }
-        let channels: Vec<u32> = topics.iter().filter_map(|topic| self.channel(topic)).collect();
-        for client in &mut self.clients {
-            if channels.iter().any(|channel| client.subscription(*channel).is_some()) {
-                client.missed.frames += frames;
-            }
+    }
+
+    /// The same for batches of samples.
+    pub(super) fn batches_left_out(&mut self, batches: u64) {
+        for client in self.clients.iter_mut().filter(|client| client.has_batches) {
+            client.missed.batches += batches;
         }
     }
 
@@ -250,6 +293,8 @@ impl FoxgloveServer {
                     self.error(id, "mocapd only publishes: it has the capability 'time' alone");
                 }
                 Err(error) => {
+                    // It may quote the message.
+                    let error: String = error.to_string().chars().take(SHOWN_MAX).collect();
                     self.error(id, &format!("this is no message of the protocol: {error}"));
                 }
             },
@@ -258,7 +303,7 @@ impl FoxgloveServer {
             }
             Received::Closed => {
                 if let Some(client) = self.client(id) {
-                    client.is_over = true;
+                    client.close();
                 }
             }
         }
@@ -291,20 +336,23 @@ impl FoxgloveServer {
 
 /// The subprotocol for a request, or why it is refused.
 fn accept(request: &Request, origins: &[String]) -> Result<&'static str, Refusal> {
+    // The script of any web page could connect from this machine, which may. Programs have no origin, or one of another scheme:
+    // installed viewers that are web pages inside, and in some browsers pages that were saved as files, which a person has opened.
+    for origin in request.headers().get_all("Origin") {
+        let origin = String::from_utf8_lossy(origin.as_bytes());
+        let is_ascii = origin.chars().all(|c| c.is_ascii_graphic());
+        let is_of_page =
+            origin == "null" || origin.starts_with("http:") || origin.starts_with("https:");
+        if (is_of_page || !is_ascii) && !origins.iter().any(|known| *known == origin) {
+            let shown: String = origin.chars().take(SHOWN_MAX).collect();
+            return Err((
+                StatusCode::FORBIDDEN,
+                format!("{shown} is not in publish.foxglove.origins"),
+            ));
+        }
+    }
     let header =
         |name: &str| request.headers().get_all(name).iter().filter_map(|v| v.to_str().ok());
-    // The script of any web page could connect from this machine, which may. Programs have no origin, or one that no page can
-    // have, such as `file://`.
-    let is_of_page = |origin: &&str| {
-        *origin == "null" || origin.starts_with("http:") || origin.starts_with("https:")
-    };
-    if let Some(origin) = header("Origin")
-        .filter(is_of_page)
-        .find(|origin| !origins.iter().any(|known| known == origin))
-    {
-        let shown: String = origin.chars().take(100).collect();
-        return Err((StatusCode::FORBIDDEN, format!("{shown} is not in publish.foxglove.origins")));
-    }
     let offered: Vec<&str> = header("Sec-WebSocket-Protocol")
         .flat_map(|value| value.split(','))
         .map(str::trim)
@@ -324,17 +372,23 @@ impl Client {
 
     /// Adds what may not be missed. A client that does not read is disconnected.
     fn put(&mut self, bytes: Vec<u8>) {
-        if !self.outbox.put(bytes) {
+        if !self.is_over && !self.outbox.put(bytes) {
             self.end();
         }
     }
 
-    /// Disconnects it; what waits is missed.
-    fn end(&mut self) {
-        self.missed.add(self.outbox.clear());
+    /// Sends it nothing more but the answer to its close, and disconnects it then.
+    fn close(&mut self) {
         self.subscriptions.clear();
         self.building.clear();
+        self.missed.add(self.outbox.drop_all_droppable());
         self.is_over = true;
+    }
+
+    /// Disconnects it; what waits is missed.
+    fn end(&mut self) {
+        self.close();
+        self.outbox.clear();
     }
 
     fn report(&self) -> ClientReport {
@@ -377,8 +431,13 @@ impl StreamServer for FoxgloveServer {
             subscriptions: Vec::new(),
             outbox: Outbox::default(),
             building: Vec::new(),
+            last_length: 0,
+            time_ns: 0,
+            has_frames: false,
+            has_batches: false,
             is_over: false,
             missed: Counts::default(),
+            dropped: Counts::default(),
         });
         Ok(id)
     }
@@ -387,12 +446,12 @@ impl StreamServer for FoxgloveServer {
         let Some(at) = self.clients.iter().position(|client| client.id == id) else { return };
         let mut client = self.clients.swap_remove(at);
         client.end();
-        let ClientReport { peer, frames_sent, missed: Counts { frames, batches }, .. } =
-            client.report();
+        let ClientReport { peer, frames_sent, .. } = client.report();
         self.gone.0 += frames_sent;
         self.gone.1.add(client.missed);
+        let Counts { frames, batches } = client.dropped;
         if (frames > 0 || batches > 0) && self.news.len() < NEWS_MAX {
-            let n = frames_sent + frames;
+            let n = frames_sent + client.missed.frames;
             self.news.push(format!(
                 "Foxglove client {peer} has left: it read too slowly, and missed {frames} of {n} frames and {batches} batches of samples"
             ));
@@ -400,23 +459,27 @@ impl StreamServer for FoxgloveServer {
     }
 
     fn receive(&mut self, id: ClientId, bytes: &[u8]) {
-        let Some(at) = self.clients.iter().position(|client| client.id == id) else { return };
-        let Some(client) = self.clients.get_mut(at) else { return };
+        let Some(client) = self.clients.iter_mut().find(|client| client.id == id) else { return };
         let (mut out, mut chosen) = (Vec::new(), Ok(client.subprotocol));
+        let was_open = client.socket.is_open();
         let choose = |request: &Request| {
             chosen = accept(request, &self.origins);
             chosen.clone()
         };
         let received = client.socket.receive(bytes, choose, &mut out);
         client.put(out);
+        let peer = client.peer;
+        let is_refused = !was_open && received.as_slice() == [Received::Closed];
         match chosen {
-            Ok(subprotocol) => client.subprotocol = subprotocol,
-            Err((_, why)) => {
-                let peer = client.peer;
-                self.refuse(peer, &why);
+            Ok(subprotocol) => {
+                client.subprotocol = subprotocol;
+                self.refused += u64::from(is_refused);
             }
+            Err((_, why)) => self.refuse(peer, &why),
         }
-        received.into_iter().for_each(|received| self.execute(id, received));
+        for received in received {
+            self.execute(id, received);
+        }
     }
 
     fn may_receive(&self, id: ClientId) -> bool {
@@ -568,7 +631,7 @@ mod tests {
             frame(&mut server, "/a", 100_000);
             read(&mut server, reads);
         }
-        server.left_out(5, &["/a"]);
+        server.frames_left_out(5);
         let [of_reads, of_stuck] = [0, 1].map(|at| server.reports()[at]);
         assert_eq!((of_reads.frames_sent, of_reads.missed.frames), (100, 5));
         // 41 of 100 kB are in 4 MiB.
@@ -577,7 +640,7 @@ mod tests {
         let (sent, missed) = server.totals();
         assert_eq!((sent, missed.frames), (100, 5 + 100 + 5));
         let news = server.take_news();
-        assert!(news.len() == 1 && news[0].contains("missed 105 of 105 frames"), "{news:?}");
+        assert!(news.len() == 1 && news[0].contains("missed 59 of 105 frames"), "{news:?}");
     }
 
     #[test]
@@ -606,11 +669,56 @@ mod tests {
     fn the_number_of_clients_is_bounded() {
         let mut server = server(&[]);
         let peer = "127.0.0.1:5000".parse().unwrap();
-        (0..3).for_each(|_| drop(server.connect(peer).unwrap()));
+        (0..3).for_each(|_| assert!(server.connect(peer).is_ok()));
         let answer = text(&server.connect(peer).unwrap_err());
         assert!(answer.starts_with("HTTP/1.1 503 ") && answer.contains("clients_max"), "{answer}");
         let answer = text(&server.connect("10.0.0.1:1".parse().unwrap()).unwrap_err());
         assert!(answer.starts_with("HTTP/1.1 403 ") && answer.contains("allow_from"), "{answer}");
         assert_eq!(server.limits(), (2, 3));
+    }
+
+    #[test]
+    fn behind_a_close_nothing_is_sent() {
+        let mut server = server(&["/a"]);
+        for close in [[0x88, 0x80, 0, 0, 0, 0], [0xf1, 0x80, 0, 0, 0, 0]] {
+            let id = connected(&mut server);
+            subscribe(&mut server, id, 1, "/a");
+            read(&mut server, id);
+            (0..3).for_each(|_| frame(&mut server, "/a", 1000));
+            server.sent(id, 10);
+            server.receive(id, &close);
+            frame(&mut server, "/a", 1000);
+            server.message_alone("/a", 9, &log(LogLevel::Info, "", "x", 9), true);
+            assert!(server.is_over(id) && !server.may_receive(id));
+            let found = read(&mut server, id);
+            let answer = if close[0] == 0x88 { &[0x88, 0][..] } else { &[] };
+            assert!(
+                found.ends_with(answer) && found.len() < 1100,
+                "the frame that was begun, and the answer: {}",
+                found.len()
+            );
+            server.disconnect(id);
+        }
+        assert_eq!(server.totals().1.frames, 4, "what was dropped is missed");
+    }
+
+    #[test]
+    fn times_that_are_sent_never_fall() {
+        let mut server = server(&["/a", "/b"]);
+        let id = connected(&mut server);
+        subscribe(&mut server, id, 1, "/a");
+        subscribe(&mut server, id, 2, "/b");
+        read(&mut server, id);
+        let entry = || log(LogLevel::Info, "", "", 0);
+        let times = |of: &[u64], server: &mut FoxgloveServer| {
+            of.iter().for_each(|time_ns| server.message("/a", *time_ns, entry));
+            server.end_batch();
+            let found = read(server, id);
+            found.windows(3).filter(|three| *three == [0x82, 9, 2]).count()
+        };
+        assert_eq!(times(&[50], &mut server), 1, "a frame");
+        assert_eq!(times(&[30, 40, 50, 60, 70], &mut server), 2, "a batch that began before it");
+        server.restart_time();
+        assert_eq!(times(&[10], &mut server), 1, "another device");
     }
 }

@@ -14,6 +14,8 @@ pub(super) struct StreamTime {
     tick_hz: u64,
     /// A time by the device's clock in nanoseconds, and the same since 1970.
     anchor: Option<(u64, u64)>,
+    /// Whether it is that of a frame.
+    is_by_frames: bool,
 }
 
 /// The time of the host, in nanoseconds since 1970.
@@ -29,21 +31,45 @@ pub(super) fn unix_ns_of(arrival_ns: u64) -> u64 {
 
 impl StreamTime {
     pub(super) fn new(tick_hz: u64) -> Self {
-        Self { tick_hz: tick_hz.max(1), anchor: None }
+        Self { tick_hz: tick_hz.max(1), anchor: None, is_by_frames: false }
     }
 
-    /// The time of something that arrived at `arrival_unix_ns`, in nanoseconds since 1970. Times differ as the device's clock
-    /// says; what arrived first has the time of its arrival.
-    pub(super) fn of(&mut self, device_ticks: u64, arrival_unix_ns: u64) -> u64 {
-        let ns = u128::from(device_ticks) * 1_000_000_000 / u128::from(self.tick_hz);
-        let device_ns = u64::try_from(ns).unwrap_or(u64::MAX);
-        let (from_ns, unix_ns) = *self.anchor.get_or_insert((device_ns, arrival_unix_ns));
-        let time_ns = unix_ns.wrapping_add(device_ns.wrapping_sub(from_ns));
-        if time_ns.abs_diff(arrival_unix_ns) > APART_MAX_NS {
-            self.anchor = Some((device_ns, arrival_unix_ns));
-            return arrival_unix_ns;
+    /// The time of a frame that arrived at `arrival_unix_ns`, in nanoseconds since 1970. Times differ as the device's clock says;
+    /// the first frame has the time of its arrival. With it, whether times begin anew.
+    pub(super) fn of_frame(&mut self, device_ticks: u64, arrival_unix_ns: u64) -> (u64, bool) {
+        let device_ns = self.device_ns(device_ticks);
+        if let (true, Some(time_ns)) = (self.is_by_frames, self.near(device_ns, arrival_unix_ns)) {
+            return (time_ns, false);
         }
-        time_ns
+        self.anchor = Some((device_ns, arrival_unix_ns));
+        self.is_by_frames = true;
+        (arrival_unix_ns, true)
+    }
+
+    /// The time of samples, of which the first was taken at about `taken_unix_ns`, on the time line of the frames. Without
+    /// frames they make one.
+    pub(super) fn of_samples(&mut self, device_ticks: u64, taken_unix_ns: u64) -> u64 {
+        let device_ns = self.device_ns(device_ticks);
+        if let Some(time_ns) = self.near(device_ns, taken_unix_ns) {
+            return time_ns;
+        }
+        if !self.is_by_frames {
+            self.anchor = Some((device_ns, taken_unix_ns));
+        }
+        // The samples have another clock than the frames.
+        taken_unix_ns
+    }
+
+    fn device_ns(&self, ticks: u64) -> u64 {
+        let ns = u128::from(ticks) * 1_000_000_000 / u128::from(self.tick_hz);
+        u64::try_from(ns).unwrap_or(u64::MAX)
+    }
+
+    /// A time on the time line, if it is near that of the host.
+    fn near(&self, device_ns: u64, host_ns: u64) -> Option<u64> {
+        let (from_ns, unix_ns) = self.anchor?;
+        let time_ns = unix_ns.wrapping_add(device_ns.wrapping_sub(from_ns));
+        (time_ns.abs_diff(host_ns) <= APART_MAX_NS).then_some(time_ns)
     }
 }
 
@@ -52,13 +78,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_follow_the_device_from_the_first_arrival_on() {
+    fn times_follow_the_device_from_the_first_frame_on() {
         let mut time = StreamTime::new(1_000_000);
-        assert_eq!(time.of(500, 9_000_000_000), 9_000_000_000);
-        assert_eq!(time.of(1500, 9_400_000_000), 9_001_000_000, "it arrived late");
-        assert_eq!(time.of(400, 9_500_000_000), 8_999_900_000, "samples of before the first frame");
+        assert_eq!(time.of_samples(300, 8_000_000_000), 8_000_000_000);
+        assert_eq!(time.of_samples(1300, 8_500_000_000), 8_001_000_000);
+        assert_eq!(time.of_frame(500, 9_000_000_000), (9_000_000_000, true));
+        assert_eq!(time.of_frame(1500, 9_400_000_000), (9_001_000_000, false), "it arrived late");
+        assert_eq!(time.of_samples(400, 9_500_000_000), 8_999_900_000);
+        // Samples with another clock than frames.
+        assert_eq!(time.of_samples(90_000_000, 9_500_000_000), 9_500_000_000);
+        assert_eq!(time.of_frame(2500, 9_500_000_000), (9_002_000_000, false));
         // The device was switched off and on.
-        assert_eq!(time.of(7, 99_000_000_000), 99_000_000_000);
-        assert_eq!(time.of(1007, 99_000_500_000), 99_001_000_000);
+        assert_eq!(time.of_frame(7, 99_000_000_000), (99_000_000_000, true));
+        assert_eq!(time.of_frame(1007, 99_000_500_000), (99_001_000_000, false));
     }
 }

@@ -153,11 +153,15 @@ impl DeviceTopics {
         frame: &TappedFrame,
         server: &mut FoxgloveServer,
     ) {
-        server.left_out(frame.frames_left_out, &OF_EVERY_FRAME);
+        server.frames_left_out(frame.frames_left_out);
         self.follow_markers(frame.markers.len(), device);
         self.row.clear();
         self.row.extend(frame.markers.iter().map(|marker| marker.position_mm));
-        let time_ns = self.time.of(frame.device_ticks, unix_ns_of(frame.arrival_ns));
+        let arrival_unix_ns = unix_ns_of(frame.arrival_ns);
+        let (time_ns, begins) = self.time.of_frame(frame.device_ticks, arrival_unix_ns);
+        if begins {
+            server.restart_time();
+        }
         let row = &self.row;
         server.message(MARKERS, time_ns, || foxglove::cloud(row, time_ns));
         server
@@ -199,18 +203,22 @@ impl DeviceTopics {
 
     /// Passes a batch of samples on to the clients that want them, and what their forces look like.
     pub(super) fn samples(&mut self, batch: &TappedBatch, server: &mut FoxgloveServer) {
-        let start_ns = self.time.of(batch.device_ticks, unix_now_ns());
+        server.batches_left_out(batch.batches_left_out);
         let Some(group) = self.groups.iter_mut().find(|group| group.number == batch.group) else {
             return;
         };
-        group.send(batch, start_ns, server);
+        let n_samples = batch.samples.len() / usize::from(batch.n_channels).max(1);
+        let length_ns = (n_samples as f64 * group.interval_ns) as u64;
+        let taken_ns = unix_now_ns().saturating_sub(length_ns);
+        let start_ns = self.time.of_samples(batch.device_ticks, taken_ns);
+        let last_ns = group.send(batch, start_ns, server);
         let is_displayed = !group.plates.is_empty()
             && server.is_wanted(FORCES)
-            && is_due(&mut group.due_ns, start_ns, DISPLAYED_HZ);
+            && is_due(&mut group.due_ns, last_ns, DISPLAYED_HZ);
         if is_displayed {
             let arrows: Vec<ForceArrow> =
                 self.groups.iter().flat_map(|group| group.arrows.iter().copied()).collect();
-            server.message(FORCES, start_ns, || foxglove::force_scene(&arrows, start_ns));
+            server.message(FORCES, last_ns, || foxglove::force_scene(&arrows, last_ns));
         }
         server.end_batch();
     }
@@ -239,17 +247,20 @@ impl DeviceTopics {
 }
 
 impl GroupTopics {
-    fn send(&mut self, batch: &TappedBatch, start_ns: u64, server: &mut FoxgloveServer) {
+    /// Sends the samples, and returns the time of the last one.
+    fn send(&mut self, batch: &TappedBatch, start_ns: u64, server: &mut FoxgloveServer) -> u64 {
+        let mut last_ns = start_ns;
         let has_samples = server.is_wanted(&self.topic);
         let has_loads = server.is_wanted(&self.loads_topic) || server.is_wanted(FORCES);
         if !has_samples && !has_loads {
-            return;
+            return last_ns;
         }
         let mut values = Vec::with_capacity(self.channels.len());
         let mut row = Vec::new();
         let sent = batch.samples.chunks_exact(usize::from(batch.n_channels).max(1));
         for (index, sample) in sent.enumerate() {
             let time_ns = start_ns + (index as f64 * self.interval_ns).round() as u64;
+            last_ns = time_ns;
             let value = |(sent, channel): (&f32, &SampledChannelInfo)| {
                 (f64::from(*sent) - channel.offset) * channel.scale
             };
@@ -271,6 +282,7 @@ impl GroupTopics {
             }
             server.message(&self.loads_topic, time_ns, || foxglove::sampled(&row, time_ns));
         }
+        last_ns
     }
 }
 

@@ -181,6 +181,10 @@ fn handshake(
         let text = format!("the request is longer than {HANDSHAKE_BYTES_MAX} bytes");
         return Err((StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE, text));
     }
+    // Not parsed again with each of many short pieces.
+    if !bytes.windows(4).any(|four| four == b"\r\n\r\n") {
+        return Ok(None);
+    }
     let Some((size, request)) = Request::try_parse(bytes).map_err(invalid)? else {
         return Ok(None);
     };

@@ -29,6 +29,9 @@ const METRES_PER_N: f64 = 0.001;
 /// The head of that arrow, in metres; the arrow of a small force is all head.
 const HEAD_M: f64 = 0.06;
 
+/// How long an entity is shown that is not replaced, so that nothing stands still as if it were seen when the device is gone.
+const LIFETIME_S: u64 = 1;
+
 /// Values of `LinePrimitive.Type`.
 const LINE_LOOP: u64 = 1;
 const LINE_LIST: u64 = 2;
@@ -50,7 +53,8 @@ pub struct ForceArrow {
 
 /// A scene of one entity; the one before it with this name is replaced.
 fn scene(name: &str, time_ns: u64, fill: impl FnOnce(Message) -> Message) -> Message {
-    let entity = fill(stamped(time_ns, FRAME).text(3, name));
+    let lifetime = Message::default().int(1, LIFETIME_S);
+    let entity = fill(stamped(time_ns, FRAME).text(3, name).message(4, &lifetime));
     Message::default().message(2, &entity)
 }
 
