@@ -4,12 +4,7 @@ use std::time::Duration;
 
 use anyhow::ensure;
 
-use crate::{
-    Measurement,
-    ledger::LedgerReport,
-    recorder::{User, mocapd, record},
-    simulator::Simulator,
-};
+use crate::{Measurement, ledger::LedgerReport, recorder::record, simulator::Simulator};
 
 const TIMEOUT: Duration = Duration::from_secs(90);
 
@@ -50,25 +45,4 @@ pub(crate) fn two_at_once() -> Measurement {
         results.push(format!("{} of {} frames", ledger.recorded, sent.produced));
     }
     Ok(results.join(" and "))
-}
-
-/// What differs between takes of one motion is what the connection and the moment make different (docs/networks.md).
-pub(crate) fn one_motion() -> Measurement {
-    const TAKES: [&str; 2] = ["/tmp/one-bulk.take", "/tmp/one-port.take"];
-    let lossless = ["--lossless"];
-    for (take, is_port) in TAKES.into_iter().zip([false, true]) {
-        let device = match is_port {
-            false => Simulator::bulk("ONE1", &FIVE_SECONDS)?,
-            true => Simulator::port("ONE2", &FIVE_SECONDS)?,
-        };
-        record(&device.uri, take, &lossless)?.finish(TIMEOUT)?.with_code(0)?;
-        device.stop()?;
-    }
-    mocapd(User::Root, &["diff", TAKES[0], TAKES[1], "--motion"])?.with_code(0)?;
-    let found = mocapd(User::Root, &["diff", TAKES[0], TAKES[1]])?.with_code(1)?;
-    println!("   mocapd diff of a take by USB and one by a serial port:\n{}", found.stdout);
-    ensure!(found.stdout.contains("arrival"), "{}", found.stdout);
-    let kept = ["device ticks", "ledger", "label"].iter().all(|what| !found.stdout.contains(what));
-    ensure!(kept, "{}", found.stdout);
-    Ok("the same frames, floats, ticks and ledger by USB and by a serial port".to_owned())
 }
