@@ -86,7 +86,7 @@ const OUTPUTS: &[Output] = &[
             subscribe_to_all(&mut stream, address);
             stream
         },
-        frames: || Box::new(FoxgloveFrames::default()),
+        frames: || Box::new(FoxgloveFrames { is_open: true, ..FoxgloveFrames::default() }),
         step: 1_000_000,
     },
 ];
