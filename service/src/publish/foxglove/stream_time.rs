@@ -35,15 +35,15 @@ impl StreamTime {
     }
 
     /// The time of a frame that arrived at `arrival_unix_ns`, in nanoseconds since 1970. Times differ as the device's clock says;
-    /// the first frame has the time of its arrival. With it, whether times begin anew.
+    /// the first has the time of its arrival. With it, whether times have jumped.
     pub(super) fn of_frame(&mut self, device_ticks: u64, arrival_unix_ns: u64) -> (u64, bool) {
         let device_ns = self.device_ns(device_ticks);
-        if let (true, Some(time_ns)) = (self.is_by_frames, self.near(device_ns, arrival_unix_ns)) {
+        self.is_by_frames = true;
+        if let Some(time_ns) = self.near(device_ns, arrival_unix_ns) {
             return (time_ns, false);
         }
-        self.anchor = Some((device_ns, arrival_unix_ns));
-        self.is_by_frames = true;
-        (arrival_unix_ns, true)
+        let has_jumped = self.anchor.replace((device_ns, arrival_unix_ns)).is_some();
+        (arrival_unix_ns, has_jumped)
     }
 
     /// The time of samples, of which the first was taken at about `taken_unix_ns`, on the time line of the frames. Without
@@ -80,9 +80,7 @@ mod tests {
     #[test]
     fn times_follow_the_device_from_the_first_frame_on() {
         let mut time = StreamTime::new(1_000_000);
-        assert_eq!(time.of_samples(300, 8_000_000_000), 8_000_000_000);
-        assert_eq!(time.of_samples(1300, 8_500_000_000), 8_001_000_000);
-        assert_eq!(time.of_frame(500, 9_000_000_000), (9_000_000_000, true));
+        assert_eq!(time.of_frame(500, 9_000_000_000), (9_000_000_000, false));
         assert_eq!(time.of_frame(1500, 9_400_000_000), (9_001_000_000, false), "it arrived late");
         assert_eq!(time.of_samples(400, 9_500_000_000), 8_999_900_000);
         // Samples with another clock than frames.
@@ -91,5 +89,17 @@ mod tests {
         // The device was switched off and on.
         assert_eq!(time.of_frame(7, 99_000_000_000), (99_000_000_000, true));
         assert_eq!(time.of_frame(1007, 99_000_500_000), (99_001_000_000, false));
+    }
+
+    #[test]
+    fn frames_go_on_with_the_times_of_samples_that_came_first() {
+        let mut time = StreamTime::new(1_000_000);
+        assert_eq!(time.of_samples(300, 8_000_000_000), 8_000_000_000);
+        assert_eq!(time.of_frame(500, 8_003_000_000), (8_000_200_000, false));
+        // Without frames, samples whose clock jumps begin anew.
+        let mut time = StreamTime::new(1_000_000);
+        assert_eq!(time.of_samples(300, 8_000_000_000), 8_000_000_000);
+        assert_eq!(time.of_samples(90_000_300, 9_000_000_000), 9_000_000_000);
+        assert_eq!(time.of_samples(90_000_400, 9_000_000_500), 9_000_100_000);
     }
 }

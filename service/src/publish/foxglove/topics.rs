@@ -158,8 +158,8 @@ impl DeviceTopics {
         self.row.clear();
         self.row.extend(frame.markers.iter().map(|marker| marker.position_mm));
         let arrival_unix_ns = unix_ns_of(frame.arrival_ns);
-        let (time_ns, begins) = self.time.of_frame(frame.device_ticks, arrival_unix_ns);
-        if begins {
+        let (time_ns, has_jumped) = self.time.of_frame(frame.device_ticks, arrival_unix_ns);
+        if has_jumped {
             server.restart_time();
         }
         let row = &self.row;
