@@ -69,6 +69,8 @@ pub struct Config {
     pub publish_natnet: NatNetPublishConfig,
     /// What is published live as streams of the Lab Streaming Layer.
     pub publish_lsl: LslPublishConfig,
+    /// What is published live for Foxglove.
+    pub publish_foxglove: FoxglovePublishConfig,
     /// How much is logged.
     pub log_level: Level,
 }
@@ -243,6 +245,48 @@ fn reach_notes(section: &str, listen: SocketAddr, allow_from: &[Network]) -> Vec
     }
 }
 
+/// The section `[publish.foxglove]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FoxglovePublishConfig {
+    /// Whether it is published.
+    pub enabled: bool,
+    /// The TCP address.
+    pub listen: SocketAddr,
+    /// The other machines that may connect.
+    pub allow_from: Vec<Network>,
+    /// The web pages whose scripts may connect.
+    pub origins: Vec<String>,
+    /// Limit on simultaneous clients.
+    pub clients_max: usize,
+}
+
+impl Default for FoxglovePublishConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            listen: (Ipv4Addr::LOCALHOST, 0).into(),
+            allow_from: Vec::new(),
+            origins: Vec::new(),
+            clients_max: 0,
+        }
+    }
+}
+
+impl FoxglovePublishConfig {
+    /// What to do where the service has no server for Foxglove.
+    pub(crate) const NOT_BUILT: &str = "publish.foxglove.enabled is true, but this build cannot publish for Foxglove: use the \
+        Debian package, or build with `cargo build --release --features full`";
+
+    /// Remarks on the section, one line each.
+    fn notes(&self) -> Vec<String> {
+        match self {
+            Self { enabled: false, .. } => Vec::new(),
+            _ if cfg!(not(feature = "full")) => vec![Self::NOT_BUILT.to_owned()],
+            Self { listen, allow_from, .. } => reach_notes("publish.foxglove", *listen, allow_from),
+        }
+    }
+}
+
 impl fmt::Display for DeviceChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -404,6 +448,7 @@ impl Config {
         notes.extend(self.publish_qtm.notes());
         notes.extend(self.publish_natnet.notes());
         notes.extend(self.publish_lsl.notes());
+        notes.extend(self.publish_foxglove.notes());
         if self.device.raw_log {
             notes.push(
                 "device.raw_log is on: every byte received while armed is logged, many times the size of the takes"

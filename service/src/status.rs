@@ -103,13 +103,13 @@ fn none_or_all<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<PublishStatus>
 /// A server that publishes live what is received.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct PublishStatus {
-    /// Its protocol: `qtm`, `natnet` or `lsl`.
+    /// Its protocol: `qtm`, `natnet`, `lsl` or `foxglove`.
     pub protocol: String,
     /// The address at which it listens.
     pub listen: String,
     /// Limit on simultaneous clients.
     pub clients_max: usize,
-    /// Connections that were refused: too many, or from an address that is not allowed.
+    /// Connections that were refused: too many, from an address or a web page that is not allowed, or without the protocol.
     pub clients_refused: u64,
     /// Frames that clients were sent since the service was started, also those that have left.
     #[serde(default)]
@@ -150,6 +150,9 @@ pub struct PublishedClient {
     pub frames_sent: u64,
     /// Frames that it requested and missed, because it read too slowly or the network took no more.
     pub frames_missed: u64,
+    /// Batches of sampled channels that it missed for the same reason, where they are not parts of frames.
+    #[serde(default)]
+    pub batches_missed: u64,
 }
 
 /// A start that waits for its time. A restart of the service forgets it.

@@ -394,7 +394,9 @@ fn config_check() {
     let natnet =
         "[publish.natnet]\nmulticast = '239.255.42.99:1511'\nallow_from = ['192.168.10.0/24']\n";
     let lsl = "[publish.lsl]\nallow_from = ['192.168.10.0/24']\n";
-    let all = &format!("{publish}{natnet}{lsl}{all}");
+    let foxglove =
+        "[publish.foxglove]\nallow_from = ['::1']\norigins = ['https://app.foxglove.dev']\n";
+    let all = &format!("{publish}{natnet}{lsl}{foxglove}{all}");
     folder.write("left.toml", all);
     folder.write("token", "0123456789abcdef\n");
     folder.write("s.json", super::subjects::skeleton(&jump(1, 60.0, 1.0)));

@@ -35,13 +35,13 @@ use super::engine::{named, options, read, wait_until};
 use crate::support::{assert_mentions, fast};
 
 /// A simulated QTM on a port of its own, until it is dropped.
-struct Source {
-    uri: String,
+pub(super) struct Source {
+    pub(super) uri: String,
     stop: Arc<AtomicBool>,
 }
 
 impl Source {
-    fn new(motion: Motion, settings: QtmSettings) -> Self {
+    pub(super) fn new(motion: Motion, settings: QtmSettings) -> Self {
         let mut device = QtmDevice::new(motion, settings).unwrap();
         let listener = QtmListener::open(0).unwrap();
         let (uri, stop) = (listener.uri(), Arc::new(AtomicBool::new(false)));
@@ -208,7 +208,7 @@ fn read_frames(
 }
 
 /// Two hundred markers at 1000 Hz, of which every fourth has no label.
-fn crowd() -> Motion {
+pub(super) fn crowd() -> Motion {
     let spec = JumpSpec {
         seconds: Some(1.0),
         n_markers: 200,

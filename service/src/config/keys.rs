@@ -44,6 +44,7 @@ pub const SECTIONS: &[(&str, &str)] = &[
     ("publish.qtm", "What is recorded, published live as Qualisys QTM does."),
     ("publish.natnet", "What is recorded, published live as OptiTrack's Motive does."),
     ("publish.lsl", "What is recorded, published live as streams of the Lab Streaming Layer."),
+    ("publish.foxglove", "What is recorded, published live for Foxglove and Lichtblick."),
     ("log", "How much is logged."),
 ];
 
@@ -54,6 +55,9 @@ const ITEMS_MAX: usize = 32;
 
 /// Maximum number of receivers of triggers; each is sent one datagram per start and stop.
 const SEND_TO_MAX: usize = 16;
+
+/// Maximum number of clients of Foxglove: beyond it, copying for them takes more of a processor than there is.
+const FOXGLOVE_CLIENTS_MAX: u64 = 32;
 
 /// One entry per key: purpose, reason, type, default, reload policy and field.
 macro_rules! keys {
@@ -358,6 +362,29 @@ keys! {
     /// Each may let up to 4 MiB of samples wait, whatever it asks for.
     publish.lsl.clients_max: ValueType::Integer(1..=INLETS_MAX as u64),
         DefaultValue::Integer(32), ReloadPolicy::Restart, field!(publish_lsl.clients_max);
+    /// Whether the service publishes what it receives, as a server of the Foxglove WebSocket protocol (docs/foxglove.md).
+    /// Foxglove and Lichtblick then show markers, bodies, forces and samples live; it never costs the recording a frame. Needs a build with the feature `full`, as the Debian package is.
+    publish.foxglove.enabled: ValueType::Flag,
+        DefaultValue::Flag(false), ReloadPolicy::Restart, field!(publish_foxglove.enabled);
+    /// TCP address of that server.
+    /// Only this machine can reach 127.0.0.1; 8765 is the port that Foxglove suggests.
+    publish.foxglove.listen: ValueType::Text("an address and a port"),
+        DefaultValue::Text("127.0.0.1:8765"), ReloadPolicy::Restart,
+        field!(publish_foxglove.listen, |text| address(text).map_err(Some));
+    /// Other machines that may connect; this machine always may, by 127.0.0.1 or ::1.
+    /// The protocol has no authentication, so that the address is all that can be checked.
+    publish.foxglove.allow_from: ValueType::List { of: "an address or a network in CIDR form", max: ITEMS_MAX },
+        DefaultValue::EmptyList("192.168.10.0/24"), ReloadPolicy::Restart,
+        field!(publish_foxglove.allow_from, each str::parse);
+    /// Web pages whose scripts may connect, by their origin, such as Foxglove in a browser; programs that are installed need no entry.
+    /// Any page that is open on an allowed machine could read the stream otherwise.
+    publish.foxglove.origins: ValueType::List { of: "an origin: a scheme, a host and maybe a port", max: ITEMS_MAX },
+        DefaultValue::EmptyList("https://app.foxglove.dev"), ReloadPolicy::Restart,
+        field!(publish_foxglove.origins, each origin);
+    /// Limit on simultaneous clients; further ones are refused.
+    /// Each may let up to 4 MiB of frames wait.
+    publish.foxglove.clients_max: ValueType::Integer(1..=FOXGLOVE_CLIENTS_MAX),
+        DefaultValue::Integer(10), ReloadPolicy::Restart, field!(publish_foxglove.clients_max);
     /// How much is logged to standard error, and so to the journal.
     /// `info` logs every arming, start, stop and outage, and nothing per frame.
     log.level: ValueType::Text("error, warn, info, debug or trace"),
@@ -460,6 +487,24 @@ fn host(text: &str) -> Result<String, String> {
         return Ok(text.to_ascii_lowercase());
     }
     Err("it is not a host name".to_owned())
+}
+
+/// Checks the origin of a web page, as browsers send it: `https://app.foxglove.dev` or `http://192.168.10.5:8080`.
+fn origin(text: &str) -> Result<String, String> {
+    let at = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"));
+    let at = at.ok_or("it does not begin with http:// or https://")?;
+    let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "-._:[]".contains(c);
+    if at.is_empty() || at.len() > 260 || !at.chars().all(is_name) {
+        return Err(
+            "an origin is a scheme, a host in lower case and maybe a port, and has no path"
+                .to_owned(),
+        );
+    }
+    let default_port = if text.starts_with("https:") { ":443" } else { ":80" };
+    if at.ends_with(default_port) {
+        return Err(format!("browsers leave {default_port} out: remove it"));
+    }
+    Ok(text.to_owned())
 }
 
 /// Checks an address to send triggers to.

@@ -18,9 +18,9 @@ use toml::{
 };
 
 use super::{
-    ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig,
-    LslPublishConfig, NameTemplate, NatNetPublishConfig, PROBLEMS_MAX, QtmPublishConfig,
-    SourceLocation, TakeConfig, TriggerConfig,
+    ArchiveConfig, ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig,
+    FoxglovePublishConfig, HttpConfig, LslPublishConfig, NameTemplate, NatNetPublishConfig,
+    PROBLEMS_MAX, QtmPublishConfig, SourceLocation, TakeConfig, TriggerConfig,
     key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
@@ -204,6 +204,7 @@ impl Config {
             publish_qtm: QtmPublishConfig::default(),
             publish_natnet: NatNetPublishConfig::default(),
             publish_lsl: LslPublishConfig::default(),
+            publish_foxglove: FoxglovePublishConfig::default(),
             log_level: Level::default(),
         })
     }

@@ -252,6 +252,7 @@ impl Inner {
             bodies: config.recorded_bodies().to_vec(),
             sampled: config.sampled.clone(),
             plates: rig.plates().to_vec(),
+            subject: options.subject.clone(),
         };
         self.publications.set_device(armed.publish_taps, &device);
         // The hub drops the previous session: it checks this channel in every round.

@@ -10,6 +10,8 @@
 //! [`PublisherName`] and a function that calls [`runner::start`], and its lines in [`names`] and [`open_all`].
 
 mod clients;
+#[cfg(feature = "full")]
+mod foxglove;
 mod host_time;
 mod lsl;
 mod markers;
@@ -26,8 +28,10 @@ use std::{
 
 use mocapd_acquire::pipeline::{PipelineProgress, PublishTap, TappedBatch, TappedFrame, lock};
 use mocapd_drivers::device::{BodyInfo, ForcePlateInfo, SampledGroupInfo};
-use mocapd_take::record::Header;
+use mocapd_take::record::{Header, Subject};
 
+#[cfg(feature = "full")]
+pub use self::foxglove::{FOXGLOVE, open as open_foxglove};
 pub use self::{
     lsl::{LSL, open as open_lsl},
     natnet::{NATNET, open as open_natnet},
@@ -48,12 +52,16 @@ pub struct PublisherName {
 /// The publishers that a configuration enables. They have their taps from when the service starts to its end.
 #[must_use]
 pub fn names(config: &Config) -> Vec<PublisherName> {
-    let all = [
+    [
         (config.publish_qtm.enabled, QTM),
         (config.publish_natnet.enabled, NATNET),
         (config.publish_lsl.enabled, LSL),
-    ];
-    all.into_iter().filter_map(|(is_enabled, name)| is_enabled.then_some(name)).collect()
+        #[cfg(feature = "full")]
+        (config.publish_foxglove.enabled, FOXGLOVE),
+    ]
+    .into_iter()
+    .filter_map(|(is_enabled, name)| is_enabled.then_some(name))
+    .collect()
 }
 
 /// Opens the publishers that the engine was started with: those that `published` has a feed for.
@@ -67,6 +75,12 @@ pub fn open_all(
     control: &Arc<dyn Control>,
 ) -> anyhow::Result<Vec<RunningPublisher>> {
     let mut running = Vec::new();
+    #[cfg(not(feature = "full"))]
+    if config.publish_foxglove.enabled {
+        // A rig records without a viewer.
+        let message = crate::config::FoxglovePublishConfig::NOT_BUILT;
+        control.notify(crate::status::ServiceEventKind::Warning, message);
+    }
     if let Some(feed) = published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
     }
@@ -75,6 +89,10 @@ pub fn open_all(
     }
     if let Some(feed) = published(LSL) {
         running.push(open_lsl(&config.publish_lsl, feed, control)?);
+    }
+    #[cfg(feature = "full")]
+    if let Some(feed) = published(FOXGLOVE) {
+        running.push(open_foxglove(&config.publish_foxglove, feed, control)?);
     }
     Ok(running)
 }
@@ -92,6 +110,8 @@ pub struct PublishedDevice {
     pub sampled: Vec<SampledGroupInfo>,
     /// Its force plates.
     pub plates: Vec<ForcePlateInfo>,
+    /// The subject of the configuration.
+    pub subject: Option<Arc<Subject>>,
 }
 
 /// A device from when it is armed until it is disarmed, for one publisher.

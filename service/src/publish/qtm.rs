@@ -385,6 +385,7 @@ impl From<mocapd_drivers::qtm::ClientReport> for PublishedClient {
             is_in_control: report.is_master,
             frames_sent: report.frames_sent,
             frames_missed: report.frames_missed,
+            ..Self::default()
         }
     }
 }

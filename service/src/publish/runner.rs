@@ -396,6 +396,7 @@ mod tests {
             bodies: Vec::new(),
             sampled: config.sampled,
             plates: Vec::new(),
+            subject: None,
         };
         publications.set_device(armed.publish_taps, &device);
         (intake, pipeline)

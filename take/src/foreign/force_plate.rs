@@ -147,6 +147,17 @@ pub struct PlateLoad {
     pub free_moment_nm: Vector,
 }
 
+impl PlateLoad {
+    /// Its numbers in the order of the columns of tables: force, moment, centre of pressure and free moment, each along x, y
+    /// and z.
+    #[must_use]
+    pub fn values(&self) -> [f64; 12] {
+        let Self { force_n: [a, b, c], moment_nm: [d, e, f], .. } = *self;
+        let ([g, h, i], [j, k, l]) = (self.cop_mm, self.free_moment_nm);
+        [a, b, c, d, e, f, g, h, i, j, k, l]
+    }
+}
+
 impl ForcePlate {
     /// The load, from the values of its channels in the order of [`channels`](Self::channels). Missing values are NaN.
     #[must_use]

@@ -24,6 +24,8 @@ use crate::{
 pub mod bids;
 pub(crate) mod c3d;
 mod csv;
+#[cfg(feature = "full")]
+pub mod foxglove;
 mod frame_poses;
 #[cfg(feature = "full")]
 mod mcap;
@@ -58,7 +60,7 @@ pub use motion_reader::{MotionReader, ReaderSettings};
 pub use recorded_rows::{plates_of_group, recorded_plates};
 pub use rotated::RotatedFrames;
 pub use rotation::Direction;
-pub use sampled_table::{SampledColumn, SampledKind, SampledTable, TableRowTime};
+pub use sampled_table::{SampledColumn, SampledKind, SampledTable, TableRowTime, plate_columns};
 pub use text::column_labels;
 pub use units::LengthUnit;
 

@@ -4,7 +4,7 @@ use std::io;
 
 use crate::{
     TakeError,
-    foreign::force_plates::{ForcePlate, PlateLoad},
+    foreign::force_plates::ForcePlate,
     interchange::c3d::{AnalogChannel, factor_of_unit},
     motion::MotionInfo,
     record::{RecordedPlate, SampledChannel, SampledGroup},
@@ -147,9 +147,7 @@ impl<'a> RecordedRows<'a> {
                 *value = self.values.get(channel).copied().unwrap_or(f64::NAN);
             }
             let load = plate.load(of_plate.get(..plate.channels.len()).unwrap_or(&[]));
-            let PlateLoad { force_n, moment_nm, cop_mm, free_moment_nm } = load;
-            let values = [force_n, moment_nm, cop_mm, free_moment_nm];
-            out.extend(values.into_iter().flatten().map(|value| value as f32));
+            out.extend(load.values().map(|value| value as f32));
         }
         self.recording.time_s(position, self.first_row)
     }

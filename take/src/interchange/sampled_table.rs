@@ -78,6 +78,18 @@ impl SampledKind {
         }
     }
 
+    /// The name of the message type of a row in MCAP and in live streams.
+    #[must_use]
+    pub fn message_name(self) -> String {
+        match self {
+            Self::Analog => "mocapd.Analog".to_owned(),
+            Self::Group(number) => format!("mocapd.Sampled{number}"),
+            Self::ForcePlates(None) => "mocapd.ForcePlates".to_owned(),
+            Self::ForcePlates(Some(number)) => format!("mocapd.ForcePlates{number}"),
+            Self::Poses => "mocapd.Poses".to_owned(),
+        }
+    }
+
     /// The kind with this name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
@@ -379,10 +391,8 @@ impl<'a> SampledTable<'a> {
             }
             TableSource::ForcePlates(loads, block) => {
                 loads.next_block(block)?;
-                let values = block.iter().flat_map(|load| {
-                    [load.force_n, load.moment_nm, load.cop_mm, load.free_moment_nm]
-                });
-                self.block.extend(values.flatten().map(|value| value as f32));
+                let values = block.iter().flat_map(PlateLoad::values);
+                self.block.extend(values.map(|value| value as f32));
             }
             TableSource::Poses(poses) => poses.next_row(&mut self.block)?,
             TableSource::Recorded(_) => {}
@@ -501,7 +511,9 @@ fn pose_columns(info: &MotionInfo) -> Vec<SampledColumn> {
     body_names(info).iter().flat_map(of_body).collect()
 }
 
-fn plate_columns(plates: &[ForcePlate]) -> Vec<SampledColumn> {
+/// The columns of the loads of force plates: for each, its [values](PlateLoad::values).
+#[must_use]
+pub fn plate_columns(plates: &[ForcePlate]) -> Vec<SampledColumn> {
     let mut columns = Vec::new();
     for plate in plates {
         for (quantity, unit) in QUANTITIES {

@@ -70,7 +70,7 @@ fn for_unknown_keys_the_nearest_one_is_suggested() {
     refused("[arm]\ntolerance = '1mm'", (2, 1), "", &["'tolerance'", "[arm]", "[take]"]);
     refused("tolerance = '1mm'", (1, 1), "", &["'tolerance'", "[take]"]);
     refused("[devices]\nuri = 'auto'", (1, 2), "", &["[devices]", "'device'"]);
-    let all = "rig, device, take, subject, arm, archive, http, trigger, publish.qtm, publish.natnet, publish.lsl, log";
+    let all = "rig, device, take, subject, arm, archive, http, trigger, publish.qtm, publish.natnet, publish.lsl, publish.foxglove, log";
     let sections = "[publish.qtm], [publish.natnet], [publish.lsl]";
     refused("[publish.studio]", (1, 10), "", &["[publish.studio]", sections]);
     let natnet = |keys: &str| format!("[publish.natnet]\n{keys}");

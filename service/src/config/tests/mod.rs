@@ -80,6 +80,12 @@ enabled = true
 listen = "0.0.0.0"
 allow_from = ["10.1.0.0/16"]
 clients_max = 5
+[publish.foxglove]
+enabled = true
+listen = "[::]:8766"
+allow_from = ["10.2.0.0/16"]
+origins = ["https://app.foxglove.dev", "http://10.2.0.1:8080"]
+clients_max = 3
 [log]
 level = "trace"
 "#;
@@ -135,6 +141,7 @@ fn every_key_is_read() {
     assert_eq!(natnet.multicast, "239.255.42.98:1600".parse().ok());
     assert_eq!((natnet.bitstream.to_string().as_str(), natnet.data_port), ("3.1", 1600));
     assert!(config.publish_lsl.listen.is_unspecified() && config.publish_lsl.clients_max == 5);
+    assert_eq!(config.publish_foxglove.origins[1], "http://10.2.0.1:8080");
     assert_eq!(config.log_level, Level::Trace);
     // Each differs from its default, so a key that is ignored shows.
     let changes = parse("").unwrap().changes(&config);

@@ -4,13 +4,7 @@
 //! texts, the up axis is a transform at the start, and the take's header and ledger are metadata. Analog samples and the
 //! loads of force plates are messages with a field for each channel, which viewers plot by its name.
 
-mod messages;
-mod schema;
-
-use std::{
-    collections::{BTreeMap, HashSet},
-    io::Write,
-};
+use std::{collections::BTreeMap, io::Write};
 
 use mcap::{
     McapError, WriteOptions, Writer,
@@ -18,12 +12,12 @@ use mcap::{
     write::NoSeek,
 };
 
-use self::{messages::Message, schema::descriptor_set};
 use super::{
     InterchangeError, Result,
+    foxglove::{self, Message, PlacedBody, descriptor_set, field_names},
     frame_poses::{FramePoses, body_names},
     metadata::metadata,
-    sampled_table::{SampledColumn, SampledKind, SampledTable},
+    sampled_table::{SampledColumn, SampledTable},
     text::column_labels,
 };
 use crate::motion::{FrameSource, GAP};
@@ -64,7 +58,7 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     let transform = file.channel("/tf", "foxglove.FrameTransform")?;
     let cloud = file.channel("/markers", "foxglove.PointCloud")?;
     let scene = file.channel("/names", "foxglove.SceneUpdate")?;
-    file.message(transform, start_ns, &messages::up_transform(info.up, start_ns))?;
+    file.message(transform, start_ns, &foxglove::up_transform(info.up, start_ns))?;
     let mut tables = Vec::new();
     for table in SampledTable::all(&info)? {
         tables.push((file.sampled_channel(&table)?, table));
@@ -74,27 +68,34 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         Some(_) => Some(file.channel("/bodies", "foxglove.FrameTransforms")?),
         None => None,
     };
-    let names = messages::child_frames(body_names(&info));
+    let names = foxglove::child_frames(body_names(&info));
     let labels = column_labels(&info);
     let label_interval = (info.rate_hz / NAMES_HZ).ceil().max(1.0) as u64;
     let mut row = vec![GAP; info.markers.len()];
     let mut index = 0_u64;
     while frames.next_frame(&mut row)? {
         let time_ns = time_of(index);
-        file.message(cloud, time_ns, &messages::cloud(&row, time_ns))?;
+        file.message(cloud, time_ns, &foxglove::cloud(&row, time_ns))?;
         if index.is_multiple_of(label_interval) {
-            file.message(scene, time_ns, &messages::label_scene(&row, &labels, time_ns))?;
+            file.message(scene, time_ns, &foxglove::label_scene(&row, &labels, time_ns))?;
         }
         if let (Some(poses), Some(channel)) = (&mut bodies, of_bodies) {
             let poses = poses.next_frame()?;
-            file.message(channel, time_ns, &messages::transforms(poses, &names, time_ns))?;
+            let tracked = poses.iter().zip(&names).filter(|(pose, _)| pose.is_tracked());
+            let placed = tracked.map(|(pose, name)| PlacedBody {
+                name,
+                position_mm: pose.position_mm,
+                quaternion: pose.quaternion,
+            });
+            let placed: Vec<_> = placed.collect();
+            file.message(channel, time_ns, &foxglove::transforms(None, &placed, time_ns))?;
         }
         for (channel, table) in &mut tables {
             let width = table.columns().len().max(1);
             while let Some((rows, times)) = table.next_rows(index)? {
                 for (row, time) in rows.chunks_exact(width).zip(times) {
                     let time_ns = time_between(time.frames);
-                    file.message(*channel, time_ns, &messages::sampled(row, time_ns))?;
+                    file.message(*channel, time_ns, &foxglove::sampled(row, time_ns))?;
                 }
             }
             frames.count_sampled(1);
@@ -119,15 +120,10 @@ impl McapFile<'_> {
 
     /// A channel for the samples of a table. Its metadata has the name and unit of each field's channel.
     fn sampled_channel(&mut self, table: &SampledTable<'_>) -> Result<u16> {
-        let message = match table.kind() {
-            SampledKind::Analog => "mocapd.Analog".to_owned(),
-            SampledKind::Group(number) => format!("mocapd.Sampled{number}"),
-            SampledKind::ForcePlates(None) => "mocapd.ForcePlates".to_owned(),
-            SampledKind::ForcePlates(Some(number)) => format!("mocapd.ForcePlates{number}"),
-            SampledKind::Poses => "mocapd.Poses".to_owned(),
-        };
-        let fields = field_names(table.columns());
-        let schema = schema::sampled_descriptor(&message, &fields);
+        let message = table.kind().message_name();
+        let names: Vec<&str> = table.columns().iter().map(|c| c.name.as_str()).collect();
+        let fields = field_names(&names);
+        let schema = foxglove::sampled_descriptor(&message, &fields);
         let schema = self.writer.add_schema(&message, "protobuf", &schema).map_err(mcap_error)?;
         let describe = |(field, column): (&String, &SampledColumn)| {
             let unit = Some(&column.unit).filter(|unit| !unit.is_empty());
@@ -144,62 +140,13 @@ impl McapFile<'_> {
         self.sequence = sequence.wrapping_add(1);
         let header =
             MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
-        self.writer.write_to_known_channel(&header, &message.0).map_err(mcap_error)
+        self.writer.write_to_known_channel(&header, message.as_bytes()).map_err(mcap_error)
     }
-}
-
-/// Names for the Protocol Buffers fields of these columns: ASCII letters, digits and underscores, which also differ in
-/// their JSON form, without underscores and case.
-fn field_names(columns: &[SampledColumn]) -> Vec<String> {
-    let key = |name: &str| name.replace('_', "").to_ascii_lowercase();
-    let mut taken = HashSet::from([key("timestamp")]);
-    let unique = |column: &SampledColumn| {
-        let letter = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-        let mut name: String = column.name.chars().map(letter).collect();
-        if !name.starts_with(|c: char| c.is_ascii_alphabetic()) {
-            name.insert_str(0, "channel_");
-        }
-        let (given, mut number) = (name.clone(), 2);
-        while !taken.insert(key(&name)) {
-            name = format!("{given}_{number}");
-            number += 1;
-        }
-        name
-    };
-    columns.iter().map(unique).collect()
 }
 
 fn mcap_error(error: McapError) -> InterchangeError {
     match error {
         McapError::Io(error) => error.into(),
         error => std::io::Error::other(error).into(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn field_names_are_unique_identifiers() {
-        let names = ["Fz1", "fz_1", "EMG left", "1", "", "\u{e9}", "timestamp", "fz_1_2", "a.x"];
-        let column = |name: &&str| SampledColumn {
-            name: (*name).to_owned(),
-            unit: String::new(),
-            description: String::new(),
-        };
-        let columns: Vec<_> = names.iter().map(column).collect();
-        let expected = [
-            "Fz1",
-            "fz_1_2",
-            "EMG_left",
-            "channel_1",
-            "channel_",
-            "channel___2",
-            "timestamp_2",
-            "fz_1_2_2",
-            "a_x",
-        ];
-        assert_eq!(field_names(&columns), expected);
     }
 }

@@ -1,9 +1,9 @@
-//! The Foxglove message types that the export uses, from the published schemas (`foxglove-sdk`, `schemas/proto`), and
-//! their encoding as a `FileDescriptorSet` with all dependencies, which an MCAP file stores as the schema.
+//! The Foxglove message types that are used, from the published schemas (`foxglove-sdk`, `schemas/proto`), and their
+//! encoding as a `FileDescriptorSet` with all dependencies, which MCAP files and live streams have as the schema.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 
-use super::messages::{Message, value_fields};
+use super::{messages::value_fields, protobuf::Message};
 
 /// A field: name, number and type.
 type Field = (&'static str, u32, FieldType);
@@ -22,11 +22,19 @@ enum FieldType {
     Nested(&'static str),
     /// A repeated message, by its full name.
     Repeated(&'static str),
-    /// The enum `PackedElementField.NumericType`.
-    NumericType,
+    /// An enum of the message itself.
+    Enum(&'static EnumType),
 }
 
-use FieldType::{Bool, Bytes, Double, Fixed32, Int32, Int64, Nested, NumericType, Repeated, Text};
+/// An enum: its name in its message, that in other messages, and the names of its values from 0 on.
+#[derive(Debug)]
+struct EnumType {
+    name: &'static str,
+    full_name: &'static str,
+    values: &'static [&'static str],
+}
+
+use FieldType::{Bool, Bytes, Double, Enum, Fixed32, Int32, Int64, Nested, Repeated, Text};
 
 const TIMESTAMP: FieldType = Nested("google.protobuf.Timestamp");
 const DURATION: FieldType = Nested("google.protobuf.Duration");
@@ -53,7 +61,7 @@ const MESSAGES: &[MessageType] = &[
     ),
     (
         "foxglove.PackedElementField",
-        &[("name", 1, Text), ("offset", 2, Fixed32), ("type", 3, NumericType)],
+        &[("name", 1, Text), ("offset", 2, Fixed32), ("type", 3, Enum(&NUMERIC_TYPE))],
     ),
     (
         "foxglove.TextPrimitive",
@@ -66,7 +74,39 @@ const MESSAGES: &[MessageType] = &[
             ("text", 6, Text),
         ],
     ),
-    // Only the primitives that the export uses.
+    (
+        "foxglove.SpherePrimitive",
+        &[
+            ("pose", 1, Nested("foxglove.Pose")),
+            ("size", 2, Nested("foxglove.Vector3")),
+            ("color", 3, Nested("foxglove.Color")),
+        ],
+    ),
+    ("foxglove.Point3", &[("x", 1, Double), ("y", 2, Double), ("z", 3, Double)]),
+    (
+        "foxglove.LinePrimitive",
+        &[
+            ("type", 1, Enum(&LINE_TYPE)),
+            ("pose", 2, Nested("foxglove.Pose")),
+            ("thickness", 3, Double),
+            ("scale_invariant", 4, Bool),
+            ("points", 5, Repeated("foxglove.Point3")),
+            ("color", 6, Nested("foxglove.Color")),
+        ],
+    ),
+    (
+        "foxglove.ArrowPrimitive",
+        &[
+            ("pose", 1, Nested("foxglove.Pose")),
+            ("shaft_length", 2, Double),
+            ("shaft_diameter", 3, Double),
+            ("head_length", 4, Double),
+            ("head_diameter", 5, Double),
+            ("color", 6, Nested("foxglove.Color")),
+        ],
+    ),
+    ("foxglove.KeyValuePair", &[("key", 1, Text), ("value", 2, Text)]),
+    // Only the primitives that are used.
     (
         "foxglove.SceneEntity",
         &[
@@ -75,6 +115,10 @@ const MESSAGES: &[MessageType] = &[
             ("id", 3, Text),
             ("lifetime", 4, DURATION),
             ("frame_locked", 5, Bool),
+            ("metadata", 6, Repeated("foxglove.KeyValuePair")),
+            ("arrows", 7, Repeated("foxglove.ArrowPrimitive")),
+            ("spheres", 9, Repeated("foxglove.SpherePrimitive")),
+            ("lines", 11, Repeated("foxglove.LinePrimitive")),
             ("texts", 13, Repeated("foxglove.TextPrimitive")),
         ],
     ),
@@ -91,6 +135,15 @@ const MESSAGES: &[MessageType] = &[
     ),
     ("foxglove.FrameTransforms", &[("transforms", 1, Repeated("foxglove.FrameTransform"))]),
     (
+        "foxglove.Log",
+        &[
+            ("timestamp", 1, TIMESTAMP),
+            ("level", 2, Enum(&LOG_LEVEL)),
+            ("message", 3, Text),
+            ("name", 4, Text),
+        ],
+    ),
+    (
         "foxglove.PointCloud",
         &[
             ("timestamp", 1, TIMESTAMP),
@@ -103,12 +156,29 @@ const MESSAGES: &[MessageType] = &[
     ),
 ];
 
-/// Names of the enum `PackedElementField.NumericType`; the index is the value.
-const NUMERIC_TYPES: [&str; 9] =
-    ["UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"];
+const NUMERIC_TYPE: EnumType = EnumType {
+    name: "NumericType",
+    full_name: "foxglove.PackedElementField.NumericType",
+    values: &[
+        "UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64",
+    ],
+};
+
+const LINE_TYPE: EnumType = EnumType {
+    name: "Type",
+    full_name: "foxglove.LinePrimitive.Type",
+    values: &["LINE_STRIP", "LINE_LOOP", "LINE_LIST"],
+};
+
+const LOG_LEVEL: EnumType = EnumType {
+    name: "Level",
+    full_name: "foxglove.Log.Level",
+    values: &["UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"],
+};
 
 /// The `FileDescriptorSet` of a message type and all types that it uses.
-pub(super) fn descriptor_set(name: &'static str) -> Vec<u8> {
+#[must_use]
+pub fn descriptor_set(name: &'static str) -> Vec<u8> {
     let mut names = BTreeSet::from([name]);
     let mut files = Vec::new();
     for message in MESSAGES.iter().rev() {
@@ -121,7 +191,8 @@ pub(super) fn descriptor_set(name: &'static str) -> Vec<u8> {
 }
 
 /// The `FileDescriptorSet` of the samples of a table: a time, and a float for each of these fields.
-pub(super) fn sampled_descriptor(full_name: &str, fields: &[String]) -> Vec<u8> {
+#[must_use]
+pub fn sampled_descriptor(full_name: &str, fields: &[String]) -> Vec<u8> {
     const TIMESTAMP_TYPE: &str = "google.protobuf.Timestamp";
     let (package, name) = full_name.rsplit_once('.').unwrap_or(("", full_name));
     let field = field_descriptor(&("timestamp", 1, TIMESTAMP));
@@ -166,12 +237,14 @@ fn file_descriptor(message_type: &MessageType) -> Message {
     for field in *fields {
         message = message.message(2, &field_descriptor(field));
     }
-    if fields.iter().any(|(.., of)| matches!(of, NumericType)) {
-        let mut numbers = Message::default().text(1, "NumericType");
-        for (number, name) in (0..).zip(NUMERIC_TYPES) {
-            numbers = numbers.message(2, &Message::default().text(1, name).int(2, number));
+    for (.., of) in *fields {
+        if let Enum(of) = of {
+            let mut numbers = Message::default().text(1, of.name);
+            for (number, name) in (0..).zip(of.values) {
+                numbers = numbers.message(2, &Message::default().text(1, name).int(2, number));
+            }
+            message = message.message(4, &numbers);
         }
-        message = message.message(4, &numbers);
     }
     file.message(4, &message).text(12, "proto3")
 }
@@ -189,11 +262,55 @@ fn field_descriptor(&(name, number, of): &Field) -> Message {
         Nested(message) => (OPTIONAL, 11, Some(message)),
         Repeated(message) => (REPEATED, 11, Some(message)),
         Bytes => (OPTIONAL, 12, None),
-        NumericType => (OPTIONAL, 14, Some("foxglove.PackedElementField.NumericType")),
+        Enum(of) => (OPTIONAL, 14, Some(of.full_name)),
     };
     let field = Message::default().text(1, name).int(3, number.into()).int(4, label).int(5, kind);
     match type_name {
         Some(type_name) => field.text(6, &format!(".{type_name}")),
         None => field,
+    }
+}
+
+/// Names for the Protocol Buffers fields of columns with these names: ASCII letters, digits and underscores, which also differ in
+/// their JSON form, without underscores and case.
+#[must_use]
+pub fn field_names(names: &[&str]) -> Vec<String> {
+    let key = |name: &str| name.replace('_', "").to_ascii_lowercase();
+    let mut taken = HashSet::from([key("timestamp")]);
+    let unique = |name: &str| {
+        let letter = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+        let mut name: String = name.chars().map(letter).collect();
+        if !name.starts_with(|c: char| c.is_ascii_alphabetic()) {
+            name.insert_str(0, "channel_");
+        }
+        let (given, mut number) = (name.clone(), 2);
+        while !taken.insert(key(&name)) {
+            name = format!("{given}_{number}");
+            number += 1;
+        }
+        name
+    };
+    names.iter().copied().map(unique).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn field_names_are_unique_identifiers() {
+        let names = ["Fz1", "fz_1", "EMG left", "1", "", "\u{e9}", "timestamp", "fz_1_2", "a.x"];
+        let expected = [
+            "Fz1",
+            "fz_1_2",
+            "EMG_left",
+            "channel_1",
+            "channel_",
+            "channel___2",
+            "timestamp_2",
+            "fz_1_2_2",
+            "a_x",
+        ];
+        assert_eq!(field_names(&names), expected);
     }
 }
