@@ -407,7 +407,9 @@ fn config_check() {
     assert_eq!(checked.stderr, "");
     folder.write(
         "lossless.toml",
-        all.replace("[archive]", "lossless = true\n[archive]") + "allow_from = ['::1']\n",
+        all.replace("[archive]", "lossless = true\n[archive]")
+            .replace("angle_tolerance = '0.05deg'\n", "")
+            + "allow_from = ['::1']\n",
     );
     let lossless = folder.run(&["config", "check", "lossless.toml", "--json"]).with_code(0);
     folder.write("wrong.toml", "[arm]\npre_roll = 10\n[log]\nlevl = 1\n");
