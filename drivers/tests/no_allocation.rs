@@ -20,8 +20,8 @@ mod no_allocation {
         link::{DeviceLink, FrameForm, HostLink},
         ndi::{NdiHost, crc16},
         qtm::{
-            BodySettings, ClientId, FrameHeader, QtmHost, QtmServer, ServedFrame, ServedSettings,
-            WireBody, WireMarker,
+            BodySettings, ClientId, FrameHeader, QtmHost, QtmServer, ServedBody, ServedFrame,
+            ServedSettings, WireMarker,
         },
         transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
         uri::DeviceUri,
@@ -285,7 +285,7 @@ mod no_allocation {
         for _ in 0..20 {
             qtm_read(&mut host, &commands, &mut server, client);
         }
-        let bodies = [WireBody { position_mm: [1.0; 3], ..WireBody::LOST }; 12];
+        let bodies = [ServedBody { position_mm: [1.0; 3], ..ServedBody::LOST }; 12];
         // Unlabelled markers come and go.
         let marker = |id| WireMarker { position_mm: [1.0; 3], id, residual_mm: 0.1 };
         let markers: Vec<WireMarker> = (0..100).map(marker).collect();

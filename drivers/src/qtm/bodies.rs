@@ -4,7 +4,7 @@ use super::rotation::{angles_of, matrix_of, quaternion_of};
 use crate::{
     bytes::{Cursor, WireValue},
     device::{Pose, PoseStatus},
-    qtm::frame::MISSING,
+    qtm::packet::MISSING,
 };
 
 /// Bytes of a component before its bodies: size, type, count and two rates.
@@ -63,7 +63,7 @@ impl BodyComponentKind {
 
 /// A body of a component.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WireBody {
+pub struct ServedBody {
     /// Position of its origin in millimetres; NaN when the body is lost.
     pub position_mm: [f32; 3],
     /// Rotation from the body's axes to the laboratory's, column after column.
@@ -72,7 +72,7 @@ pub struct WireBody {
     pub residual_mm: f32,
 }
 
-impl WireBody {
+impl ServedBody {
     /// A body that is lost.
     pub const LOST: Self =
         Self { position_mm: [MISSING; 3], matrix: [MISSING; 9], residual_mm: MISSING };
@@ -126,7 +126,7 @@ impl<'a> BodyComponent<'a> {
     }
 
     /// The bodies.
-    pub fn bodies(&self) -> impl Iterator<Item = WireBody> + use<'a> {
+    pub fn bodies(&self) -> impl Iterator<Item = ServedBody> + use<'a> {
         let kind = self.kind;
         self.bodies.chunks_exact(kind.body_bytes()).filter_map(move |body| {
             let mut body = Cursor::new(body);
@@ -136,7 +136,7 @@ impl<'a> BodyComponent<'a> {
                 *number = body.get()?;
             }
             let residual_mm = if kind.has_residuals() { body.get()? } else { f32::NAN };
-            Some(WireBody { position_mm, matrix, residual_mm })
+            Some(ServedBody { position_mm, matrix, residual_mm })
         })
     }
 }
@@ -147,7 +147,7 @@ pub(super) struct BodiesToSend<'a> {
     pub(super) kind: BodyComponentKind,
     /// 2D frames lost, and out of sync, per thousand.
     pub(super) rates: [u16; 2],
-    pub(super) bodies: &'a [WireBody],
+    pub(super) bodies: &'a [ServedBody],
 }
 
 impl BodiesToSend<'_> {
@@ -193,7 +193,7 @@ mod tests {
         }
     }
 
-    fn put(kind: BodyComponentKind, bodies: &[WireBody]) -> Vec<u8> {
+    fn put(kind: BodyComponentKind, bodies: &[ServedBody]) -> Vec<u8> {
         let mut out = Vec::new();
         BodiesToSend { kind, rates: [3, 0x0104], bodies }.put(&mut out);
         out
@@ -202,7 +202,7 @@ mod tests {
     /// The layout of "6DOF components" in the documents, written out by hand.
     #[test]
     fn a_component_has_the_documented_bytes() {
-        let mut body = WireBody::of_pose(&pose());
+        let mut body = ServedBody::of_pose(&pose());
         // What float32 makes of the cosine of a right angle.
         assert!(body.matrix.iter().all(|x| [0.0, 1.0, -1.0].iter().any(|y| (x - y).abs() < 1e-6)));
         body.matrix = body.matrix.map(|number| number.round() + 0.0);
@@ -227,7 +227,7 @@ mod tests {
     #[test]
     fn poses_read_back_and_lost_bodies_are_lost() {
         let lost = Pose::without(4, PoseStatus::Lost);
-        let bodies = [WireBody::of_pose(&pose()), WireBody::of_pose(&lost)];
+        let bodies = [ServedBody::of_pose(&pose()), ServedBody::of_pose(&lost)];
         for kind in BodyComponentKind::ALL {
             let bytes = put(kind, &bodies);
             let content = &bytes[8..];
@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn a_matrix_that_is_no_rotation_is_rejected() {
-        let mut body = WireBody::of_pose(&pose());
+        let mut body = ServedBody::of_pose(&pose());
         body.matrix[8] = -1.0;
         assert_eq!(body.pose(1).status, PoseStatus::Rejected);
         body.matrix[0] = f32::NAN;

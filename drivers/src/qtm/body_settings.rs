@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use roxmltree::Node;
 
-use super::settings::{COLOURS, child, children, label_text, put, text_of};
+use super::xml::{COLOURS, child, children, label_text, put, text_of};
 
 /// The version from which on colours and points are attributes.
 const ATTRIBUTES_FROM: u32 = 21;

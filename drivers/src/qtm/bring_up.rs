@@ -6,8 +6,8 @@ use super::{
     host::{Fence, QtmHost, SessionState, Step, is_byte_order},
     labels::UNLABELLED_MAX,
     packet::{Packet, PacketKind, printable},
-    renewal::Renewal,
     settings::Settings,
+    stream_run::Renewal,
 };
 use crate::device::{BODIES_MAX, Hello};
 

@@ -10,9 +10,6 @@ use crate::bytes::{Cursor, WireValue};
 /// Bytes of a component before its markers: size, type, count and two rates.
 const COMPONENT_HEADER_BYTES: usize = 16;
 
-/// The coordinates of a marker that is missing: "all their 32 bits set".
-pub const MISSING: f32 = f32::from_bits(u32::MAX);
-
 /// Components of 3D markers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
@@ -296,7 +293,7 @@ pub(super) fn put_components(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qtm::packet::Packet;
+    use crate::qtm::packet::{MISSING, Packet};
 
     fn markers() -> [WireMarker; 2] {
         [

@@ -2,13 +2,12 @@
 
 use super::{
     axis::FrameAxis,
-    body_table::BodyTable,
     command::VERSIONS,
     groups::SampledGroups,
     labels::{LabelTable, UnlabelledIds},
+    named_bodies::NamedBodies,
     packet::{OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader, printable, put_text},
-    renewal::Renewal,
-    stream_run::StreamRun,
+    stream_run::{Renewal, StreamRun},
 };
 use crate::{
     device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerSample, Pong, Protocol},
@@ -115,7 +114,7 @@ pub struct QtmHost {
     pub(super) labels: LabelTable,
     pub(super) unlabelled: UnlabelledIds,
     pub(super) sampled: SampledGroups,
-    pub(super) bodies: BodyTable,
+    pub(super) bodies: NamedBodies,
     pub(super) renewal: Renewal,
     /// Whether frames came, on this connection or an earlier one.
     pub(super) had_frames: bool,
@@ -155,7 +154,7 @@ impl QtmHost {
             labels: LabelTable::default(),
             unlabelled: UnlabelledIds::default(),
             sampled: SampledGroups::default(),
-            bodies: BodyTable::default(),
+            bodies: NamedBodies::default(),
             renewal: Renewal::default(),
             had_frames: false,
             samples: Vec::new(),

@@ -5,13 +5,13 @@
 
 mod bodies;
 mod body_settings;
-mod body_table;
 mod bring_up;
 mod command;
 pub(crate) mod discovery;
 mod frame;
 mod groups;
 mod host;
+mod named_bodies;
 mod packet;
 mod renewal;
 mod rotation;
@@ -20,9 +20,10 @@ mod sampled;
 mod server;
 mod settings;
 mod stream_run;
+mod xml;
 
 pub use self::{
-    bodies::{BodyComponent, BodyComponentKind, WireBody},
+    bodies::{BodyComponent, BodyComponentKind, ServedBody},
     body_settings::BodySettings,
     command::{
         ClientCommand, Components, DatagramTarget, SettingsRequest, StreamRate, StreamRequest,
@@ -33,13 +34,13 @@ pub use self::{
         read_discovery_request,
     },
     frame::{
-        ComponentToSend, FrameComponent, FrameHeader, MISSING, MarkerComponent,
-        MarkerComponentKind, WireMarker, put_frame, read_components, read_frame,
+        ComponentToSend, FrameComponent, FrameHeader, MarkerComponent, MarkerComponentKind,
+        WireMarker, put_frame, read_components, read_frame,
     },
     host::QtmHost,
     packet::{
-        Event, HEADER_BYTES, OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind, PacketReader,
-        put_event, put_packet, put_text,
+        Event, HEADER_BYTES, MISSING, OutOfStep, PACKET_BYTES_MAX, Packet, PacketKind,
+        PacketReader, put_event, put_packet, put_text,
     },
     sampled::{DeviceSamples, FORCE_VALUES, SampledComponentKind, SamplesToSend},
     server::{

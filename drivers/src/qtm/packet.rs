@@ -2,6 +2,9 @@
 
 use std::borrow::Cow;
 
+/// The coordinates of a marker that is missing: "all their 32 bits set".
+pub const MISSING: f32 = f32::from_bits(u32::MAX);
+
 /// Bytes of a packet's header: its size and its type.
 pub const HEADER_BYTES: usize = 8;
 

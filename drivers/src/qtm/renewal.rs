@@ -1,13 +1,11 @@
 //! Settings that change during a stream: labels and bodies are requested again, and the frames that come meanwhile wait.
 
-use std::collections::VecDeque;
-
 use super::{
     body_settings::BodySettings,
     host::{EventSink, MS, QtmHost},
     packet::{PACKET_BYTES_MAX, Packet, PacketKind, printable},
     settings::Settings,
-    stream_run::FrameParts,
+    stream_run::{FrameParts, Named, Renewal},
 };
 use crate::device::DeviceEvent;
 
@@ -20,40 +18,6 @@ const HELD_BYTES_MAX: usize = PACKET_BYTES_MAX;
 
 /// How long they wait, at low rates.
 const HELD_NS: u64 = 1_000 * MS;
-
-/// Settings that name what frames have in their order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Named {
-    Markers,
-    Bodies,
-}
-
-/// The requests of a connection.
-#[derive(Debug, Default)]
-pub(super) struct Renewal {
-    /// Those without a reply. QTM answers in order, however late.
-    awaited: VecDeque<Named>,
-    /// When each was requested last.
-    requested_ns: [Option<u64>; 2],
-    /// Frames that wait for the replies, their bytes, and since when.
-    held: Vec<Vec<u8>>,
-    held_bytes: usize,
-    held_since_ns: u64,
-    /// Whether the replies are late, so that no frame waits for them any more.
-    is_late: bool,
-}
-
-impl Renewal {
-    /// Whether a reply is awaited.
-    pub(super) fn is_awaited(&self) -> bool {
-        !self.awaited.is_empty()
-    }
-
-    /// The oldest request was replied to, which is of no use any more.
-    pub(super) fn forget_one(&mut self) -> bool {
-        self.awaited.pop_front().is_some()
-    }
-}
 
 impl QtmHost {
     /// Holds a frame back if it has other numbers of markers or bodies than the lists that are known, or the lists may have

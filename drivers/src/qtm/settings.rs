@@ -3,6 +3,7 @@
 use super::{
     body_settings::{BodySettings, put_bodies, put_general_angles, read_angles, read_bodies},
     command::SettingsRequest,
+    xml::{COLOURS, child, children, label_text, put, text_of},
 };
 use roxmltree::{Document, Node, ParsingOptions};
 
@@ -19,9 +20,6 @@ const ELEMENT_ATTRIBUTES_MAX: usize = 1 << 10;
 
 /// Most namespaces; QTM uses none.
 const NAMESPACES_MAX: usize = 16;
-
-/// Longest label in characters; longer ones are cut off.
-const LABEL_CHARS_MAX: usize = 128;
 
 /// What a client reads from settings; parts that a document does not have are `None`.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -162,11 +160,6 @@ fn number_of<T: std::str::FromStr>(parent: Node<'_, '_>, name: &'static str) -> 
     text_of(parent, name)?.parse().ok()
 }
 
-/// A text of QTM's as a label: not too long, and without control characters.
-pub(super) fn label_text(text: &str) -> String {
-    text.trim().chars().filter(|c| !c.is_control()).take(LABEL_CHARS_MAX).collect()
-}
-
 fn labels(markers: Node<'_, '_>) -> Result<Vec<String>, String> {
     let found = children(markers, "Label").count();
     let stated = text_of(markers, "Labels").and_then(|text| text.parse::<usize>().ok());
@@ -180,24 +173,6 @@ fn labels(markers: Node<'_, '_>) -> Result<Vec<String>, String> {
     }
     let label = |label| label_text(text_of(label, "Name").unwrap_or_default());
     Ok(children(markers, "Label").map(label).collect())
-}
-
-pub(super) fn children<'a, 'input>(
-    parent: Node<'a, 'input>,
-    name: &'static str,
-) -> impl Iterator<Item = Node<'a, 'input>> {
-    parent.children().filter(move |node| node.tag_name().name() == name)
-}
-
-pub(super) fn child<'a, 'input>(
-    parent: Node<'a, 'input>,
-    name: &'static str,
-) -> Option<Node<'a, 'input>> {
-    children(parent, name).next()
-}
-
-pub(super) fn text_of<'a>(parent: Node<'a, '_>, name: &'static str) -> Option<&'a str> {
-    Some(child(parent, name)?.text().unwrap_or_default().trim())
 }
 
 /// What a server states about its system.
@@ -216,9 +191,6 @@ pub struct ServedSettings {
     /// Force plates.
     pub plates: Vec<ForcePlate>,
 }
-
-/// Colours of labels, one after the other: red, green, blue, yellow, in the documents' order of bits.
-pub(super) const COLOURS: [u32; 4] = [0x0000_00FF, 0x0000_FF00, 0x00FF_0000, 0x0000_FFFF];
 
 impl ServedSettings {
     /// The document with the requested parts, as version `1.minor` has them; `None` if the system has none of them.
@@ -391,20 +363,4 @@ fn put_point(xml: &mut String, depth: usize, name: &str, point: [f32; 3]) {
         put(xml, depth + 1, axis, &format!("{value:.2}"));
     }
     xml.push_str(&format!("{:1$}</{name}>\n", "", 4 * depth));
-}
-
-/// Appends an element with text, indented so deep.
-pub(super) fn put(xml: &mut String, depth: usize, name: &str, text: &str) {
-    xml.push_str(&format!("{:1$}<{name}>", "", 4 * depth));
-    for c in text.chars() {
-        match c {
-            '&' => xml.push_str("&amp;"),
-            '<' => xml.push_str("&lt;"),
-            '>' => xml.push_str("&gt;"),
-            // XML has no way to write them.
-            c if c.is_control() => xml.push('_'),
-            c => xml.push(c),
-        }
-    }
-    xml.push_str(&format!("</{name}>\n"));
 }

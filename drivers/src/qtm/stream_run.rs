@@ -1,5 +1,7 @@
 //! What is known of a stream from its start to its end.
 
+use std::collections::VecDeque;
+
 use super::{
     axis::RateCheck,
     frame::{FrameComponent, FrameHeader, read_components},
@@ -115,5 +117,39 @@ impl StreamRun {
         let frames_produced =
             if produced > u64::from(u32::MAX / 2) { self.frames } else { produced };
         Status { frames_produced, frames_dropped: 0, temperature_c_100: i16::MIN }
+    }
+}
+
+/// Settings that name what frames have in their order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Named {
+    Markers,
+    Bodies,
+}
+
+/// The requests of a connection.
+#[derive(Debug, Default)]
+pub(super) struct Renewal {
+    /// Those without a reply. QTM answers in order, however late.
+    pub(super) awaited: VecDeque<Named>,
+    /// When each was requested last.
+    pub(super) requested_ns: [Option<u64>; 2],
+    /// Frames that wait for the replies, their bytes, and since when.
+    pub(super) held: Vec<Vec<u8>>,
+    pub(super) held_bytes: usize,
+    pub(super) held_since_ns: u64,
+    /// Whether the replies are late, so that no frame waits for them any more.
+    pub(super) is_late: bool,
+}
+
+impl Renewal {
+    /// Whether a reply is awaited.
+    pub(super) fn is_awaited(&self) -> bool {
+        !self.awaited.is_empty()
+    }
+
+    /// The oldest request was replied to, which is of no use any more.
+    pub(super) fn forget_one(&mut self) -> bool {
+        self.awaited.pop_front().is_some()
     }
 }

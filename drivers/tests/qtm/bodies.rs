@@ -2,7 +2,7 @@
 
 use mocapd_drivers::{
     device::{Command, Pose, PoseStatus},
-    qtm::{BodySettings, Event, FrameHeader, ServedSettings, WireBody, put_event},
+    qtm::{BodySettings, Event, FrameHeader, ServedBody, ServedSettings, put_event},
 };
 
 use crate::pair::{LABELS, Pair};
@@ -35,7 +35,7 @@ fn header(number: u32) -> FrameHeader {
 }
 
 fn frame(pair: &mut Pair, number: u32, n_bodies: u16) {
-    let bodies: Vec<_> = (0..n_bodies).map(|b| WireBody::of_pose(&pose(number, b))).collect();
+    let bodies: Vec<_> = (0..n_bodies).map(|b| ServedBody::of_pose(&pose(number, b))).collect();
     pair.frame_with(header(number), &[], &bodies);
 }
 
@@ -89,9 +89,9 @@ fn poses_arrive_with_their_frames_and_names() {
 fn lost_bodies_are_lost_and_a_mirrored_one_is_rejected() {
     let mut pair = Pair::with(None, settings(&["cup", "table", "phone"]));
     pair.start();
-    let mut mirrored = WireBody::of_pose(&pose(0, 1));
+    let mut mirrored = ServedBody::of_pose(&pose(0, 1));
     mirrored.matrix[..3].iter_mut().for_each(|number| *number = -*number);
-    let bodies = [WireBody::LOST, mirrored, WireBody::of_pose(&pose(0, 2))];
+    let bodies = [ServedBody::LOST, mirrored, ServedBody::of_pose(&pose(0, 2))];
     pair.frame_with(header(0), &[], &bodies);
     pair.step();
     let (.., poses) = &pair.driver.reported.poses[0];
@@ -193,7 +193,7 @@ fn a_matrix_turns_points_as_the_quaternion_does() {
     let matrix = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0];
     let mut pair = Pair::with(None, settings(&["cup"]));
     pair.start();
-    let body = WireBody { position_mm: [0.0; 3], matrix, residual_mm: 0.0 };
+    let body = ServedBody { position_mm: [0.0; 3], matrix, residual_mm: 0.0 };
     pair.frame_with(header(0), &[], &[body]);
     pair.step();
     let [w, x, y, z] = pair.driver.reported.poses[0].2[0].quaternion;
@@ -203,7 +203,7 @@ fn a_matrix_turns_points_as_the_quaternion_does() {
         nose.iter().zip([0.0, 1.0, 0.0]).all(|(a, b): (&f32, f32)| (a - b).abs() < 1e-6),
         "{nose:?}"
     );
-    let back = WireBody::of_pose(&pair.driver.reported.poses[0].2[0]);
+    let back = ServedBody::of_pose(&pair.driver.reported.poses[0].2[0]);
     assert!(back.matrix.iter().zip(matrix).all(|(a, b)| (a - b).abs() < 1e-6), "{back:?}");
 }
 
@@ -295,7 +295,7 @@ fn the_datagram_of_the_bodies_may_be_lost_alone() {
     // So many markers that the bodies are in a datagram of their own.
     let unlabelled: Vec<u32> = (0..3_200).collect();
     for number in 0..6 {
-        let bodies: Vec<_> = (0..128).map(|b| WireBody::of_pose(&pose(number, b))).collect();
+        let bodies: Vec<_> = (0..128).map(|b| ServedBody::of_pose(&pose(number, b))).collect();
         pair.frame_with(header(number), &unlabelled, &bodies);
         let datagrams = pair.server.take_datagrams();
         assert_eq!(datagrams.len(), 2);

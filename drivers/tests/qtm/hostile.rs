@@ -4,8 +4,8 @@ use std::net::SocketAddr;
 
 use mocapd_drivers::device::{Pose, PoseStatus};
 use mocapd_drivers::qtm::{
-    BodySettings, FrameHeader, PacketKind, QtmServer, ServedFrame, ServedSettings, SettingsRequest,
-    WireBody, WireMarker, put_text,
+    BodySettings, FrameHeader, PacketKind, QtmServer, ServedBody, ServedFrame, ServedSettings,
+    SettingsRequest, WireMarker, put_text,
 };
 use mocapd_testkit::random::Random;
 
@@ -69,13 +69,13 @@ fn frame(number: u32) -> Vec<u8> {
     let labelled = [marker(number, 0); LABELS.len()];
     let unlabelled: Vec<WireMarker> = (0..5).map(|id| marker(number, id)).collect();
     let turned = [0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-    let body = WireBody { position_mm: [1.0, 2.0, 3.0], matrix: turned, residual_mm: 0.5 };
+    let body = ServedBody { position_mm: [1.0, 2.0, 3.0], matrix: turned, residual_mm: 0.5 };
     server.frame(&ServedFrame {
         header: FrameHeader { time_us: u64::from(number) * 10_000, number },
         rates: [0; 2],
         labelled: &labelled,
         unlabelled: &unlabelled,
-        bodies: &[body, WireBody::LOST],
+        bodies: &[body, ServedBody::LOST],
     });
     server.take_pending(client)
 }

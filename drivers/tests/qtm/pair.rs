@@ -8,7 +8,7 @@ use mocapd_drivers::{
         Protocol, SampledGroupInfo, Status,
     },
     qtm::{
-        ClientId, FrameHeader, QtmHost, QtmServer, ServedFrame, ServedSettings, WireBody,
+        ClientId, FrameHeader, QtmHost, QtmServer, ServedBody, ServedFrame, ServedSettings,
         WireMarker,
     },
     transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
@@ -198,7 +198,7 @@ impl Pair {
         &mut self,
         header: FrameHeader,
         unlabelled: &[u32],
-        bodies: &[WireBody],
+        bodies: &[ServedBody],
     ) {
         let number = header.number;
         let labelled = LABELS.map(|_| marker(number, 0));

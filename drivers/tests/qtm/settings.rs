@@ -247,11 +247,11 @@ fn the_documents_examples_of_bodies_are_read() {
     assert_eq!(settings.angles.unwrap(), ["Roll", "Pitch", "Yaw"]);
     let late = "<QTM_Parameters_Ver_1.25><The_6D><Body><Name>refined</Name><Enabled>true</Enabled>\
                 <Color R=\"0\" G=\"255\" B=\"0\"/><MaximumResidual>20.000000</MaximumResidual><Points>\
-                <Point X=\"-67.927157\" Y=\"29.810079\" Z=\"-1.592971\" Virtual=\"0\" PhysicalId=\"0\" Name=\"1\"/>\
+                <Point X=\"-67.500000\" Y=\"29.250000\" Z=\"-1.500000\" Virtual=\"0\" PhysicalId=\"0\" Name=\"1\"/>\
                 </Points></Body><Body><Name>Table</Name><Points/></Body></The_6D></QTM_Parameters_Ver_1.25>";
     let bodies = Settings::parse(late).unwrap().bodies.unwrap();
     let expected = [
-        body("refined", Some([0, 255, 0]), vec![[-67.927_155, 29.810_079, -1.592_971]]),
+        body("refined", Some([0, 255, 0]), vec![[-67.5, 29.25, -1.5]]),
         body("Table", None, Vec::new()),
     ];
     assert_eq!(bodies, expected);

@@ -19,7 +19,7 @@ use mocapd_drivers::{
     device::{Pose, PoseStatus},
     qtm::{
         BodySettings, CLIENTS_MAX, ClientId, DISCOVERY_PORT, OwnerCommand, OwnerRequest, QtmServer,
-        ServedFrame, ServedSettings, WireBody, discovery_reply, read_discovery_request,
+        ServedBody, ServedFrame, ServedSettings, discovery_reply, read_discovery_request,
     },
     transport::network::{
         responder::Responder,
@@ -190,7 +190,7 @@ struct QtmPublisher {
     map: MarkerMap,
     samples: SampleMap,
     /// The bodies of a frame.
-    bodies: Vec<WireBody>,
+    bodies: Vec<ServedBody>,
     events: EventFeed,
     control: Arc<dyn Control>,
     /// The name of the rig.
@@ -234,7 +234,7 @@ impl LivePublisher for QtmPublisher {
         self.bodies.clear();
         self.bodies.extend(frame.poses.iter().map(wire_body));
         // Frames have all bodies of the settings, also without poses.
-        self.bodies.resize(device.bodies.len(), WireBody::LOST);
+        self.bodies.resize(device.bodies.len(), ServedBody::LOST);
         let tick_hz = device.header.device.as_ref().map_or(1_000_000, |device| device.tick_hz);
         let header = header_of(frame, tick_hz);
         let MarkerMap { labelled, unlabelled, .. } = &self.map;
@@ -359,10 +359,10 @@ impl QtmPublisher {
 }
 
 /// A body as QTM sends it: without a pose it is lost.
-fn wire_body(pose: &poses::Pose) -> WireBody {
+fn wire_body(pose: &poses::Pose) -> ServedBody {
     let poses::Pose { state, position_mm, quaternion, residual_mm } = *pose;
     let status = if state == PoseState::Tracked { PoseStatus::Tracked } else { PoseStatus::Lost };
-    WireBody::of_pose(&Pose { body: 0, status, position_mm, quaternion, residual_mm })
+    ServedBody::of_pose(&Pose { body: 0, status, position_mm, quaternion, residual_mm })
 }
 
 /// Whether a take is recorded after an event; `None` if it says nothing of that. Other events may overtake those of takes.

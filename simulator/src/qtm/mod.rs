@@ -14,7 +14,7 @@ use std::{net::SocketAddr, sync::Arc};
 use mocapd_drivers::device::{MarkerSample, Pose};
 use mocapd_drivers::qtm::{
     BodySettings, ClientId, Datagram, Delivery, FrameHeader, LABELS_MAX, MISSING, QtmServer,
-    ServedFrame, ServedSettings, WireBody, WireMarker,
+    ServedBody, ServedFrame, ServedSettings, WireMarker,
 };
 use mocapd_take::motion::{Motion, Position, UpAxis, is_gap};
 
@@ -128,7 +128,7 @@ pub struct QtmDevice {
     ghosts: Vec<MarkerSample>,
     markers: [Vec<WireMarker>; 2],
     poses: Vec<Pose>,
-    bodies: Vec<WireBody>,
+    bodies: Vec<ServedBody>,
 }
 
 /// A datagram, and the number of its frame among all that were produced; `None` for the end of a measurement.
@@ -580,7 +580,7 @@ impl QtmDevice {
         // One that is not listed is lost: frames have all bodies of the settings.
         self.bodies.extend(bodies.infos().iter().map(|info| {
             let pose = self.poses.iter().find(|pose| pose.body == info.id);
-            pose.map_or(WireBody::LOST, WireBody::of_pose)
+            pose.map_or(ServedBody::LOST, ServedBody::of_pose)
         }));
     }
 

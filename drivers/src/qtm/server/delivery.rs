@@ -4,7 +4,7 @@ use std::{net::SocketAddr, sync::Arc};
 
 use super::{Client, ClientId, QtmServer, Role, Stream};
 use crate::qtm::{
-    bodies::{BodiesToSend, WireBody},
+    bodies::{BodiesToSend, ServedBody},
     command::{Components, StreamRate},
     frame::{
         AnyComponent, ComponentToSend, FRAME_HEADER_BYTES, FrameHeader, MarkerComponentKind,
@@ -48,7 +48,7 @@ pub struct ServedFrame<'a> {
     /// The unlabelled markers that are visible.
     pub unlabelled: &'a [WireMarker],
     /// The rigid bodies, in the order of the settings.
-    pub bodies: &'a [WireBody],
+    pub bodies: &'a [ServedBody],
 }
 
 /// What became of a frame for the stream that was started first.

@@ -10,13 +10,13 @@ use crate::{
 
 /// The bodies of the settings. A name keeps its number for as long as the driver lives, also when QTM's list changes.
 #[derive(Debug, Default)]
-pub(super) struct BodyTable {
+pub(super) struct NamedBodies {
     names: LabelTable,
     /// The poses of the open frame.
     poses: Vec<Pose>,
 }
 
-impl BodyTable {
+impl NamedBodies {
     /// Takes over the bodies of the settings. Returns how many are more than can be recorded.
     pub(super) fn update(&mut self, bodies: &[BodySettings]) -> usize {
         let name = |(index, body): (usize, &BodySettings)| match body.name.as_str() {
@@ -73,13 +73,13 @@ mod tests {
         names.iter().map(body).collect()
     }
 
-    fn numbers(table: &BodyTable) -> Vec<(u16, String)> {
+    fn numbers(table: &NamedBodies) -> Vec<(u16, String)> {
         table.infos().into_iter().map(|info| (info.id, info.name)).collect()
     }
 
     #[test]
     fn a_name_keeps_its_number_and_names_are_unique() {
-        let mut table = BodyTable::default();
+        let mut table = NamedBodies::default();
         assert_eq!(table.update(&bodies(&["cup", "", "cup"])), 0);
         let pair = |id, name: &str| (id, name.to_owned());
         assert_eq!(numbers(&table), [pair(0, "cup"), pair(1, "body 2"), pair(2, "cup (2)")]);
@@ -92,7 +92,7 @@ mod tests {
     fn more_bodies_than_are_recorded_are_counted() {
         let names: Vec<String> = (0..BODIES_MAX + 3).map(|index| format!("b{index}")).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let mut table = BodyTable::default();
+        let mut table = NamedBodies::default();
         assert_eq!(table.update(&bodies(&names)), 3);
         assert_eq!((table.infos().len(), table.n_bodies()), (BODIES_MAX, BODIES_MAX + 3));
     }
