@@ -2,6 +2,7 @@
 
 import { Actions } from "./actions.js";
 import { get } from "./api.js";
+import { bodiesCount, drawBodies, showBodies } from "./bodies.js";
 import { byId, setHidden, setText } from "./dom.js";
 import { Events } from "./events.js";
 import { Finished } from "./finished.js";
@@ -34,6 +35,7 @@ setText(byId("zone"), timeZone(-new Date().getTimezoneOffset(), Intl.DateTimeFor
 
 const motion = new Motion();
 const view = new View(motion);
+view.layers = { bodies: drawBodies };
 const hero = new Hero();
 const tiles = new Tiles();
 const history = new History();
@@ -121,6 +123,12 @@ function viewMessage() {
 
 function showLive() {
   const stats = live.measure();
+  const { names, values } = motion.bodies;
+  setHidden(byId("bodies-panel"), names.length === 0);
+  if (names.length > 0) {
+    setText(byId("bodies-count"), bodiesCount(motion.bodies));
+    showBodies(byId("bodies"), motion.bodies);
+  }
   const message = viewMessage();
   setHidden(byId("view-message"), message === null);
   setText(byId("view-message"), message ?? "");

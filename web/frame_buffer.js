@@ -17,6 +17,9 @@ const DISPLAY_HZ = 60;
 /** A window that could not be read is tried again after this time, while it is needed. */
 const RETRY_MS = 3000;
 
+/** The frame of a take without markers. */
+const NOTHING = new Float32Array(0);
+
 export class FrameBuffer {
   /** Only every n-th row is loaded. */
   every = 1;
@@ -49,6 +52,7 @@ export class FrameBuffer {
 
   /** The positions of a row, or of the loaded row before it while rows are left out; null if they are not loaded. */
   positionsAt = (row) => {
+    if (this.n === 0) return NOTHING;
     const window = this.#windows.get(this.#index(row));
     if (!window) return null;
     const frame = Math.floor((row - window.firstRow) / window.every);

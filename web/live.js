@@ -71,6 +71,7 @@ export class Live {
       return this.onTable(message.table);
     }
     if (message.kind === "samples") return this.onSamples(message, performance.now());
+    if (message.kind === "poses") return this.motion.setPoses(message);
     if (message.kind === "face") {
       this.motion.facePose = message.pose;
       return;

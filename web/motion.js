@@ -4,6 +4,8 @@ import { toZUp } from "./camera.js";
 
 /** Frames in a trail: one second at some thirty frames per second. */
 export const TRAIL = 30;
+/** Frames after which poses are out of date: a third of a second. */
+const POSES_KEPT = 10;
 /** Markers higher above the floor than this many times their extent are shown close up, without the floor. */
 const CLOSE_UP = 2;
 
@@ -16,6 +18,9 @@ export class Motion {
   limbs = [];
   face = null;
   facePose = null;
+  /** The rigid bodies: {names, values, frames, tracked}; `values` is null while no poses are known. */
+  bodies = { names: [], values: null, frames: 0, tracked: [] };
+  #posesAge = 0;
   head = 0;
   nSeen = 0;
   raw = null;
@@ -31,6 +36,7 @@ export class Motion {
     this.limbs = (table.limbs ?? []).filter((limb) => limb.ends.every((slot) => slot < this.n));
     this.face = table.face ?? null;
     this.facePose = null;
+    this.bodies = { names: table.bodies ?? [], values: null, frames: 0, tracked: [] };
     this.upAxis = table.up_axis;
     /** The last visible position of each marker, in millimetres, z up. */
     this.last = new Float32Array(3 * this.n).fill(NaN);
@@ -61,6 +67,8 @@ export class Motion {
     this.head = (this.head + 1) % TRAIL;
     this.raw = frame.positionsMm;
     this.facePose = null;
+    this.#posesAge += 1;
+    if (this.#posesAge > POSES_KEPT) this.bodies.values = null;
     this.nSeen = 0;
     for (let slot = 0; slot < this.n; slot += 1) {
       const into = 3 * (this.head * this.n + slot);
@@ -71,6 +79,26 @@ export class Motion {
       this.lastSeenMs[slot] = nowMs;
       for (let i = 0; i < 3; i += 1) this.last[3 * slot + i] = this.trail[into + i];
     }
+  }
+
+  /** Sets the poses of the bodies, which belong to the last frame. */
+  setPoses({ values, frames, tracked }) {
+    Object.assign(this.bodies, { values, frames, tracked });
+    this.#posesAge = 0;
+  }
+
+  /** The origins of the bodies that have a pose, z up. */
+  #origins() {
+    const { names, values } = this.bodies;
+    const origins = [];
+    for (let body = 0; values && body < Math.min(names.length, values.length / 9); body += 1) {
+      const [state, , x, y, z] = values.subarray(9 * body, 9 * body + 5);
+      if (state !== 0 || !Number.isFinite(x + y + z)) continue;
+      const origin = [0, 0, 0];
+      toZUp(this.upAxis, x, y, z, origin, 0);
+      origins.push(origin);
+    }
+    return origins;
   }
 
   /** Limbs with both ends visible whose length deviates from the subject's scan by more than `off_mm`. */
@@ -105,8 +133,9 @@ export class Motion {
    */
   updateBox(shrink) {
     const now = { low: [0, 0, 0], high: [0, 0, 0] };
+    const origins = this.#origins();
     for (let axis = 0; axis < 3; axis += 1) {
-      const values = [];
+      const values = origins.map((origin) => origin[axis]);
       for (let slot = 0; slot < this.n; slot += 1) {
         if (this.isSeen(slot)) values.push(this.last[3 * slot + axis]);
       }

@@ -303,7 +303,7 @@ export class Player {
     buffer.want(playback.row, rowsPerSecond, playback.loop);
     this.overlays?.want(playback, rowsPerSecond);
     if (motion.show(buffer.shownRow(playback.row), buffer.positionsAt)) {
-      this.#message(null);
+      if (this.overview.markers > 0 || this.overlays?.hasBodies) this.#message(null);
       this.overlays?.show(motion);
       if (this.#isJump) {
         // The camera looks for the markers again, at once.

@@ -28,7 +28,8 @@ export function publishedLines(publish) {
 }
 
 /** Shows the list, if anything is published. */
-export function showPublished({ publish = [] }) {
+export function showPublished(status) {
+  const publish = status.publish ?? [];
   setHidden(byId("published"), publish.length === 0);
   if (publish.length === 0) return;
   setText(byId("published-count"), plural(publish.reduce((sum, { clients }) => sum + clients.length, 0), "client"));

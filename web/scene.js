@@ -13,14 +13,14 @@ const BANDS = 5;
 
 /**
  * `view`: {width, height, options: {labels, trails}, selected: slot or -1, colours, nowMs, layers}. `layers.floor` draws on the
- * floor, below the markers, `layers.markers` above them.
+ * floor, below the markers, `layers.markers` above them; `layers.bodies` draws rigid bodies.
  */
 export function draw(ctx, camera, motion, view) {
   const { width, height } = view;
   ctx.clearRect(0, 0, width, height);
   const project = camera.projector(width, height);
   const stepMm = drawFloor(ctx, camera, motion, project, view);
-  if (motion.n === 0 || !motion.raw) return { stepMm, points: null };
+  if (!motion.raw) return { stepMm, points: null };
   view.layers.floor?.(ctx, motion, project, view);
   const points = projectAll(motion, project, view.nowMs);
   drawShadows(ctx, motion, project, points, view);
@@ -29,6 +29,7 @@ export function draw(ctx, camera, motion, view) {
   drawBones(ctx, motion, points, view);
   drawMarkers(ctx, motion, points, view);
   view.layers.markers?.(ctx, motion, project, points, view);
+  view.layers.bodies?.(ctx, motion, project, view);
   drawLabels(ctx, motion, points, view);
   return { stepMm, points };
 }

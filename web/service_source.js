@@ -13,10 +13,12 @@ const HEADER_BYTES = 32;
 const FRAMES_MAGIC = 0x3157504d;
 const FORCES_MAGIC = 0x3146504d;
 const POSES_MAGIC = 0x3150504d;
+const BODIES_MAGIC = 0x3142504d;
 /** Bytes of a marker, and of a force plate. */
 const MARKER_BYTES = 12;
 const PLATE_BYTES = 36;
 const POSE_BYTES = 48;
+const BODY_BYTES = 36;
 /** Longest window that can be requested, in seconds. */
 const SECONDS_MAX = 3600;
 
@@ -29,13 +31,16 @@ export const parseForces = (buffer, plates) => parse(buffer, FORCES_MAGIC, plate
 /** Parses a window of the poses of a face likewise, twelve numbers each. Pure. */
 export const parsePoses = (buffer) => parse(buffer, POSES_MAGIC, 1, POSE_BYTES);
 
+/** Parses a window of the poses of rigid bodies likewise, nine numbers for each body. Pure. */
+export const parseBodies = (buffer, bodies) => parse(buffer, BODIES_MAGIC, bodies, BODY_BYTES);
+
 function parse(buffer, magic, n, bytesEach) {
   const view = new DataView(buffer);
   if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== magic) throw new Error("this is not a window of a take");
   const signals = view.getUint32(4, true);
   const [frames, every, flags] = [16, 20, 24].map((at) => view.getUint32(at, true));
   if (signals !== n || buffer.byteLength !== HEADER_BYTES + bytesEach * frames * n || every === 0) {
-    throw new Error(`a window of ${buffer.byteLength} bytes: expected ${frames} frames of ${n} markers or plates`);
+    throw new Error(`a window of ${buffer.byteLength} bytes: expected ${frames} frames of ${n} markers, plates or bodies`);
   }
   return {
     firstRow: Number(view.getBigUint64(8, true)),
@@ -90,6 +95,16 @@ export class ServiceSource {
   /** A window of the forces of so many plates. */
   async forces(firstRow, rows, every, plates) {
     return parseForces(await inTurn(() => getBytes(`${this.path}/forces?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS), plates);
+  }
+
+  /** The rigid bodies of the take: {names, window_frames_max}. */
+  bodies() {
+    return inTurn(() => get(`${this.path}/bodies`, TIMEOUT_MS), OTHERS);
+  }
+
+  /** A window of the poses of so many rigid bodies. */
+  async bodyPoses(firstRow, rows, every, bodies) {
+    return parseBodies(await inTurn(() => getBytes(`${this.path}/poses?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS), bodies);
   }
 
   /** The part of so many rows, or as many whole steps of them as can be requested at once. */

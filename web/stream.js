@@ -6,6 +6,9 @@ const MESSAGE_MAX = 8 << 20;
 const FRAME_HEADER = 28;
 /** Kind, group, two zero bytes, number of the first sample, number of samples. */
 const SAMPLES_HEADER = 16;
+/** Kind, three zero bytes, number of frames with poses; then nine floats and a count for each body. */
+const POSES_HEADER = 12;
+const BODY_BYTES = 44;
 
 export class StreamError extends Error {}
 
@@ -45,6 +48,7 @@ function parseMessage(bytes) {
   }
   if (bytes[0] === 3) return parseFace(bytes);
   if (bytes[0] === 4) return parseSamples(bytes);
+  if (bytes[0] === 5) return parsePoses(bytes);
   if (bytes[0] !== 2) return null;
   if (bytes.length < FRAME_HEADER || (bytes.length - FRAME_HEADER) % 12 !== 0) {
     throw new StreamError(`a frame of ${bytes.length} bytes: expected three floats per marker`);
@@ -72,6 +76,17 @@ function parseSamples(bytes) {
   }
   const view = new DataView(bytes.buffer);
   return { kind: "samples", group: bytes[1], first: Number(view.getBigUint64(4, true)), n: view.getUint32(12, true), ranges: new Float32Array(bytes.buffer, SAMPLES_HEADER) };
+}
+
+/** The poses of the rigid bodies, and by body in how many of the frames with poses it was tracked. */
+function parsePoses(bytes) {
+  if (bytes.length < POSES_HEADER || (bytes.length - POSES_HEADER) % BODY_BYTES !== 0) {
+    throw new StreamError(`poses of ${bytes.length} bytes: expected nine floats and a count per body`);
+  }
+  const view = new DataView(bytes.buffer);
+  const n = (bytes.length - POSES_HEADER) / BODY_BYTES;
+  const tracked = Array.from({ length: n }, (_, body) => Number(view.getBigUint64(POSES_HEADER + 36 * n + 8 * body, true)));
+  return { kind: "poses", frames: Number(view.getBigUint64(4, true)), values: new Float32Array(bytes.buffer, POSES_HEADER, 9 * n), tracked };
 }
 
 /** Parses server-sent events from text split anywhere. */

@@ -6,7 +6,7 @@ import { duration } from "./format.js";
 import { installPointer } from "./pointer.js";
 import { FADE_MS, draw, pick } from "./scene.js";
 
-const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "off", "marker", "stray", "selected", "force",
+const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "off", "marker", "stray", "selected", "force", "axis-x", "axis-y", "axis-z",
   "error-1", "error-2", "error-3", "error-4", "error-5"];
 /** Time constants with which the camera follows the markers, and with which their box shrinks. */
 const FOLLOW_MS = 700;

@@ -103,6 +103,8 @@ pub struct TakeConfig {
     pub name: NameTemplate,
     /// Resampler and tolerance.
     pub codec: Settings,
+    /// Largest error of the rotations of rigid bodies, in degrees; `None` for the one that follows from the tolerance.
+    pub angle_degrees: Option<f64>,
     /// Length of a stretch: a killed process loses at most one.
     pub stretch: Duration,
     /// Time between syncs: a power cut loses at most this time and one stretch.
@@ -205,22 +207,8 @@ impl QtmPublishConfig {
         let Self { enabled: true, listen, allow_from, control, password_file, .. } = self else {
             return Vec::new();
         };
-        let mut notes = Vec::new();
-        let is_local = listen.ip().to_canonical().is_loopback();
-        if is_local && !allow_from.is_empty() {
-            notes.push(format!(
-                "publish.qtm.allow_from has no effect: only this machine can reach publish.qtm.listen = {listen}; \
-                 listen on 0.0.0.0:{} for others",
-                listen.port()
-            ));
-        }
-        if !is_local && allow_from.is_empty() {
-            notes.push(format!(
-                "publish.qtm.listen is {listen}, but no other machine may connect: list those that may in \
-                 publish.qtm.allow_from, such as allow_from = [\"192.168.10.0/24\"]"
-            ));
-        }
-        if !is_local && *control {
+        let mut notes = reach_notes("publish.qtm", *listen, allow_from);
+        if !is_local(*listen) && *control {
             notes.push(
                 "publish.qtm.control is on: the password is sent over the network unencrypted; use a network that you trust"
                     .to_owned(),
@@ -232,6 +220,26 @@ impl QtmPublishConfig {
             );
         }
         notes
+    }
+}
+
+fn is_local(listen: SocketAddr) -> bool {
+    listen.ip().to_canonical().is_loopback()
+}
+
+/// Remarks on the keys `listen` and `allow_from` of a section whose server is enabled, if they contradict each other.
+fn reach_notes(section: &str, listen: SocketAddr, allow_from: &[Network]) -> Vec<String> {
+    match (is_local(listen), allow_from) {
+        (true, [_, ..]) => vec![format!(
+            "{section}.allow_from has no effect: only this machine can reach {section}.listen = {listen}; \
+             listen on 0.0.0.0:{} for others",
+            listen.port()
+        )],
+        (false, []) => vec![format!(
+            "{section}.listen is {listen}, but no other machine may connect: list those that may in \
+             {section}.allow_from, such as allow_from = [\"192.168.10.0/24\"]"
+        )],
+        _ => Vec::new(),
     }
 }
 

@@ -9,8 +9,9 @@ use std::{
 };
 
 use crossbeam_channel::Receiver;
-use mocapd_acquire::pipeline::SampleRange;
+use mocapd_acquire::pipeline::{PreviewBody, SampleRange};
 use mocapd_drivers::device::{SampleForm, SampledChannelInfo, SampledGroupInfo};
+use mocapd_take::poses::Pose;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -46,6 +47,8 @@ pub struct LiveTable {
     pub face: Option<LiveFace>,
     /// The groups of sampled channels.
     pub groups: Vec<LiveGroup>,
+    /// The names of the rigid bodies; they may be empty, and may repeat.
+    pub bodies: Vec<String>,
 }
 
 /// A group of sampled channels.
@@ -106,6 +109,17 @@ pub struct LiveFrame {
     pub face: Option<FacePose>,
     /// What the sampled channels did since the previous frame: columns of a strip chart, in order of time.
     pub samples: Vec<LiveSamples>,
+    /// The poses of the rigid bodies, if they came with the frame.
+    pub poses: Option<LivePoses>,
+}
+
+/// The poses of the rigid bodies in a frame.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LivePoses {
+    /// Frames with poses since the device was armed.
+    pub n_frames: u64,
+    /// By body of the table.
+    pub bodies: Vec<PreviewBody>,
 }
 
 /// About a twentieth of a second of a group of sampled channels; more while a viewer does not read.
@@ -128,6 +142,9 @@ impl LiveMessage {
     /// that it belongs to: three zero bytes, then for each axis three factors of a vertex and an offset, as f32. So does
     /// kind 4, about a twentieth of a second of a group of sampled channels: u8 index of the group in the table, two zero bytes,
     /// u64 number of the first sample, u32 number of samples, then for each channel its least and its largest value as f32.
+    /// And so does kind 5, the poses of the rigid bodies: three zero bytes, u64 number of frames with poses since the device was
+    /// armed, for each body of the table the nine f32 of [`pose_values`], and then for each a u64: in how many of these frames it
+    /// was tracked.
     pub fn put(&self, out: &mut Vec<u8>) {
         match self {
             Self::Table(table) => message(out, |out| {
@@ -148,6 +165,17 @@ impl LiveMessage {
                             .for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
                     });
                 }
+                if let Some(LivePoses { n_frames, bodies }) = &frame.poses {
+                    message(out, |out| {
+                        out.extend_from_slice(&[5, 0, 0, 0]);
+                        out.extend_from_slice(&n_frames.to_le_bytes());
+                        let values = bodies.iter().flat_map(|body| pose_values(&body.pose));
+                        values.for_each(|value| out.extend_from_slice(&value.to_le_bytes()));
+                        for body in bodies {
+                            out.extend_from_slice(&body.n_tracked.to_le_bytes());
+                        }
+                    });
+                }
                 if let Some(face) = &frame.face {
                     message(out, |out| {
                         out.extend_from_slice(&[3, 0, 0, 0]);
@@ -157,6 +185,16 @@ impl LiveMessage {
             }
         }
     }
+}
+
+/// Numbers of a pose for viewers.
+pub(crate) const POSE_VALUES: usize = 9;
+
+/// A pose for viewers: the number of its state in outputs (`docs/poses.md`), the residual in millimetres, the position in
+/// millimetres, and the rotation as a quaternion w, x, y, z. NaN where there is none.
+pub(crate) fn pose_values(pose: &Pose) -> [f32; POSE_VALUES] {
+    let ([x, y, z], [qw, qx, qy, qz]) = (pose.position_mm, pose.quaternion);
+    [f32::from(pose.state.code()), pose.residual_mm, x, y, z, qw, qx, qy, qz]
 }
 
 /// The groups as viewers need them.

@@ -8,7 +8,7 @@ use mocapd_acquire::{
     ledger::{LedgerDocument, SampleLedgerDocument},
 };
 use mocapd_take::record::EndingKind;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
 use crate::finished::TakeNotes;
@@ -91,8 +91,13 @@ pub struct Status {
     #[serde(default)]
     pub archive: Option<ArchiveStatus>,
     /// What is published live, by protocol; empty if nothing is.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "none_or_all")]
     pub publish: Vec<PublishStatus>,
+}
+
+/// Reads a list that earlier versions left out, or wrote as null.
+fn none_or_all<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<PublishStatus>, D::Error> {
+    Ok(Option::deserialize(input)?.unwrap_or_default())
 }
 
 /// A server that publishes live what is received.

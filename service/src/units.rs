@@ -3,9 +3,28 @@
 use std::time::Duration;
 
 use jiff::{Timestamp, tz::TimeZone};
+use mocapd_codec::poses::ANGLE_DEGREES;
 pub use mocapd_take::quantity::{
     duration, duration_above_zero, frequency_hz, rate_hz, size_bytes, tolerance,
 };
+
+/// Parses an angle in degrees that the codec can keep as a bound.
+///
+/// # Errors
+/// A message that says what to give.
+pub fn angle_degrees(text: &str) -> Result<f64, String> {
+    let number = text.trim().strip_suffix("deg").map(str::trim_end);
+    let degrees = number
+        .and_then(|number| number.parse().ok())
+        .filter(|degrees| ANGLE_DEGREES.contains(degrees));
+    degrees.ok_or_else(|| {
+        format!(
+            "'{text}' is no angle from {} to {} degrees: give one such as 0.05deg",
+            ANGLE_DEGREES.start(),
+            ANGLE_DEGREES.end()
+        )
+    })
+}
 
 /// Formats a duration in the largest unit without a fraction, or otherwise in seconds with every digit.
 pub(crate) fn duration_text(time: Duration) -> String {

@@ -1,7 +1,7 @@
 //! Simulated motion-capture devices that play recorded or generated motion to a real host.
 //!
 //! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate, and [`sampled`]
-//! makes the samples of force plates and electrodes. [`device`] plays it over the link protocol, [`ndi`] over that of NDI,
+//! makes the samples of force plates and electrodes; [`recorded`] reads those of a take, and its rigid bodies. [`device`] plays it over the link protocol, [`ndi`] over that of NDI,
 //! and on the
 //! network [`qtm`], [`natnet`] and [`lsl`] over those of QTM, of OptiTrack and of the Lab Streaming Layer. [`faults`] injects
 //! faults by a script, and [`log_device`] replays a raw log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
@@ -20,6 +20,7 @@ pub mod natnet;
 pub mod ndi;
 pub mod pty;
 pub mod qtm;
+pub mod recorded;
 pub mod replay;
 pub mod sampled;
 pub mod source;

@@ -4,6 +4,7 @@
 
 use std::f64::consts::TAU;
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 use std::sync::Arc;
 
@@ -60,6 +61,39 @@ enum Signal {
     Plates(Arc<ForcePlates>),
     /// Noise of a bandwidth like that of muscles, in bursts.
     Electrodes { seed: u64 },
+    /// Those of a take.
+    Recorded(Arc<RecordedSamples>),
+}
+
+/// The samples of a group of a take, from the first that is played on.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RecordedSamples {
+    /// Where samples follow each other: the numbers, and the place of the first in `values`. In ascending order.
+    runs: Vec<(Range<u64>, usize)>,
+    /// The samples of all runs one after another; of each, all channels in order.
+    values: Vec<f32>,
+    /// One past the last sample, stored or lost.
+    end: u64,
+}
+
+impl RecordedSamples {
+    /// Adds samples behind those that it has: `rows` of the channels' columns, of which the first is number `first`.
+    pub(crate) fn add(&mut self, first: u64, rows: Range<usize>, columns: &[&[f32]]) {
+        let end = first + rows.len() as u64;
+        match self.runs.last_mut() {
+            Some((run, _)) if run.end == first => run.end = end,
+            _ => self.runs.push((first..end, self.values.len())),
+        }
+        for row in rows {
+            self.values.extend(columns.iter().filter_map(|column| column.get(row)));
+        }
+        self.end = self.end.max(end);
+    }
+
+    /// Samples up to this number were taken, though the last ones may be lost.
+    pub(crate) fn end_at(&mut self, end: u64) {
+        self.end = self.end.max(end);
+    }
 }
 
 /// A group of sampled channels and its samples.
@@ -137,6 +171,70 @@ impl SampledSource {
         Self::new(id, channels, rate_hz, Signal::Electrodes { seed })
     }
 
+    /// Samples of a take, in the form and with the description of its group.
+    ///
+    /// # Errors
+    /// When a number is out of range.
+    pub fn recorded(
+        info: SampledGroupInfo,
+        plates: Vec<ForcePlateInfo>,
+        samples: RecordedSamples,
+    ) -> Result<Self, SampledError> {
+        let rate_hz = f64::from(info.rate_millihertz) / 1000.0;
+        let signal = Signal::Recorded(Arc::new(samples));
+        let source = Self::new(info.id, info.channels.clone(), rate_hz, signal)?;
+        Ok(Self { info, plates, ..source })
+    }
+
+    /// The same without its force plates: its channels only.
+    #[must_use]
+    pub fn without_plates(self) -> Self {
+        Self { plates: Vec::new(), ..self }
+    }
+
+    /// Whether samples are missing in it.
+    #[must_use]
+    pub fn has_losses(&self) -> bool {
+        match &self.signal {
+            Signal::Recorded(samples) => {
+                let stored: u64 = samples.runs.iter().map(|(run, _)| run.end - run.start).sum();
+                stored != samples.end
+            }
+            Signal::Plates(_) | Signal::Electrodes { .. } => false,
+        }
+    }
+
+    /// Samples of the run from number `first` on, at most `n`: those that are left.
+    pub(crate) fn n_left(&self, first: u64, n: u64) -> u64 {
+        match &self.signal {
+            Signal::Recorded(samples) => samples.end.saturating_sub(first).min(n),
+            Signal::Plates(_) | Signal::Electrodes { .. } => n,
+        }
+    }
+
+    /// `n` samples from number `first` on as parts one after another: how many samples each has, and whether they are there.
+    pub(crate) fn parts(&self, first: u64, n: u64) -> Vec<(u64, bool)> {
+        let Signal::Recorded(samples) = &self.signal else { return vec![(n, true)] };
+        let (mut parts, mut at, end) = (Vec::new(), first, first + n);
+        let from = samples.runs.partition_point(|(run, _)| run.end <= first);
+        for (run, _) in samples.runs.get(from..).unwrap_or_default() {
+            if run.start >= end {
+                break;
+            }
+            if run.start > at {
+                parts.push((run.start - at, false));
+                at = run.start;
+            }
+            let stop = run.end.min(end);
+            parts.push((stop - at, true));
+            at = stop;
+        }
+        if at < end {
+            parts.push((end - at, false));
+        }
+        parts
+    }
+
     fn new(
         id: u8,
         channels: Vec<SampledChannelInfo>,
@@ -167,15 +265,30 @@ impl SampledSource {
         &self.plates
     }
 
-    /// Samples of a batch.
+    /// Samples of a batch, at most.
     pub(crate) fn batch_samples(&self) -> u64 {
         let n = u64::from(self.info.rate_millihertz) * BATCH_MS / 1_000_000;
         n.clamp(1, (SAMPLE_VALUES_MAX / self.info.channels.len().max(1)) as u64)
     }
 
-    /// Appends `n` samples of all channels, one after another, from number `first` of the run.
+    /// Appends `n` samples of all channels, one after another, from number `first` of the run. Those that a take does not have
+    /// are left out.
     pub fn samples(&self, first: u64, n: u64, out: &mut Vec<f32>) {
         let rate_hz = f64::from(self.info.rate_millihertz) / 1000.0;
+        if let Signal::Recorded(samples) = &self.signal {
+            let n_channels = self.info.channels.len();
+            let from = samples.runs.partition_point(|(run, _)| run.end <= first);
+            for (run, place) in samples.runs.get(from..).unwrap_or_default() {
+                let (start, end) = (run.start.max(first), run.end.min(first + n));
+                if start >= end {
+                    break;
+                }
+                let at = place + (start - run.start) as usize * n_channels;
+                let values = samples.values.get(at..at + (end - start) as usize * n_channels);
+                out.extend_from_slice(values.unwrap_or_default());
+            }
+            return;
+        }
         for number in first..first + n {
             match &self.signal {
                 Signal::Plates(plates) => {
@@ -183,6 +296,7 @@ impl SampledSource {
                     let counts = self.info.channels.iter().zip(felt.as_flattened());
                     out.extend(counts.map(|(channel, value)| count(value / channel.scale)));
                 }
+                Signal::Recorded(_) => {}
                 Signal::Electrodes { seed } => {
                     let channels = 0..self.info.channels.len() as u64;
                     out.extend(channels.map(|channel| electrode(*seed, channel, number, rate_hz)));
@@ -234,6 +348,31 @@ mod tests {
             assert!(whole.iter().all(|&sample| SampleForm::Int16.has(sample)));
             assert!(whole.iter().any(|&sample| sample != 0.0));
         }
+    }
+
+    #[test]
+    fn samples_of_a_take_have_parts_that_are_lost() {
+        let info = SampledGroupInfo {
+            id: 3,
+            form: SampleForm::Float32,
+            rate_millihertz: 1_000_000,
+            channels: vec![SampledChannelInfo::default(); 2],
+        };
+        let mut samples = RecordedSamples::default();
+        let columns: [&[f32]; 2] = [&[0.0, 1.0, 2.0, 3.0], &[0.5, 1.5, 2.5, 3.5]];
+        samples.add(0, 0..2, &columns);
+        samples.add(2, 2..3, &columns);
+        samples.add(5, 3..4, &columns);
+        samples.end_at(8);
+        let source = SampledSource::recorded(info, Vec::new(), samples).unwrap();
+        assert!(source.has_losses() && source.force_plates().is_empty());
+        assert_eq!(source.parts(0, 8), [(3, true), (2, false), (1, true), (2, false)]);
+        assert_eq!(source.parts(1, 3), [(2, true), (1, false)]);
+        assert_eq!(source.parts(6, 2), [(2, false)]);
+        assert_eq!((source.n_left(0, 5), source.n_left(6, 5), source.n_left(9, 5)), (5, 2, 0));
+        let mut found = Vec::new();
+        source.samples(1, 6, &mut found);
+        assert_eq!(found, [1.0, 1.5, 2.0, 2.5, 3.0, 3.5]);
     }
 
     #[test]

@@ -126,7 +126,7 @@ impl Servers {
                 .notify(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
         }
         let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
-        let publishers = publish::open_all(config, engine, control)?;
+        let publishers = publish::open_all(config, |name| engine.published(name), control)?;
         Ok(Self { http, triggers, publishers })
     }
 
@@ -150,7 +150,7 @@ impl Servers {
     }
 
     fn close(self) {
-        self.publishers.into_iter().for_each(RunningPublisher::close);
+        RunningPublisher::close_all(self.publishers);
         if let Some(triggers) = self.triggers {
             triggers.close();
         }

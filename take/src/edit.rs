@@ -9,6 +9,7 @@
 mod concat;
 mod cut;
 mod foreign;
+mod poses;
 mod recorded;
 mod repack;
 mod seam;

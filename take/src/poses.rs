@@ -2,12 +2,15 @@
 //!
 //! `docs/poses.md` describes them. A body has eight channels, and one sample in each frame.
 
+mod by_row;
+
 use std::io::{self, Read, Seek};
 
 use mocapd_codec::poses::{
     POSE_CHANNELS, PoseBounds, PoseRow, RESIDUAL_ERROR_MM, code_without_pose, has_pose, unit,
 };
 
+pub use self::by_row::{PoseBody, PosesByRow, RowPoses};
 use crate::{
     TakeError,
     record::SampledGroup,
@@ -27,6 +30,9 @@ pub const UNLISTED: u8 = 255;
 /// The code of a pose that the recorder refused: the body has another name since the recording began.
 pub const REFUSED: u8 = 254;
 
+/// The number of [`PoseState::Missing`] in outputs. No take has it: there, such rows have no sample.
+const MISSING: u8 = 253;
+
 /// Why a row has a pose, or none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PoseState {
@@ -42,6 +48,9 @@ pub enum PoseState {
     Refused,
     /// For a reason that this version does not know.
     Other,
+    /// The take has no pose of any body of its group for this row: they were lost on their way, are damaged, or the device
+    /// sent none.
+    Missing,
 }
 
 impl PoseState {
@@ -55,6 +64,21 @@ impl PoseState {
             Self::Unlisted => "unlisted",
             Self::Refused => "refused",
             Self::Other => "other",
+            Self::Missing => "missing",
+        }
+    }
+
+    /// Its number in outputs: 0 for a pose, and else the code of its state in takes. Reasons of later versions share one.
+    #[must_use]
+    pub fn code(self) -> u8 {
+        match self {
+            Self::Tracked => 0,
+            Self::Lost => 1,
+            Self::Rejected => 2,
+            Self::Other => 3,
+            Self::Missing => MISSING,
+            Self::Refused => REFUSED,
+            Self::Unlisted => UNLISTED,
         }
     }
 }
@@ -71,6 +95,21 @@ pub struct Pose {
     pub quaternion: [f32; 4],
     /// How well the body's markers fit, in millimetres; NaN if the device did not report it.
     pub residual_mm: f32,
+}
+
+impl Pose {
+    /// No pose, for this reason.
+    #[must_use]
+    pub fn without(state: PoseState) -> Self {
+        let (position_mm, quaternion) = ([f32::NAN; 3], [f32::NAN; 4]);
+        Self { state, position_mm, quaternion, residual_mm: f32::NAN }
+    }
+
+    /// Whether the body was tracked.
+    #[must_use]
+    pub fn is_tracked(&self) -> bool {
+        self.state == PoseState::Tracked
+    }
 }
 
 /// How the poses of a group are read.
@@ -104,8 +143,7 @@ impl PoseReader {
             Some(REFUSED) => PoseState::Refused,
             _ => PoseState::Other,
         };
-        let (position_mm, quaternion) = ([f32::NAN; 3], [f32::NAN; 4]);
-        Pose { state, position_mm, quaternion, residual_mm: f32::NAN }
+        Pose::without(state)
     }
 }
 

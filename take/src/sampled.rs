@@ -15,6 +15,7 @@ mod times;
 pub(crate) use self::encoder::PartContext;
 pub(crate) use self::part::{GroupReader, RecoveredSamples, SampleRun};
 pub(crate) use self::resample::{FILTER, Resampler, reach};
+pub(crate) use self::time_line::epochs_of;
 pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},

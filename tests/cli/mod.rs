@@ -32,6 +32,7 @@ mod raw_logs;
 mod recording;
 mod recoveries;
 mod reloads;
+mod replays;
 pub(crate) mod service;
 mod shared_pages;
 mod splits;

@@ -1,4 +1,4 @@
-"""Downloads, comparisons, forces and sampled channels, against the mock: on desktops and phones, in both themes."""
+"""Downloads, comparisons, forces, sampled channels and rigid bodies, against the mock: on desktops and phones, in both themes."""
 
 import itertools
 import json
@@ -11,6 +11,7 @@ from browser import DESKTOP, PHONE
 from checks_page import HERE, Mock
 from checks_player import assert_shown, open_take, row
 from checks_service import Rig
+from mock_rig import body_values
 from mock_take import WORST, MockTake
 from selenium.webdriver.common.keys import Keys
 
@@ -179,6 +180,85 @@ def strips(browser, _log):
         browser.wait_state("armed")
         browser.wait("frames", "return window.mocapdStats.frames > 3")
         assert browser.js("return document.getElementById('strips-panel').hidden"), "a device without sampled channels"
+
+
+def red_pixels(browser, of):
+    """Pixels of the scene with the colour of the bodies' x axes."""
+    return browser.js("""const probe = document.createElement('i');
+        probe.style.color = 'var(--axis-x)';
+        document.body.append(probe);
+        const wanted = getComputedStyle(probe).color.match(/\\d+/g).slice(0, 3).map(Number);
+        probe.remove();
+        const canvas = document.getElementById(arguments[0]);
+        const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+        let n = 0;
+        for (let i = 0; i < data.length; i += 4) if (wanted.every((v, k) => Math.abs(data[i + k] - v) < 4)) n += 1;
+        return n""", of)
+
+
+@check("rigid bodies: axes in the live scene, and a list with their states and the shares in which they are tracked")
+def live_bodies(browser, _log):
+    with Mock("--markers", "39", "--bodies") as mock:
+        browser.open(mock.url)
+        lines = "return [...document.querySelectorAll('#bodies li')].map((e) => e.textContent)"
+        browser.wait("the list", lambda: len(browser.js(lines)) == 3)
+        browser.wait("the poses", lambda: browser.js(lines)[0] == "● wand · tracked · share tracked 100 %")
+        assert browser.js(lines)[2] == "● body 3 · tracked · share tracked 0 %", browser.js(lines)
+        browser.wait("a lost body", lambda: browser.js(lines)[1].startswith(("○ pelvis · lost · share tracked 50", "○ pelvis · lost · share tracked 49")))
+        browser.wait("the count", lambda: browser.text("bodies-count") in ("2 of 3 tracked", "3 of 3 tracked"))
+        browser.wait("the axes", lambda: red_pixels(browser, "view") > 20)
+        assert browser.errors() == []
+
+        def show():
+            browser.open(mock.url)
+            browser.wait("the poses", lambda: len(browser.js(lines)) == 3 and "pelvis · lost" in browser.js(lines)[1])
+        in_both(browser, show, "bodies")
+    with Mock("--markers", "15") as mock:
+        browser.open(mock.url)
+        browser.wait("frames", "return window.mocapdStats.frames > 3")
+        assert browser.js("return document.getElementById('bodies-panel').hidden"), "a device without bodies"
+
+
+def open_bodies(browser, mock):
+    mock.set(add_take=["bodies-1", 10.0, "complete"])
+    open_take(browser, mock, "bodies-1")
+    browser.wait("the bodies", lambda: browser.text("bodies-text").startswith("3 of 3 rigid bodies tracked"))
+
+
+@check("rigid bodies: in playback, each frame has its poses")
+def bodies(browser, _log):
+    with Mock("--markers", "15") as mock:
+        open_bodies(browser, mock)
+        for frame in (0, 130, 60):
+            browser.js(f"mocapdPlayer.seek({frame})")
+            browser.wait("the frame", lambda: row(browser) == frame)
+            found = browser.js("return [...(mocapdPlayer.motion.bodies.values ?? [])]")
+            expected = body_values(frame / RATE_HZ)
+            assert len(found) == 27 and all(b != b or abs(a - b) < 1e-3 for a, b in zip(found, expected)), (frame, found)
+            lost = frame == 130
+            text = "2 of 3 rigid bodies tracked; without a pose: pelvis (lost)" if lost else "3 of 3 rigid bodies tracked"
+            browser.wait("the text", lambda: browser.text("bodies-text") == text)
+        browser.wait("the axes", lambda: red_pixels(browser, "view") > 20)
+        open_take(browser, mock)
+        browser.wait("a take without bodies", "return document.getElementById('bodies-text').hidden")
+        assert browser.errors() == []
+        in_both(browser, lambda: open_bodies(browser, mock), "bodies-playback")
+
+
+@check("rigid bodies: a device and a take that have no markers")
+def bodies_alone(browser, _log):
+    with Mock("--markers", "0", "--bodies") as mock:
+        browser.open(mock.url)
+        browser.wait("the axes", lambda: red_pixels(browser, "view") > 20)
+        open_bodies(browser, mock)
+        browser.wait("the axes", lambda: red_pixels(browser, "view") > 20)
+        assert browser.js("return document.getElementById('view-message').hidden")
+        browser.js("mocapdPlayer.seek(130)")
+        browser.wait("the text", lambda: "pelvis (lost)" in browser.text("bodies-text"))
+        mock.set(add_take=["empty-1", 10.0, "complete"])
+        browser.open(f"{mock.url}player.html?take=empty-1")
+        browser.wait("the message", lambda: browser.text("view-message") == "This take has no markers")
+        assert browser.errors() == []
 
 
 #: A jump on two force plates, and eight electrodes.

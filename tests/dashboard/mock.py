@@ -20,7 +20,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
-from mock_rig import FAULTS, Refused, Rig
+from mock_rig import FAULTS, Refused, Rig, body_values
 from mock_take import MockTake
 
 HERE = Path(__file__).resolve().parent
@@ -119,6 +119,11 @@ class Handler(BaseHTTPRequestHandler):
             return self.reply(200, take.difference(mock_take(query["against"]), query.get("from", 0.0)))
         if what == "plates":
             return self.reply(200, take.plates())
+        if what == "bodies":
+            return self.reply(200, take.bodies())
+        if what == "poses":
+            data = take.body_poses(query.get("from", 0.0), query.get("seconds", 4.0), int(query.get("every", 1)))
+            return self.reply(200, data, "application/octet-stream")
         if what == "forces":
             data = take.forces(query.get("from", 0.0), query.get("seconds", 4.0), int(query.get("every", 1)))
             return self.reply(200, data, "application/octet-stream")
@@ -217,7 +222,7 @@ class Handler(BaseHTTPRequestHandler):
     def live(self):
         rig, body = self.rig, self.rig.body
         table = {"labels": body.labels, "labelled": body.labelled, "up_axis": 3, "rate_hz": rig.rate_hz,
-                 "bones": body.bones, "groups": rig.groups}
+                 "bones": body.bones, "groups": rig.groups, "bodies": rig.body_names}
         self.stream("application/octet-stream")
         data = b"\x01" + json.dumps(table).encode()
         nothing = (math.nan,) * 3
@@ -237,6 +242,10 @@ class Handler(BaseHTTPRequestHandler):
                 values = [value for at in body.positions(t) for value in (at or nothing)]
                 frame = struct.pack(f"<B3xQQQ{len(values)}f", 2, row, row * 1000, int(now * 1e6), *values)
                 self.chunk(struct.pack("<I", len(frame)) + frame)
+                if rig.body_names:
+                    n = len(rig.body_names)
+                    poses = struct.pack(f"<B3xQ{9 * n}f{n}Q", 5, row, *body_values(t), row, row // 2, 0)
+                    self.chunk(struct.pack("<I", len(poses)) + poses)
                 for column in rig.columns(t):
                     self.chunk(struct.pack("<I", len(column)) + column)
         except (BrokenPipeError, ConnectionResetError):
@@ -272,11 +281,12 @@ def main():
     parser.add_argument("--rate", type=float, default=120.0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--sampled", action="store_true", help="with force plates and electrodes")
+    parser.add_argument("--bodies", action="store_true", help="with rigid bodies")
     parser.add_argument("--token", help="require this token")
     parser.add_argument("--scenario", default="armed",
                         choices=["idle", "armed", "recording", "lossy", "absent", "silent", "armed-absent", "recording-absent", "failed"])
     args = parser.parse_args()
-    Handler.rig, Handler.token = Rig(args.markers, args.rate, args.seed, args.scenario, args.sampled), args.token
+    Handler.rig, Handler.token = Rig(args.markers, args.rate, args.seed, args.scenario, args.sampled, args.bodies), args.token
     server = ThreadingHTTPServer(("127.0.0.1", args.port), Handler)
     server.daemon_threads = True
     print(f"http://127.0.0.1:{server.server_port}/", flush=True)

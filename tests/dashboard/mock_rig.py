@@ -30,10 +30,25 @@ def sampled_groups():
     return [{"number": 1, "rate_hz": 1000.0, "channels": plates}, {"number": 2, "rate_hz": 1000.0, "channels": electrodes}]
 
 
+BODIES = ["wand", "pelvis", ""]
+
+
+def body_values(t):
+    """The poses of the bodies at a time: nine numbers each. The second is lost in every other second."""
+    half = 0.4 * t
+    poses = [(0.0, 0.25, 300 * math.cos(t), 300 * math.sin(t), 1200.0, math.cos(half), 0.0, 0.0, math.sin(half)),
+             (0.0, 0.5, 0.0, 0.0, 950.0, math.cos(half), math.sin(half), 0.0, 0.0),
+             (0.0, math.nan, -600.0, 400.0, 300.0, 1.0, 0.0, 0.0, 0.0)]
+    if int(t) % 2:
+        poses[1] = (1.0,) + (math.nan,) * 8
+    return [value for pose in poses for value in pose]
+
+
 class Rig:
     """Every method is called with `lock` held."""
 
-    def __init__(self, markers, rate_hz, seed, scenario, sampled=False):
+    def __init__(self, markers, rate_hz, seed, scenario, sampled=False, bodies=False):
+        self.body_names = BODIES if bodies else []
         self.groups = sampled_groups() if sampled else []
         self.columns_sent = 0
         self.lock = threading.Condition()

@@ -5,6 +5,7 @@ import random
 import struct
 
 from mock_body import Body
+from mock_rig import BODIES, body_values
 
 BINS = 1024
 WINDOW_BYTES_MAX = 1_000_000
@@ -17,7 +18,7 @@ PART_FRAMES = 2000
 
 
 class MockTake:
-    """A take called `plates...` has two force plates; one called `lossless...` is 0.3 mm along x from the others, and 9 mm at one
+    """A take called `plates...` has two force plates, one called `bodies...` three rigid bodies; one called `lossless...` is 0.3 mm along x from the others, and 9 mm at one
     sample."""
 
     def __init__(self, name, seconds, markers, rate_hz, seed=1, damaged=False):
@@ -83,6 +84,16 @@ class MockTake:
         out = [b"MPF1", struct.pack("<IQIIII", n, first, len(rows), every, 0, 0)]
         for row in rows if n else []:
             out.append(struct.pack("<18f", *(value for load in self.load(row) for value in load)))
+        return b"".join(out)
+
+    def bodies(self):
+        return {"names": BODIES if self.name.startswith("bodies") else [], "window_frames_max": (WINDOW_BYTES_MAX - 32) // (36 * 3)}
+
+    def body_poses(self, from_s=0.0, seconds=4.0, every=1):
+        first = round(from_s * self.rate_hz)
+        rows = range(first, min(self.frames, round((from_s + seconds) * self.rate_hz)), every)
+        out = [b"MPB1", struct.pack("<IQIIII", 3, first, len(rows), every, 0, 0)]
+        out += [struct.pack("<27f", *body_values(row / self.rate_hz)) for row in rows]
         return b"".join(out)
 
     def missing(self, frame):

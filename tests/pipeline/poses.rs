@@ -29,13 +29,13 @@ use crate::support::{TICK_HZ, config, dense, jump, lossless, start};
 /// More than the bodies of a group, with ids in no order.
 const BODIES: u16 = 11;
 
-fn bodies() -> Vec<BodyInfo> {
+pub(super) fn bodies() -> Vec<BodyInfo> {
     let body = |i: u16| BodyInfo { id: (i * 7) % 100, name: format!("body {i}") };
     (0..BODIES).map(body).collect()
 }
 
 /// The pose of a body in a frame: some are lost, rejected or unlisted, and the sign of quaternions changes.
-fn pose(info: &BodyInfo, frame: u32) -> Option<Pose> {
+pub(super) fn pose(info: &BodyInfo, frame: u32) -> Option<Pose> {
     let (id, t) = (f64::from(info.id), f64::from(frame) * 0.01);
     let without = |status| Some(Pose::without(info.id, status));
     match (u32::from(info.id) + frame) % 97 {
@@ -82,7 +82,7 @@ fn ticks(frame: u32) -> u64 {
     u64::from(frame) * TICK_HZ / 200
 }
 
-fn with_bodies(motion: &Motion, codec: Settings) -> PipelineConfig {
+pub(super) fn with_bodies(motion: &Motion, codec: Settings) -> PipelineConfig {
     PipelineConfig { bodies: bodies(), ..config(motion, codec) }
 }
 
@@ -109,7 +109,7 @@ fn read(take: &[u8]) -> (Vec<(u64, usize, StoredPose)>, TakeMap) {
 }
 
 #[track_caller]
-fn assert_clean(take: &[u8]) -> Vec<GroupLedger> {
+pub(super) fn assert_clean(take: &[u8]) -> Vec<GroupLedger> {
     let summary = Summary::read(take).unwrap();
     let verdict = Verdict::of(&summary);
     assert!(verdict.problems.is_empty(), "{:?}", verdict.problems);

@@ -25,6 +25,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
             directory: directory.to_owned(),
             name: NameTemplate::parse("take-{count}").unwrap(),
             codec: dense(1.0),
+            angle_degrees: None,
             stretch: Duration::from_millis(500),
             sync: Duration::from_millis(500),
             keep_free_bytes: 0,

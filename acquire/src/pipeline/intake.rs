@@ -239,7 +239,7 @@ impl Intake {
         self.fill_row(frame);
         let (row, n_channels) = (self.next_row + self.pending.rows(), self.n_channels);
         let head = PreviewFrame { row, device_ticks, arrival_ns, n_channels, is_displayed: false };
-        self.tap.offer(head, &self.row[..n_channels]);
+        self.tap.offer(frame.seq, head, &self.row[..n_channels]);
         let place = FramePlace { seq: frame.seq, row, device_ticks, arrival_ns };
         for tap in &mut self.publish {
             tap.frame(place, &self.row[..n_channels]);

@@ -42,8 +42,8 @@ pub use group::{Visibility, VisibilityCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
 pub use progress::{PipelineProgress, TakeProgress, lock};
-pub use publish_tap::{PublishTap, TappedBatch, TappedFrame, TappedMarker};
-pub use ring::{PreviewFrame, PreviewReceiver};
+pub use publish_tap::{LeftOut, PublishTap, TappedBatch, TappedFrame, TappedMarker};
+pub use ring::{PreviewBody, PreviewFrame, PreviewPoses, PreviewReceiver};
 pub use sampled::{SampleColumn, SampleRange, SampleTapReceiver};
 pub use split::{NextTake, Split, SplitAt, TakeSeries};
 
@@ -168,7 +168,7 @@ impl Pipeline {
             sampled::start(&sampled_groups, config, &parts_in)?;
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
         let (takes, commands) = commands::command_channel();
-        let (tap_in, tap) = ring::tap(plan.n_slots);
+        let (tap_in, tap) = ring::tap(plan.n_slots, config.recorded_bodies().len());
         let publish_taps =
             (0..config.publish_taps).map(|_| publish_tap::publish_tap(config, plan.n_slots));
         let (publish_in, publish_taps) = publish_taps.unzip();

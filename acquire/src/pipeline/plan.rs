@@ -125,6 +125,10 @@ impl PipelineConfig {
     }
 }
 
+/// How long the end of a take, and a frame for publishers, wait for the poses of a frame, in nanoseconds: devices send them
+/// with the frame, but a line needs up to 15 ms for those of 128 bodies at 3 Mbaud. The next frame ends the wait of publishers.
+pub(super) const POSES_WAIT_NS: u64 = 20_000_000;
+
 /// Capacity of a ring in full stretches: two being filled or encoded, and two more for a worker that the
 /// system does not run for a second. With shorter stretches, the number that lasts the same time.
 const RING_STRETCHES: u32 = 4;

@@ -6,7 +6,7 @@
 
 use std::sync::{
     Arc,
-    atomic::{AtomicBool, Ordering},
+    atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
 use mocapd_codec::poses::{POSE_CHANNELS, PoseRow};
@@ -22,6 +22,7 @@ use mocapd_take::{
 
 use super::{
     PipelineConfig,
+    plan::POSES_WAIT_NS,
     ring::{RingConsumer, RingProducer, Sample, ring},
 };
 use crate::host_clock::monotonic_ns;
@@ -40,10 +41,6 @@ const HELD_BYTES_MAX: usize = 16 << 20;
 /// each, of which there are 16 at most; faster ones come in longer batches.
 const HELD_BATCHES_MIN: usize = 64;
 const HELD_BATCHES_MAX: usize = 1 << 14;
-
-/// How long a frame waits for its poses: devices send both together, so only a line that delivers them in different reads
-/// separates them. That of a frame behind it ends the wait.
-const POSES_WAIT_NS: u64 = 5_000_000;
 
 /// A marker of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -70,9 +67,6 @@ pub struct TappedFrame {
     pub poses: Vec<Pose>,
     /// Frames before it that arrived and were left out here, because the rings were full.
     pub frames_left_out: u64,
-    /// Frames before it of which the poses arrived and were left out, because the rings were full, or they came without their
-    /// frame or long after it.
-    pub poses_left_out: u64,
 }
 
 /// A batch of a group of sampled channels. Kept from one to the next, it is filled without allocation.
@@ -95,11 +89,26 @@ pub struct TappedBatch {
     pub batches_left_out: u64,
 }
 
-/// What a publisher wants at present.
+/// What a tap has left out of what was wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LeftOut {
+    /// Frames, because the rings were full.
+    pub frames: u64,
+    /// Frames whose poses were left out, because the rings were full, or they came without their frame or long after it.
+    pub poses: u64,
+    /// Batches of samples, because the rings were full.
+    pub batches: u64,
+}
+
+/// What both ends know: what a publisher wants at present, and what it has not got.
 #[derive(Debug, Default)]
-struct Wanted {
-    frames: AtomicBool,
-    samples: AtomicBool,
+struct TapState {
+    wants_frames: AtomicBool,
+    wants_poses: AtomicBool,
+    wants_samples: AtomicBool,
+    frames_left_out: AtomicU64,
+    poses_left_out: AtomicU64,
+    batches_left_out: AtomicU64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -109,12 +118,13 @@ struct FrameHead {
     arrival_ns: u64,
     n_channels: usize,
     left_out: u64,
+    /// Whether its poses are expected.
+    awaits_poses: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct PosesHead {
     row: u64,
-    left_out: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -128,12 +138,13 @@ struct BatchHead {
     left_out: u64,
 }
 
-/// The frame that was copied last.
+/// The last frame.
 #[derive(Debug, Clone, Copy)]
 struct LastFrame {
     seq: u32,
     row: u64,
-    has_poses: bool,
+    /// Whether its poses are to be copied: it was, and they were not.
+    wants_poses: bool,
 }
 
 /// Where and when a frame arrived.
@@ -154,10 +165,14 @@ pub(super) struct PublishTapSender {
     pose_rows: RingProducer<PoseRow>,
     batches: RingProducer<BatchHead>,
     samples: RingProducer<f32>,
-    wanted: Arc<Wanted>,
+    state: Arc<TapState>,
+    n_bodies: usize,
     last: Option<LastFrame>,
+    /// Frames without poses up to the last one, and after how many of them none are expected any more: those of a second.
+    misses: u32,
+    misses_max: u32,
+    /// Frames and batches left out since the last that was not.
     frames_left_out: u64,
-    poses_left_out: u64,
     batches_left_out: u64,
 }
 
@@ -170,15 +185,17 @@ pub struct PublishTap {
     pose_rows: RingConsumer<PoseRow>,
     batches: RingConsumer<BatchHead>,
     samples: RingConsumer<f32>,
-    wanted: Arc<Wanted>,
+    state: Arc<TapState>,
     /// The bodies of every frame that has poses.
     n_bodies: usize,
     reader: PoseReader,
     /// A frame that waits for its poses, and poses of a later frame.
     waiting_frame: Option<FrameHead>,
+    /// When the frame that waits was first looked at.
+    waits_since_ns: u64,
     waiting_poses: Option<PosesHead>,
-    poses_left_out: u64,
     row: Vec<Sample>,
+    bodies: Vec<PoseRow>,
 }
 
 /// The ends of a tap for frames of up to `n_slots` channels.
@@ -187,10 +204,12 @@ pub(super) fn publish_tap(
     n_slots: usize,
 ) -> (PublishTapSender, PublishTap) {
     let n_bodies = config.recorded_bodies().len();
-    let frame_bytes = n_slots * size_of::<Sample>() + n_bodies * size_of::<PoseRow>();
-    let n_frames = ((config.rate_hz * HELD_S) as usize)
-        .min(HELD_BYTES_MAX / frame_bytes.max(1))
-        .max(HELD_FRAMES_MIN);
+    let frame_bytes = n_slots * size_of::<Sample>()
+        + n_bodies * size_of::<PoseRow>()
+        + size_of::<FrameHead>()
+        + size_of::<PosesHead>();
+    let n_frames =
+        ((config.rate_hz * HELD_S) as usize).min(HELD_BYTES_MAX / frame_bytes).max(HELD_FRAMES_MIN);
     let (mut n_batches, mut n_values) = (0.0, 0.0);
     for group in &config.sampled {
         let n_samples = f64::from(group.rate_millihertz) / 1000.0 * HELD_S;
@@ -207,7 +226,7 @@ pub(super) fn publish_tap(
     let (pose_rows, pose_rows_out) = ring(n_frames * n_bodies.max(1));
     let (batches, batches_out) = ring(n_batches);
     let (samples, samples_out) = ring(n_values);
-    let wanted = Arc::new(Wanted::default());
+    let state = Arc::new(TapState::default());
     let sender = PublishTapSender {
         frames,
         markers,
@@ -215,10 +234,12 @@ pub(super) fn publish_tap(
         pose_rows,
         batches,
         samples,
-        wanted: Arc::clone(&wanted),
+        state: Arc::clone(&state),
+        n_bodies,
         last: None,
+        misses: 0,
+        misses_max: (config.rate_hz.ceil() as u32).max(1),
         frames_left_out: 0,
-        poses_left_out: 0,
         batches_left_out: 0,
     };
     let tap = PublishTap {
@@ -228,14 +249,15 @@ pub(super) fn publish_tap(
         pose_rows: pose_rows_out,
         batches: batches_out,
         samples: samples_out,
-        wanted,
+        state,
         n_bodies,
         // The rows are not rounded.
         reader: PoseReader::new(&SampledGroup::default()),
         waiting_frame: None,
+        waits_since_ns: 0,
         waiting_poses: None,
-        poses_left_out: 0,
         row: Vec::new(),
+        bodies: Vec::new(),
     };
     (sender, tap)
 }
@@ -243,16 +265,18 @@ pub(super) fn publish_tap(
 impl PublishTapSender {
     /// Copies a frame, if somebody wants it.
     pub(super) fn frame(&mut self, place: FramePlace, row: &[Sample]) {
-        self.last = None;
-        if !self.wanted.frames.load(Ordering::Relaxed) {
-            (self.frames_left_out, self.poses_left_out) = (0, 0);
+        let FramePlace { seq, row: number, device_ticks, arrival_ns } = place;
+        self.misses = self.misses.saturating_add(1);
+        self.last = Some(LastFrame { seq, row: number, wants_poses: false });
+        if !self.state.wants_frames.load(Ordering::Relaxed) {
+            self.frames_left_out = 0;
             return;
         }
         if self.frames.vacant() == 0 || self.markers.vacant() < row.len() {
             self.frames_left_out += 1;
+            self.state.frames_left_out.fetch_add(1, Ordering::Relaxed);
             return;
         }
-        let FramePlace { seq, row: number, device_ticks, arrival_ns } = place;
         self.markers.push_slice(row);
         self.frames.push(FrameHead {
             row: number,
@@ -260,34 +284,47 @@ impl PublishTapSender {
             arrival_ns,
             n_channels: row.len(),
             left_out: std::mem::take(&mut self.frames_left_out),
+            awaits_poses: self.n_bodies > 0
+                && self.misses <= self.misses_max
+                && self.state.wants_poses.load(Ordering::Relaxed),
         });
-        self.last = Some(LastFrame { seq, row: number, has_poses: false });
+        let wants_poses = self.state.wants_poses.load(Ordering::Relaxed);
+        self.last = Some(LastFrame { seq, row: number, wants_poses });
     }
 
-    /// Copies the poses of the frame that was copied last.
+    /// Copies the poses of the last frame, if it was copied.
     pub(super) fn poses(&mut self, seq: u32, rows: &[PoseRow]) {
-        if !self.wanted.frames.load(Ordering::Relaxed) {
-            return;
-        }
+        self.misses = 0;
+        let is_late = || {
+            let TapState { wants_frames, wants_poses, .. } = &*self.state;
+            wants_frames.load(Ordering::Relaxed) && wants_poses.load(Ordering::Relaxed)
+        };
         match &mut self.last {
-            Some(last) if last.seq == seq && last.has_poses => {}
-            Some(last)
-                if last.seq == seq
-                    && self.poses.vacant() > 0
-                    && self.pose_rows.vacant() >= rows.len() =>
-            {
-                last.has_poses = true;
-                self.pose_rows.push_slice(rows);
-                let left_out = std::mem::take(&mut self.poses_left_out);
-                self.poses.push(PosesHead { row: last.row, left_out });
+            Some(last) if last.seq == seq => {
+                if !std::mem::take(&mut last.wants_poses) {
+                    return;
+                }
+                if self.poses.vacant() > 0 && self.pose_rows.vacant() >= rows.len() {
+                    self.pose_rows.push_slice(rows);
+                    self.poses.push(PosesHead { row: last.row });
+                    return;
+                }
             }
-            _ => self.poses_left_out += 1,
+            // Their frame was lost, or another has come since.
+            _ if is_late() => {}
+            _ => return,
         }
+        self.state.poses_left_out.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The device was away or starts again, and its numbers with it: no poses belong to the last frame.
+    pub(super) fn forget_frame(&mut self) {
+        self.last = None;
     }
 
     /// Copies a batch, if somebody wants it; `first` is the number of its first sample since the pipeline began.
     pub(super) fn batch(&mut self, first: u64, batch: &SampleBatch<'_>) {
-        if !self.wanted.samples.load(Ordering::Relaxed) {
+        if !self.state.wants_samples.load(Ordering::Relaxed) {
             self.batches_left_out = 0;
             return;
         }
@@ -297,6 +334,7 @@ impl PublishTapSender {
         }
         if self.batches.vacant() == 0 || self.samples.vacant() < n_values {
             self.batches_left_out += 1;
+            self.state.batches_left_out.fetch_add(1, Ordering::Relaxed);
             return;
         }
         self.samples.push_slice(batch.samples);
@@ -313,10 +351,34 @@ impl PublishTapSender {
 }
 
 impl PublishTap {
-    /// Whether frames with their poses, and batches of samples, are wanted from now on. At first neither is.
-    pub fn set_wanted(&self, frames: bool, samples: bool) {
-        self.wanted.frames.store(frames, Ordering::Relaxed);
-        self.wanted.samples.store(samples, Ordering::Relaxed);
+    /// Whether frames, their poses, and batches of samples are wanted from now on. At first none is. Where poses are not wanted,
+    /// frames do not wait for them.
+    pub fn set_wanted(&self, frames: bool, poses: bool, samples: bool) {
+        self.state.wants_frames.store(frames, Ordering::Relaxed);
+        self.state.wants_poses.store(poses, Ordering::Relaxed);
+        self.state.wants_samples.store(samples, Ordering::Relaxed);
+    }
+
+    /// What was left out so far of what was wanted.
+    #[must_use]
+    pub fn left_out(&self) -> LeftOut {
+        let of = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        LeftOut {
+            frames: of(&self.state.frames_left_out),
+            poses: of(&self.state.poses_left_out),
+            batches: of(&self.state.batches_left_out),
+        }
+    }
+
+    /// Frees the rings for a publisher that will not take what waits there: it counts as left out. Returns all that was.
+    #[must_use]
+    pub fn abandon(mut self) -> LeftOut {
+        self.set_wanted(false, false, false);
+        let mut left_out = self.left_out();
+        left_out.frames += u64::from(self.waiting_frame.take().is_some());
+        left_out.frames += std::iter::from_fn(|| self.frames.pop()).count() as u64;
+        left_out.batches += std::iter::from_fn(|| self.batches.pop()).count() as u64;
+        left_out
     }
 
     /// Fills `frame` with the next one, which has waited for its poses. Returns `false` if there is none yet.
@@ -325,15 +387,22 @@ impl PublishTap {
     }
 
     fn next_frame_at(&mut self, now_ns: u64, frame: &mut TappedFrame) -> bool {
-        let Some(head) = self.waiting_frame.take().or_else(|| self.frames.pop()) else {
-            return false;
+        let head = match self.waiting_frame.take() {
+            Some(head) => head,
+            None => {
+                self.waits_since_ns = now_ns;
+                match self.frames.pop() {
+                    Some(head) => head,
+                    None => return false,
+                }
+            }
         };
         // Looked at before the poses: those of this frame are in their ring before the next frame is in its own.
         let is_followed = !self.frames.is_empty() || self.frames.is_over();
         frame.poses.clear();
         let is_complete = self.n_bodies == 0 || self.take_poses(head.row, &mut frame.poses);
-        let is_late = now_ns.saturating_sub(head.arrival_ns) >= POSES_WAIT_NS;
-        if !(is_complete || is_followed || is_late) {
+        let is_late = now_ns.saturating_sub(self.waits_since_ns) >= POSES_WAIT_NS;
+        if head.awaits_poses && !(is_complete || is_followed || is_late) {
             self.waiting_frame = Some(head);
             return false;
         }
@@ -349,7 +418,6 @@ impl PublishTap {
         frame.device_ticks = head.device_ticks;
         frame.arrival_ns = head.arrival_ns;
         frame.frames_left_out = head.left_out;
-        frame.poses_left_out = std::mem::take(&mut self.poses_left_out);
         true
     }
 
@@ -360,18 +428,15 @@ impl PublishTap {
                 self.waiting_poses = Some(head);
                 return true;
             }
-            self.poses_left_out += head.left_out;
-            for _ in 0..self.n_bodies {
-                let numbers = self.pose_rows.pop().unwrap_or([f32::NAN; POSE_CHANNELS]);
-                if head.row == row {
-                    poses.push(self.reader.pose(&numbers));
-                }
-            }
+            self.bodies.clear();
+            self.bodies.resize(self.n_bodies, [f32::NAN; POSE_CHANNELS]);
+            self.pose_rows.pop_slice(&mut self.bodies);
             if head.row == row {
+                poses.extend(self.bodies.iter().map(|numbers| self.reader.pose(numbers)));
                 return true;
             }
             // Their frame did not wait any longer.
-            self.poses_left_out += 1;
+            self.state.poses_left_out.fetch_add(1, Ordering::Relaxed);
         }
         false
     }
@@ -395,6 +460,13 @@ impl PublishTap {
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.waiting_frame.is_none() && self.frames.is_over() && self.batches.is_over()
+    }
+}
+
+/// Nothing is copied for a publisher that is gone.
+impl Drop for PublishTap {
+    fn drop(&mut self) {
+        self.set_wanted(false, false, false);
     }
 }
 
@@ -439,7 +511,7 @@ mod tests {
         let mut frame = TappedFrame::default();
         sender.frame(place(0), &ROW);
         assert!(!tap.next_frame(&mut frame), "nobody wanted it");
-        tap.set_wanted(true, false);
+        tap.set_wanted(true, true, false);
         for seq in 1..=70 {
             sender.frame(place(seq), &ROW);
         }
@@ -460,7 +532,7 @@ mod tests {
     #[test]
     fn a_frame_waits_for_its_poses_but_not_for_long() {
         let (mut sender, mut tap) = tap(2);
-        tap.set_wanted(true, false);
+        tap.set_wanted(true, true, false);
         let (mut frame, now) = (TappedFrame::default(), 1_000_000);
         let tracked = [5.0, 6.0, 7.0, 0.6, 0.0, 0.8, 0.0, 0.25];
         let rows = [tracked, without_pose(&tracked, 1)];
@@ -469,7 +541,7 @@ mod tests {
         sender.poses(1, &rows);
         sender.poses(1, &rows);
         assert!(tap.next_frame_at(now, &mut frame));
-        assert_eq!((frame.row, frame.markers.len(), frame.poses_left_out), (101, 2, 0));
+        assert_eq!((frame.row, frame.markers.len(), tap.left_out()), (101, 2, LeftOut::default()));
         let [first, second] = frame.poses[..] else { panic!("two bodies") };
         assert_eq!((first.state, first.position_mm), (PoseState::Tracked, [5.0, 6.0, 7.0]));
         assert_eq!((first.quaternion, first.residual_mm), ([0.6, 0.0, 0.8, 0.0], 0.25));
@@ -485,13 +557,53 @@ mod tests {
         sender.frame(place(4), &ROW);
         sender.poses(4, &rows);
         assert!(tap.next_frame_at(now, &mut frame));
-        assert_eq!((frame.row, frame.poses.len(), frame.poses_left_out), (104, 2, 2));
+        assert_eq!((frame.row, frame.poses.len(), tap.left_out().poses), (104, 2, 2));
+        // Its numbers begin again: these are not the poses of the last frame before.
+        sender.forget_frame();
+        sender.poses(4, &rows);
+        assert_eq!(tap.left_out().poses, 3);
+    }
+
+    #[test]
+    fn frames_of_bodies_that_are_never_sent_do_not_wait() {
+        let (mut sender, mut tap) = tap(2);
+        tap.set_wanted(true, true, false);
+        let (mut frame, now) = (TappedFrame::default(), 1_000_000);
+        let mut wait = |sender: &mut PublishTapSender, seq, tap: &mut PublishTap| {
+            sender.frame(place(seq), &ROW);
+            let is_at_once = tap.next_frame_at(now, &mut frame);
+            assert_eq!(tap.next_frame_at(now + POSES_WAIT_NS, &mut frame), !is_at_once);
+            !is_at_once
+        };
+        // The first second, a hundred frames.
+        assert!((0..100).all(|seq| wait(&mut sender, seq, &mut tap)));
+        assert!(!(100..120).any(|seq| wait(&mut sender, seq, &mut tap)));
+        sender.poses(119, &[[0.0; POSE_CHANNELS]; 2]);
+        assert!(wait(&mut sender, 120, &mut tap), "they are sent again");
+        tap.set_wanted(true, false, false);
+        assert!(!wait(&mut sender, 121, &mut tap), "nobody wants them");
+        sender.poses(121, &[[0.0; POSE_CHANNELS]; 2]);
+        sender.frame(place(122), &ROW);
+        assert_eq!(tap.abandon(), LeftOut { frames: 1, poses: 1, batches: 0 });
+    }
+
+    #[test]
+    fn what_nobody_wanted_is_not_left_out() {
+        let (mut sender, tap) = tap(1);
+        let rows = [[0.0; POSE_CHANNELS]];
+        for seq in 0..200 {
+            sender.frame(place(seq), &ROW);
+            // A client comes between a frame and its poses.
+            tap.set_wanted(seq == 150, seq == 150, false);
+            sender.poses(seq, &rows);
+        }
+        assert_eq!(tap.left_out(), LeftOut::default());
     }
 
     #[test]
     fn every_batch_comes_through_or_is_counted() {
         let (mut sender, mut tap) = tap(0);
-        tap.set_wanted(false, true);
+        tap.set_wanted(false, false, true);
         let values: Vec<f32> = (0..SAMPLE_VALUES_MAX as u16).map(f32::from).collect();
         let batch = |samples| SampleBatch {
             group: 3,
@@ -517,7 +629,7 @@ mod tests {
         assert!(!tap.next_batch(&mut found));
         sender.batch(24576, &batch(&values[..2]));
         assert!(tap.next_batch(&mut found));
-        assert_eq!((found.first, found.batches_left_out), (24576, 1));
+        assert_eq!((found.first, found.batches_left_out, tap.left_out().batches), (24576, 1, 1));
         assert_eq!(found.samples, [0.0, 1.0]);
     }
 }

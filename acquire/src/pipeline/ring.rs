@@ -8,8 +8,11 @@
 
 use std::fmt;
 
+use mocapd_codec::poses::{POSE_CHANNELS, PoseRow};
 use mocapd_take::{
     motion::{GAP, Position},
+    poses::{Pose, PoseReader},
+    record::SampledGroup,
     timeline::{LossCauses, RowTime},
 };
 use ringbuf::{
@@ -132,11 +135,40 @@ pub struct PreviewFrame {
     pub is_displayed: bool,
 }
 
+/// A rigid body in a previewed frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PreviewBody {
+    /// Its pose, as the device sent it.
+    pub pose: Pose,
+    /// Frames with poses in which it was tracked, up to this one, since the pipeline began.
+    pub n_tracked: u64,
+}
+
+/// A body as it is stored in the ring.
+#[derive(Debug, Clone, Copy)]
+struct BodyItem {
+    row: PoseRow,
+    n_tracked: u64,
+}
+
+/// The poses of a displayed frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct PreviewPoses {
+    /// The row of their frame.
+    pub row: u64,
+    /// Frames with poses, up to this one, since the pipeline began.
+    pub n_frames: u64,
+}
+
 /// The reader's end of the preview.
 #[derive(Debug)]
 pub(super) struct PreviewSender {
     heads: RingProducer<PreviewFrame>,
     positions: RingProducer<Position>,
+    poses: RingProducer<PreviewPoses>,
+    bodies: RingProducer<BodyItem>,
+    /// Number and row of the last frame, if it is displayed and its poses have not come.
+    awaits_poses: Option<(u32, u64)>,
     last_display_ns: u64,
     last_burst_ns: u64,
     burst_left: u32,
@@ -147,18 +179,45 @@ pub(super) struct PreviewSender {
 pub struct PreviewReceiver {
     heads: RingConsumer<PreviewFrame>,
     positions: RingConsumer<Position>,
+    poses: RingConsumer<PreviewPoses>,
+    bodies: RingConsumer<BodyItem>,
+    n_bodies: usize,
+    reader: PoseReader,
+    items: Vec<BodyItem>,
 }
 
-pub(super) fn tap(n_slots: usize) -> (PreviewSender, PreviewReceiver) {
+pub(super) fn tap(n_slots: usize, n_bodies: usize) -> (PreviewSender, PreviewReceiver) {
     let (heads, heads_out) = ring(QUEUED_FRAMES_MAX);
     let (positions, positions_out) = ring(QUEUED_FRAMES_MAX * n_slots.max(1));
-    let out = PreviewReceiver { heads: heads_out, positions: positions_out };
-    (PreviewSender { heads, positions, last_display_ns: 0, last_burst_ns: 0, burst_left: 0 }, out)
+    let (poses, poses_out) = ring(QUEUED_FRAMES_MAX);
+    let (bodies, bodies_out) = ring(QUEUED_FRAMES_MAX * n_bodies.max(1));
+    let out = PreviewReceiver {
+        heads: heads_out,
+        positions: positions_out,
+        poses: poses_out,
+        bodies: bodies_out,
+        n_bodies,
+        // The rows are not rounded.
+        reader: PoseReader::new(&SampledGroup::default()),
+        items: Vec::new(),
+    };
+    let sender = PreviewSender {
+        heads,
+        positions,
+        poses,
+        bodies,
+        awaits_poses: None,
+        last_display_ns: 0,
+        last_burst_ns: 0,
+        burst_left: 0,
+    };
+    (sender, out)
 }
 
 impl PreviewSender {
-    /// Offers a frame, which is queued if it is due for display or part of a burst.
-    pub(super) fn offer(&mut self, head: PreviewFrame, row: &[Sample]) {
+    /// Offers a frame with this number, which is queued if it is due for display or part of a burst.
+    pub(super) fn offer(&mut self, seq: u32, head: PreviewFrame, row: &[Sample]) {
+        self.awaits_poses = None;
         let is_displayed =
             head.arrival_ns.saturating_sub(self.last_display_ns) >= DISPLAY_INTERVAL_NS;
         if is_displayed {
@@ -179,6 +238,30 @@ impl PreviewSender {
             self.positions.push(if sample.present { sample.position_mm } else { GAP });
         }
         self.heads.push(PreviewFrame { is_displayed, ..head });
+        self.awaits_poses = is_displayed.then_some((seq, head.row));
+    }
+
+    /// The device was away or starts again, and its numbers with it: no poses belong to the last frame.
+    pub(super) fn forget_frame(&mut self) {
+        self.awaits_poses = None;
+    }
+
+    /// Offers the poses of a frame, of which `n_frames` have come: by body its row, and in how many of these frames it was
+    /// tracked. They are queued if their frame is displayed.
+    pub(super) fn offer_poses(
+        &mut self,
+        seq: u32,
+        n_frames: u64,
+        (rows, n_tracked): (&[PoseRow], &[u64]),
+    ) {
+        let Some((_, row)) = self.awaits_poses.take_if(|(of, _)| *of == seq) else { return };
+        if self.poses.vacant() == 0 || self.bodies.vacant() < rows.len() {
+            return;
+        }
+        for (&row, &n_tracked) in rows.iter().zip(n_tracked) {
+            self.bodies.push(BodyItem { row, n_tracked });
+        }
+        self.poses.push(PreviewPoses { row, n_frames });
     }
 }
 
@@ -189,6 +272,21 @@ impl PreviewReceiver {
         positions.clear();
         positions.resize(head.n_channels, GAP);
         self.positions.pop_slice(positions);
+        Some(head)
+    }
+
+    /// The poses of the next displayed frame that had any. Fills `bodies` in the order in which the device announced them.
+    pub fn next_poses(&mut self, bodies: &mut Vec<PreviewBody>) -> Option<PreviewPoses> {
+        let head = self.poses.pop()?;
+        self.items.clear();
+        let empty = BodyItem { row: [f32::NAN; POSE_CHANNELS], n_tracked: 0 };
+        self.items.resize(self.n_bodies, empty);
+        self.bodies.pop_slice(&mut self.items);
+        bodies.clear();
+        bodies.extend(self.items.iter().map(|item| PreviewBody {
+            pose: self.reader.pose(&item.row),
+            n_tracked: item.n_tracked,
+        }));
         Some(head)
     }
 
@@ -205,7 +303,7 @@ mod tests {
 
     #[test]
     fn thirty_frames_a_second_are_displayed_with_bursts_of_consecutive_ones() {
-        let (mut tap_in, mut tap_out) = tap(1);
+        let (mut tap_in, mut tap_out) = tap(1, 0);
         let (mut shown, mut rows, mut positions) = (0, Vec::new(), Vec::new());
         for row in 0..2000 {
             let head = PreviewFrame {
@@ -213,7 +311,7 @@ mod tests {
                 arrival_ns: 1_000_000_000 + row * 2_000_000,
                 ..PreviewFrame::default()
             };
-            tap_in.offer(PreviewFrame { n_channels: 1, ..head }, &[Sample::default()]);
+            tap_in.offer(row as u32, PreviewFrame { n_channels: 1, ..head }, &[Sample::default()]);
             while let Some(head) = tap_out.next(&mut positions) {
                 shown += u32::from(head.is_displayed);
                 rows.push(head.row);
@@ -229,7 +327,7 @@ mod tests {
 
     #[test]
     fn frames_without_a_viewer_are_left_out() {
-        let (mut tap_in, mut tap_out) = tap(1);
+        let (mut tap_in, mut tap_out) = tap(1, 0);
         for row in 0..2000 {
             let head = PreviewFrame {
                 row,
@@ -237,10 +335,38 @@ mod tests {
                 n_channels: 1,
                 ..PreviewFrame::default()
             };
-            tap_in.offer(head, &[Sample::default()]);
+            tap_in.offer(row as u32, head, &[Sample::default()]);
         }
         let mut positions = Vec::new();
         let n = std::iter::from_fn(|| tap_out.next(&mut positions)).count();
         assert!((1..=64).contains(&n), "{n}");
+    }
+
+    #[test]
+    fn displayed_frames_have_their_poses() {
+        let (mut tap_in, mut tap_out) = tap(1, 2);
+        let tracked = [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0, 0.5];
+        let rows = (&[tracked, mocapd_codec::poses::without_pose(&tracked, 1)][..], &[3, 1][..]);
+        for row in 0..40_u64 {
+            let arrival_ns = 1_000_000_000 + row * 10_000_000;
+            let head = PreviewFrame { row, arrival_ns, n_channels: 1, ..PreviewFrame::default() };
+            // Those of the frame before come too late.
+            tap_in.offer(row as u32, head, &[Sample::default()]);
+            tap_in.offer_poses(row.wrapping_sub(1) as u32, row, rows);
+            tap_in.offer_poses(row as u32, row + 1, rows);
+        }
+        let (mut positions, mut bodies) = (Vec::new(), Vec::new());
+        let frames = std::iter::from_fn(|| tap_out.next(&mut positions));
+        let displayed: Vec<u64> =
+            frames.filter(|head| head.is_displayed).map(|head| head.row).collect();
+        assert_eq!(displayed, [0, 4, 8, 12, 16, 20, 24, 28, 32, 36]);
+        for row in displayed {
+            let found = tap_out.next_poses(&mut bodies);
+            assert_eq!(found, Some(PreviewPoses { row, n_frames: row + 1 }));
+            assert_eq!(bodies[0].pose.position_mm, [1.0, 2.0, 3.0]);
+            assert_eq!(bodies[1].pose.state, mocapd_take::poses::PoseState::Lost);
+            assert_eq!((bodies[0].n_tracked, bodies[1].n_tracked), (3, 1));
+        }
+        assert_eq!(tap_out.next_poses(&mut bodies), None);
     }
 }

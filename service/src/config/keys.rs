@@ -128,6 +128,16 @@ keys! {
                 (!codec.kind.is_lossless()).then(|| json!(format!("{}mm", codec.tolerance.mm())))
             },
         };
+    /// Largest error of the rotations of rigid bodies; if absent, the angle by which a point 200 mm away moves by `tolerance`.
+    /// What is far from its body, such as the tip of a long pointer, needs a smaller one; not allowed together with `lossless = true`.
+    take.angle_tolerance: ValueType::Text("an angle with its unit, in quotes (deg), 0.0001deg to 10deg"),
+        DefaultValue::Absent("\"0.05deg\""), ReloadPolicy::NextArm,
+        Field {
+            read: |config, raw| {
+                raw.text(angle_degrees).map(|degrees| config.take.angle_degrees = Some(degrees))
+            },
+            to_json: |config| config.take.angle_degrees.map(|degrees| json!(format!("{degrees}deg"))),
+        };
     /// Store every sample bit for bit; the same as `resampler = "lossless"`.
     /// For archives that must not change; takes are several times as large.
     take.lossless: ValueType::Flag,
@@ -398,6 +408,10 @@ fn device_choice(text: &str) -> Read<DeviceChoice> {
         _ if text.contains(char::is_control) => Err(None),
         _ => text.parse().map(DeviceChoice::At).map_err(|why| Some(format!("{why}"))),
     }
+}
+
+fn angle_degrees(text: &str) -> Read<f64> {
+    units::angle_degrees(text).map_err(Some)
 }
 
 fn tolerance(text: &str) -> Read<Tolerance> {

@@ -188,6 +188,7 @@ impl Config {
                 directory: PathBuf::new(),
                 name: NameTemplate::parse("{date}").map_err(bug)?,
                 codec: Settings { kind: ResamplerKind::default(), tolerance },
+                angle_degrees: None,
                 stretch: Duration::ZERO,
                 sync: Duration::ZERO,
                 keep_free_bytes: 0,
@@ -354,9 +355,10 @@ impl<'a> ConfigReader<'a> {
         }
     }
 
-    /// Combines `lossless`, `resampler` and `tolerance`.
+    /// Combines `lossless`, `resampler`, `tolerance` and `angle_tolerance`.
     fn codec(&mut self, config: &mut Config) {
-        if !self.are_valid(&["take.tolerance", "take.lossless", "take.resampler"]) {
+        let keys = ["take.tolerance", "take.angle_tolerance", "take.lossless", "take.resampler"];
+        if !self.are_valid(&keys) {
             return;
         }
         let codec = &mut config.take.codec;
@@ -374,6 +376,10 @@ impl<'a> ConfigReader<'a> {
             if self.is_set("take.tolerance") {
                 let message = "a lossless take has no tolerance: remove tolerance or lossless";
                 self.refuse("take.tolerance", message.to_owned());
+            }
+            if self.is_set("take.angle_tolerance") {
+                let message = "a lossless take has no tolerance: remove angle_tolerance, or choose another resampler";
+                self.refuse("take.angle_tolerance", message.to_owned());
             }
             // The tolerance is ignored. It is the smallest one, so that a mistake would cost bytes, not precision.
             let tolerance = Tolerance::from_mm(Tolerance::MIN_MM).unwrap_or(codec.tolerance);

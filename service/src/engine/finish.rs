@@ -294,6 +294,7 @@ mod tests {
                     kind: ResamplerKind::Dense,
                     tolerance: Tolerance::from_mm(1.0).unwrap(),
                 },
+                angle_degrees: None,
                 stretch: Duration::from_millis(500),
                 sync: Duration::from_millis(500),
                 keep_free_bytes: 0,

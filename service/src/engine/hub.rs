@@ -13,11 +13,11 @@ use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use mocapd_acquire::{
     host_clock::monotonic_ns,
     pipeline::{
-        PipelineProgress, PreviewFrame, PreviewReceiver, SampleColumn, SampleRange,
-        SampleTapReceiver, lock,
+        PipelineProgress, PreviewBody, PreviewFrame, PreviewPoses, PreviewReceiver, SampleColumn,
+        SampleRange, SampleTapReceiver, lock,
     },
 };
-use mocapd_drivers::device::SampledGroupInfo;
+use mocapd_drivers::device::{BodyInfo, SampledGroupInfo};
 use mocapd_report::labels::marker_lines;
 use mocapd_take::{
     motion::Position,
@@ -26,7 +26,9 @@ use mocapd_take::{
 
 use super::{Inner, quality::MarkerStatistics};
 use crate::{
-    live::{LiveFeed, LiveFrame, LiveMessage, LiveSamples, LiveTable, live_groups, values_of},
+    live::{
+        LiveFeed, LiveFrame, LiveMessage, LivePoses, LiveSamples, LiveTable, live_groups, values_of,
+    },
     subject::{FaceOverlay, live_limbs, with_limbs},
 };
 
@@ -50,6 +52,8 @@ pub(super) struct NewSession {
     pub(super) sample_tap: SampleTapReceiver,
     /// The groups of sampled channels.
     pub(super) sampled: Vec<SampledGroupInfo>,
+    /// The rigid bodies.
+    pub(super) bodies: Vec<BodyInfo>,
     pub(super) progress: Arc<PipelineProgress>,
     pub(super) header: Header,
 }
@@ -82,6 +86,9 @@ pub(super) struct Hub {
     /// Columns of sampled channels that wait for the next frame.
     samples: VecDeque<LiveSamples>,
     ranges: Vec<SampleRange>,
+    /// Poses of which the frame was not displayed yet.
+    poses: Option<PreviewPoses>,
+    bodies: Vec<PreviewBody>,
 }
 
 impl Viewers {
@@ -151,6 +158,8 @@ impl Hub {
             positions: Vec::new(),
             samples: VecDeque::with_capacity(COLUMNS_MAX),
             ranges: Vec::new(),
+            poses: None,
+            bodies: Vec::new(),
         };
         (hub, sessions_in)
     }
@@ -176,10 +185,14 @@ impl Hub {
 
     fn begin(&mut self, session: NewSession) {
         *lock(&self.inner.statistics) = MarkerStatistics::new(session.header.rate_hz);
-        let groups = live_groups(&session.sampled);
+        let subject = self.inner.core().options.subject.clone();
+        let mut table = table(&session, subject.as_deref());
+        self.face = FaceOverlay::new(subject.as_deref(), &table.labels);
+        table.face = self.face.as_ref().map(FaceOverlay::wireframe);
+        self.table = Arc::new(table);
         self.session = Some(session);
-        self.table = Arc::new(LiveTable { groups, ..LiveTable::default() });
         self.samples.clear();
+        self.poses = None;
     }
 
     /// Takes what the sampled channels did.
@@ -221,7 +234,13 @@ impl Hub {
                 self.positions.truncate(self.table.labels.len());
             }
             lock(&self.inner.statistics).frame(&head, &self.positions);
-            if !head.is_displayed || self.inner.viewers.is_empty() {
+            if !head.is_displayed {
+                continue;
+            }
+            if self.inner.viewers.is_empty() {
+                // The first viewer gets no old poses.
+                while session.tap.next_poses(&mut self.bodies).is_some() {}
+                self.poses = None;
                 continue;
             }
             let PreviewFrame { row, device_ticks, arrival_ns, .. } = head;
@@ -229,8 +248,26 @@ impl Hub {
             let positions_mm = self.positions.clone();
             let face = self.face.as_ref().and_then(|face| face.pose(&positions_mm));
             let samples = self.samples.drain(..).collect();
-            let frame =
-                LiveFrame { row, device_ticks, arrival_unix_us, positions_mm, face, samples };
+            // If the poses of this frame have not come yet, they are shown with the next one.
+            let mut poses = None;
+            while let Some(of) =
+                self.poses.take().or_else(|| session.tap.next_poses(&mut self.bodies))
+            {
+                if of.row > row {
+                    self.poses = Some(of);
+                    break;
+                }
+                poses = Some(LivePoses { n_frames: of.n_frames, bodies: self.bodies.clone() });
+            }
+            let frame = LiveFrame {
+                row,
+                device_ticks,
+                arrival_unix_us,
+                positions_mm,
+                face,
+                samples,
+                poses,
+            };
             self.inner.viewers.send(&self.table, &Arc::new(frame));
         }
     }
@@ -245,6 +282,7 @@ fn table(session: &NewSession, subject: Option<&Subject>) -> LiveTable {
         limbs,
         face: None,
         groups: live_groups(&session.sampled),
+        bodies: session.bodies.iter().map(|body| body.name.clone()).collect(),
         labels,
         labelled: channels.iter().map(|channel| channel.labelled).collect(),
         up_axis: session.header.up_axis.code(),

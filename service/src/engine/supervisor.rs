@@ -256,8 +256,8 @@ impl Inner {
         self.publications.set_device(armed.publish_taps, &device);
         // The hub drops the previous session: it checks this channel in every round.
         let (tap, sample_tap) = (armed.tap, armed.sample_tap);
-        let sampled = config.sampled.clone();
-        sessions.try_send(NewSession { tap, sample_tap, sampled, progress, header }).ok();
+        let PublishedDevice { sampled, bodies, .. } = device;
+        sessions.try_send(NewSession { tap, sample_tap, sampled, bodies, progress, header }).ok();
         let mut core = self.core();
         core.session = Some(session);
         // A disarm or stop may have been requested during arming.
@@ -289,6 +289,7 @@ fn open_rig(
         Some(identity) => Rig::reopen(uri, &identity, tap)?,
         None => Rig::open_logged(uri, tap)?,
     };
+    rig.limit_angles(options.take.angle_degrees);
     if let Some(rate_hz) = options.device.rate_hz {
         rig.set_rate(rate_hz)?;
     }

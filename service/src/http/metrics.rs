@@ -135,6 +135,21 @@ impl MetricWriter<'_> {
         Ok(())
     }
 
+    /// A counter with several values, distinguished by a label.
+    fn counters_by(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &str,
+        values: &[(&str, u64)],
+    ) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
+        for &(which, value) in values {
+            ConstCounter::new(value).encode(metric.encode_family(&[(label, which)])?)?;
+        }
+        Ok(())
+    }
+
     /// A gauge with one value per state: 1 for the current state, 0 for the others.
     fn one_of(&mut self, name: &str, help: &str, names: &[&str], is: &str) -> fmt::Result {
         let values: Vec<_> = names.iter().map(|&which| (which, u64::from(which == is))).collect();
@@ -314,8 +329,9 @@ fn of_publish(publish: &[PublishStatus], out: &mut MetricWriter<'_>) -> fmt::Res
         let values = publish.iter().map(|status| (status.protocol.as_str(), value(status)));
         values.collect::<Vec<_>>()
     };
-    let figures: [(&str, &str, PublishFigure); 7] = [
-        ("clients", "Clients that what is received is published to", |it| it.clients.len() as u64),
+    let help = "Clients that what is received is published to";
+    out.by("publish_clients", help, "protocol", &by(|it| it.clients.len() as u64))?;
+    let figures: [(&str, &str, PublishFigure); 6] = [
         (
             "clients_refused",
             "Clients that were refused: too many, or from an address that is not allowed",
@@ -332,13 +348,17 @@ fn of_publish(publish: &[PublishStatus], out: &mut MetricWriter<'_>) -> fmt::Res
             "Frames that all clients missed because the server was too slow",
             |it| it.frames_left_out,
         ),
-        ("poses_left_out", "Frames whose poses all clients missed", |it| it.poses_left_out),
+        (
+            "poses_left_out",
+            "Frames whose poses all clients missed: the server was too slow, or they came without their frame",
+            |it| it.poses_left_out,
+        ),
         ("batches_left_out", "Batches of samples that all clients missed", |it| {
             it.batches_left_out
         }),
     ];
     for (name, help, value) in figures {
-        out.by(&format!("publish_{name}"), help, "protocol", &by(value))?;
+        out.counters_by(&format!("publish_{name}"), help, "protocol", &by(value))?;
     }
     Ok(())
 }

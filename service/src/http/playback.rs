@@ -28,9 +28,9 @@ use super::{
 use crate::{
     control::Control,
     playback::{
-        CompareError, EVERY_MAX, FaceWindow, FrameWindow, GapBins, PlateList, SECONDS_MAX,
-        TakeDifference, TakeForces, TakeOverview, WINDOW_BYTES_MAX, WindowError, WindowRequest,
-        map_of_end, read_difference, read_gaps,
+        BodyList, CompareError, EVERY_MAX, FaceWindow, FrameWindow, GapBins, PlateList,
+        SECONDS_MAX, TakeBodies, TakeDifference, TakeForces, TakeOverview, WINDOW_BYTES_MAX,
+        WindowError, WindowRequest, map_of_end, read_difference, read_gaps,
     },
 };
 
@@ -164,6 +164,51 @@ pub(super) async fn forces(
     let request = window_request(query)?;
     read_forces(app, name, move |name, input, forces| {
         let window = forces.window(input, &request);
+        Ok(binary(window.map_err(|error| window_problem(name, error))?.to_bytes()))
+    })
+    .await
+}
+
+/// The rigid bodies of a finished take
+///
+/// Those that the device of a recording has announced; none in an imported file.
+#[utoipa::path(get, path = "/v1/takes/{name}/bodies", tag = "takes",
+    params(("name" = String, Path, description = "The take's name, without `.take`")),
+    responses((status = 200, body = BodyList)))]
+pub(super) async fn bodies(
+    State(app): State<Shared>,
+    name: Result<Path<String>, PathRejection>,
+) -> Result<Json<BodyList>, Problem> {
+    read_bodies(app, name, |_, _, bodies| Ok(Json(bodies.list()))).await
+}
+
+/// The poses of the rigid bodies in a part of a finished take
+///
+/// Little endian: the bytes `MPB1`, u32 number of bodies, u64 first frame, u32 number of frames that follow, u32 distance from
+/// one to the next, u32 flags (bit 0: ends before the requested end; bit 1: poses are missing), u32 zero; then for each frame
+/// and body nine f32: the state, the residual in millimetres, the position in millimetres, and the rotation as a quaternion
+/// w, x, y, z. The states are 0 tracked, 1 lost, 2 rejected, 3 any other of the device, 253 missing, 254 refused by the
+/// recorder, and 255 not listed. NaN where there is nothing. A response has at most a megabyte: a longer window ends earlier.
+#[utoipa::path(get, path = "/v1/takes/{name}/poses", tag = "takes",
+    params(("name" = String, Path, description = "The take's name, without `.take`"),
+        ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
+            description = "The first frame is the one at or after this time in seconds; 0 by default"),
+        ("seconds" = Option<f64>, Query, exclusive_minimum = 0, maximum = 3600,
+            description = "The length in seconds; 4 by default"),
+        ("every" = Option<u32>, Query, minimum = 1, maximum = 10000,
+            description = "Only every n-th frame; 1 by default")),
+    responses((status = 200, description = "The poses", body = Vec<u8>,
+            content_type = "application/octet-stream"),
+        (status = 416, description = "The take ends before the window begins", body = Problem,
+            content_type = "application/problem+json")))]
+pub(super) async fn poses(
+    State(app): State<Shared>,
+    name: Result<Path<String>, PathRejection>,
+    query: Result<Query<WindowQuery>, QueryRejection>,
+) -> Result<Response, Problem> {
+    let request = window_request(query)?;
+    read_bodies(app, name, move |name, input, bodies| {
+        let window = bodies.window(input, &request);
         Ok(binary(window.map_err(|error| window_problem(name, error))?.to_bytes()))
     })
     .await
@@ -378,6 +423,21 @@ async fn read_forces<T: Send + 'static>(
     .await
 }
 
+/// Reads a take that is not being written, with its rigid bodies.
+async fn read_bodies<T: Send + 'static>(
+    app: Shared,
+    name: Result<Path<String>, PathRejection>,
+    read: impl FnOnce(&str, &mut Input, &TakeBodies) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    read_takes(app, name, move |reading| {
+        let name = &reading.name;
+        let (mut input, tag) = reading.file(name)?;
+        let bodies = reading.maps.bodies(&mut input, tag).map_err(|error| problem(name, error))?;
+        read(name, &mut input, &bodies)
+    })
+    .await
+}
+
 /// Whether a request needs all of a map, or only what the end of a take states.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Whole {
@@ -391,6 +451,7 @@ enum Whole {
 pub(super) struct KnownMaps {
     maps: LastUsed<TakeMap>,
     forces: LastUsed<TakeForces>,
+    bodies: LastUsed<TakeBodies>,
 }
 
 /// Maximum number of takes of which something is kept: a few players.
@@ -403,6 +464,10 @@ const MAP_ENTRIES_MAX: usize = 1 << 18;
 /// Maximum number of entries of a take's forces that is kept, some ten of each second: a day, in at most 32 MiB. Without them
 /// each window would read the times of the whole take.
 const FORCES_ENTRIES_MAX: usize = 1 << 20;
+
+/// The same of a take's rigid bodies, some ten of each second and eight bodies: the seven hours of 128 bodies, in at most
+/// 128 MiB.
+const BODIES_ENTRIES_MAX: usize = 1 << 22;
 
 /// What was found in some takes, by their entity tags, which change with the files; the last one first.
 #[derive(Debug)]
@@ -460,6 +525,16 @@ impl KnownMaps {
         let forces = Arc::new(TakeForces::open(input)?);
         self.forces.put(tag.filter(|_| forces.n_entries() <= FORCES_ENTRIES_MAX), &forces);
         Ok(forces)
+    }
+
+    /// The rigid bodies of a take with this entity tag.
+    fn bodies(&self, input: &mut Input, tag: Option<String>) -> Result<Arc<TakeBodies>, TakeError> {
+        if let Some(known) = self.bodies.get(tag.as_ref()) {
+            return Ok(known);
+        }
+        let bodies = Arc::new(TakeBodies::open(input)?);
+        self.bodies.put(tag.filter(|_| bodies.n_entries() <= BODIES_ENTRIES_MAX), &bodies);
+        Ok(bodies)
     }
 }
 

@@ -54,6 +54,8 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(playback::face))
         .routes(routes!(playback::plates))
         .routes(routes!(playback::forces))
+        .routes(routes!(playback::bodies))
+        .routes(routes!(playback::poses))
         .routes(routes!(playback::difference))
         .routes(routes!(finished::notes_file, finished::edit_notes))
         .routes(routes!(finished::rename))

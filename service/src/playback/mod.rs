@@ -4,6 +4,7 @@
 //! middle of an hour costs as much as one at its beginning. The number of samples that a call decodes and the size of its
 //! result are bounded; a caller keeps the map of a take that was cut off, whose chunks have to be read for it.
 
+mod bodies;
 mod compare;
 mod face;
 mod forces;
@@ -16,6 +17,7 @@ use std::io::{Read, Seek};
 use mocapd_take::{TakeError, TakeMap, TakeTail};
 
 pub use self::{
+    bodies::{BodyList, PoseWindow, TakeBodies},
     compare::{CompareError, LargestError, TakeDifference, read_difference},
     face::FaceWindow,
     forces::{ForceWindow, PlateList, PlateOverview, TakeForces},

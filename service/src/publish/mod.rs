@@ -34,7 +34,7 @@ pub use self::{
     qtm::{QTM, open as open_qtm},
     runner::RunningPublisher,
 };
-use crate::{config::Config, control::Control, engine::Engine, status::PublishStatus};
+use crate::{config::Config, control::Control, status::PublishStatus};
 
 /// What a protocol is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,24 +56,24 @@ pub fn names(config: &Config) -> Vec<PublisherName> {
     all.into_iter().filter_map(|(is_enabled, name)| is_enabled.then_some(name)).collect()
 }
 
-/// Opens the publishers that the engine was started with.
+/// Opens the publishers that the engine was started with: those that `published` has a feed for.
 ///
 /// # Errors
 /// A file that the configuration names cannot be used; the message says what to do. A port that cannot be opened is a
 /// warning.
 pub fn open_all(
     config: &Config,
-    engine: &Engine,
+    published: impl Fn(PublisherName) -> Option<PublishedFeed>,
     control: &Arc<dyn Control>,
 ) -> anyhow::Result<Vec<RunningPublisher>> {
     let mut running = Vec::new();
-    if let Some(feed) = engine.published(QTM) {
+    if let Some(feed) = published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
     }
-    if let Some(feed) = engine.published(NATNET) {
+    if let Some(feed) = published(NATNET) {
         running.push(open_natnet(&config.publish_natnet, feed, control)?);
     }
-    if let Some(feed) = engine.published(LSL) {
+    if let Some(feed) = published(LSL) {
         running.push(open_lsl(&config.publish_lsl, feed, control)?);
     }
     Ok(running)
@@ -123,11 +123,16 @@ pub(crate) trait LivePublisher {
     /// Where clients connect, which is known once a free port was found.
     fn address(&self) -> SocketAddr;
 
-    /// A device was armed, or is not any more.
+    /// A device was armed, or is not any more. Another one may follow without an end of the one before.
     fn set_device(&mut self, device: Option<&PublishedDevice>);
 
     /// What clients want at present. What nobody wants is not copied.
     fn wanted(&self) -> WantedKinds;
+
+    /// Whether the poses of these frames are wanted, too: frames of a device with bodies wait for them, up to the next frame.
+    fn wants_poses(&self) -> bool {
+        true
+    }
 
     /// Passes a frame on to the clients that want frames; some come after none is wanted any more.
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame);
@@ -159,11 +164,11 @@ pub(crate) struct Publications(Vec<PublishedFeed>);
 #[derive(Debug, Clone)]
 pub struct PublishedFeed {
     name: PublisherName,
-    shared: Arc<Shared>,
+    slot: Arc<PublisherSlot>,
 }
 
 #[derive(Debug, Default)]
-struct Shared {
+struct PublisherSlot {
     /// The device that was armed last, until its publisher takes it over. An earlier one is over by then, and nothing was
     /// copied of it.
     source: Mutex<Option<PublishedSource>>,
@@ -173,7 +178,7 @@ struct Shared {
 impl Publications {
     /// One for each of these publishers, whether they run or not.
     pub(crate) fn new(names: &[PublisherName]) -> Self {
-        let feed = |name: &PublisherName| PublishedFeed { name: *name, shared: Arc::default() };
+        let feed = |name: &PublisherName| PublishedFeed { name: *name, slot: Arc::default() };
         Self(names.iter().map(feed).collect())
     }
 
@@ -185,13 +190,13 @@ impl Publications {
     pub(crate) fn set_device(&self, taps: Vec<PublishTap>, device: &PublishedDevice) {
         for (feed, tap) in self.0.iter().zip(taps) {
             let source = PublishedSource { tap, device: device.clone() };
-            *lock(&feed.shared.source) = Some(source);
+            *lock(&feed.slot.source) = Some(source);
         }
     }
 
     /// What the publishers that run report.
     pub(crate) fn status(&self) -> Vec<PublishStatus> {
-        self.0.iter().filter_map(|feed| lock(&feed.shared.status).clone()).collect()
+        self.0.iter().filter_map(|feed| lock(&feed.slot.status).clone()).collect()
     }
 
     pub(crate) fn feed(&self, name: PublisherName) -> Option<PublishedFeed> {
@@ -202,10 +207,10 @@ impl Publications {
 impl PublishedFeed {
     /// The device that was armed since the last call.
     fn take_source(&self) -> Option<PublishedSource> {
-        lock(&self.shared.source).take()
+        lock(&self.slot.source).take()
     }
 
     fn report(&self, status: Option<PublishStatus>) {
-        *lock(&self.shared.status) = status;
+        *lock(&self.slot.status) = status;
     }
 }

@@ -27,28 +27,35 @@ impl Device {
     pub(super) fn produce_poses(&mut self, counter: u32, number: u64, at_ns: u64) {
         let Some(bodies) = &self.settings.bodies else { return };
         let mut poses = std::mem::take(&mut self.poses);
-        bodies.poses(number, f64::from(self.hello.rate_millihertz) / 1000.0, &mut poses);
+        let rate_hz = f64::from(self.hello.rate_millihertz) / 1000.0;
+        let is_sent = bodies.poses(number, rate_hz, &mut poses);
         let since_ns = self.since_ns(at_ns).unwrap_or(0);
         if let Some(faults) = &mut self.faults {
             faults.poses(since_ns, &mut poses);
         }
         self.poses = poses;
-        self.put_poses(counter, (number, 1), at_ns);
+        self.put_poses((counter, is_sent), (number, 1), at_ns);
     }
 
     /// States the number of the frame that would come next.
     pub(super) fn end_poses(&mut self, at_ns: u64) {
         if self.settings.bodies.is_some() {
             self.poses.clear();
-            self.put_poses(self.counter, (self.log.run.frames_produced, 0), at_ns);
+            self.put_poses((self.counter, true), (self.log.run.frames_produced, 0), at_ns);
         }
     }
 
-    fn put_poses(&mut self, seq: u32, (first_in_run, n): (u64, u64), at_ns: u64) {
+    /// `is_sent`: otherwise the device dropped them.
+    fn put_poses(
+        &mut self,
+        (seq, is_sent): (u32, bool),
+        (first_in_run, n): (u64, u64),
+        at_ns: u64,
+    ) {
         let (number, device_ticks) = (self.poses_sent, self.ticks(at_ns));
         let poses = std::mem::take(&mut self.poses);
         let frame = PoseFrame { seq, number, device_ticks, poses: &poses };
-        let mut dropped = !self.outbox.has_room(pose_frame_bytes_max(poses.len()));
+        let mut dropped = !is_sent || !self.outbox.has_room(pose_frame_bytes_max(poses.len()));
         if !dropped {
             let link = &mut self.link;
             // They fit by construction. If the link refused them, they would count as dropped.

@@ -45,8 +45,10 @@ impl Device {
     /// The group whose batch is due next, and when that is: with its last sample.
     pub(super) fn next_batch(&self, run: &Run) -> Option<(usize, u64)> {
         let due = |(index, group): (usize, &GroupState)| {
-            let n = self.settings.sampled.get(index)?.batch_samples();
-            Some((index, self.sample_time_ns(index, group.in_run + n - 1, run)))
+            let source = self.settings.sampled.get(index)?;
+            let n = source.n_left(group.in_run, source.batch_samples());
+            let last = group.in_run + n.checked_sub(1)?;
+            Some((index, self.sample_time_ns(index, last, run)))
         };
         let groups = self.groups.iter().enumerate();
         groups.filter_map(due).min_by_key(|(_, due_ns)| *due_ns)
@@ -55,7 +57,21 @@ impl Device {
     /// Queues a whole batch of a group, or drops it when the queue is full.
     pub(super) fn produce_batch(&mut self, group: usize, run: &Run) {
         let n = self.settings.sampled.get(group).map_or(0, SampledSource::batch_samples);
-        self.put_batch(group, n, run);
+        self.put_batches(group, self.n_left(group, n), run);
+    }
+
+    fn n_left(&self, group: usize, n: u64) -> u64 {
+        let first = self.groups.get(group).map_or(0, |group| group.in_run);
+        self.settings.sampled.get(group).map_or(0, |source| source.n_left(first, n))
+    }
+
+    /// Queues samples of a group, except those that it does not have.
+    fn put_batches(&mut self, index: usize, n: u64, run: &Run) {
+        let Some(source) = self.settings.sampled.get(index) else { return };
+        let first = self.groups.get(index).map_or(0, |group| group.in_run);
+        for (n, is_sent) in source.parts(first, n) {
+            self.put_batch(index, (n, is_sent), run);
+        }
     }
 
     /// Queues what was sampled up to the end of the run, and how many samples there were.
@@ -66,15 +82,17 @@ impl Device {
             while self.sample_time_ns(group, self.groups[group].in_run + n, &run) <= at_ns {
                 n += 1;
             }
+            let n = self.n_left(group, n);
             if n > 0 {
-                self.put_batch(group, n, &run);
+                self.put_batches(group, n, &run);
             }
-            self.put_batch(group, 0, &run);
+            self.put_batch(group, (0, true), &run);
         }
         self.end_poses(at_ns);
     }
 
-    fn put_batch(&mut self, index: usize, n: u64, run: &Run) {
+    /// Queues a batch, or drops it when the queue is full; `is_sent`: otherwise the device dropped it in any case.
+    fn put_batch(&mut self, index: usize, (n, is_sent): (u64, bool), run: &Run) {
         let Some(source) = self.settings.sampled.get(index) else { return };
         let GroupState { taken, sent, in_run } = self.groups[index];
         let host_ns = self.sample_time_ns(index, in_run, run);
@@ -92,7 +110,7 @@ impl Device {
             samples: &samples,
         };
         let bytes = batch_bytes_max(info.form, info.channels.len(), n as usize);
-        let mut dropped = !self.outbox.has_room(bytes);
+        let mut dropped = !is_sent || !self.outbox.has_room(bytes);
         if !dropped {
             let link = &mut self.link;
             // It fits by construction. If the link refused a batch, it would count as dropped.

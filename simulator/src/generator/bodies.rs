@@ -15,17 +15,59 @@ const LOST_S: f64 = 0.2;
 /// The distance of a body's markers from its origin, in millimetres, over which the noise of their positions turns it.
 const RADIUS_MM: f64 = 60.0;
 
-/// Rigid bodies on one segment after another, and the subject that they move with.
+/// Rigid bodies and their poses.
 ///
 /// A pose is a function of its frame's number in the run, so the ground truth of a recording can be computed again.
+#[derive(Debug, PartialEq)]
+pub enum RigidBodies {
+    /// On the segments of the generated body.
+    Generated(Box<GeneratedBodies>),
+    /// Those of a take.
+    Recorded(RecordedPoses),
+}
+
+/// The poses of a take's rigid bodies.
+#[derive(Debug, PartialEq)]
+pub struct RecordedPoses {
+    infos: Vec<BodyInfo>,
+    /// By frame, where its poses begin in `poses`, and whether it has any; one more for the end.
+    frames: Vec<(usize, bool)>,
+    poses: Vec<Pose>,
+}
+
+impl RecordedPoses {
+    /// Of no frame yet.
+    #[must_use]
+    pub fn new(infos: Vec<BodyInfo>) -> Self {
+        Self { infos, frames: vec![(0, false)], poses: Vec::new() }
+    }
+
+    /// Adds the poses of the next frame; without `has_poses` the device sends none for it.
+    pub fn add_frame(&mut self, has_poses: bool, poses: impl Iterator<Item = Pose>) {
+        if let Some((_, has)) = self.frames.last_mut() {
+            *has = has_poses;
+        }
+        self.poses.extend(poses);
+        self.frames.push((self.poses.len(), false));
+    }
+
+    fn poses(&self, number: u64) -> Option<&[Pose]> {
+        let at = usize::try_from(number).ok()?;
+        let (start, has_poses) = self.frames.get(at)?;
+        let (end, _) = self.frames.get(at + 1)?;
+        self.poses.get(*start..*end).filter(|_| *has_poses)
+    }
+}
+
+/// Rigid bodies on one segment after another, and the subject that they move with.
 #[derive(Debug)]
-pub struct RigidBodies {
+pub struct GeneratedBodies {
     spec: JumpSpec,
     n_bodies: usize,
     subject: Subject,
 }
 
-impl PartialEq for RigidBodies {
+impl PartialEq for GeneratedBodies {
     fn eq(&self, other: &Self) -> bool {
         (self.spec, self.n_bodies) == (other.spec, other.n_bodies)
     }
@@ -38,6 +80,43 @@ impl RigidBodies {
     /// # Errors
     /// When [`JumpSpec::generate`] refuses the specification, or for no bodies or too many.
     pub fn new(spec: &JumpSpec, n_bodies: usize) -> Result<Self, GenerateError> {
+        Ok(Self::Generated(Box::new(GeneratedBodies::new(spec, n_bodies)?)))
+    }
+
+    /// Those of a take.
+    #[must_use]
+    pub fn recorded(poses: RecordedPoses) -> Self {
+        Self::Recorded(poses)
+    }
+
+    /// The table that the device announces.
+    #[must_use]
+    pub fn infos(&self) -> Vec<BodyInfo> {
+        match self {
+            Self::Generated(bodies) => bodies.infos(),
+            Self::Recorded(poses) => poses.infos.clone(),
+        }
+    }
+
+    /// Replaces `poses` by those of frame `number` of the run, at `rate_hz`. Returns whether the device has any for this frame.
+    pub fn poses(&self, number: u64, rate_hz: f64, poses: &mut Vec<Pose>) -> bool {
+        poses.clear();
+        match self {
+            Self::Generated(bodies) => {
+                bodies.poses(number, rate_hz, poses);
+                true
+            }
+            Self::Recorded(recorded) => {
+                let found = recorded.poses(number);
+                poses.extend_from_slice(found.unwrap_or_default());
+                found.is_some()
+            }
+        }
+    }
+}
+
+impl GeneratedBodies {
+    fn new(spec: &JumpSpec, n_bodies: usize) -> Result<Self, GenerateError> {
         spec.check()?;
         if !(1..=BODIES_MAX).contains(&n_bodies) {
             let (value, high) = (n_bodies as f64, BODIES_MAX as f64);
@@ -49,9 +128,7 @@ impl RigidBodies {
         Ok(Self { spec: *spec, n_bodies, subject })
     }
 
-    /// The table that the device announces.
-    #[must_use]
-    pub fn infos(&self) -> Vec<BodyInfo> {
+    fn infos(&self) -> Vec<BodyInfo> {
         let name = |index: usize| {
             let segment = SEGMENTS[index % SEGMENTS.len()].0;
             match index / SEGMENTS.len() {
@@ -62,9 +139,7 @@ impl RigidBodies {
         (0..self.n_bodies).map(|i| BodyInfo { id: i as u16 + 1, name: name(i) }).collect()
     }
 
-    /// Replaces `poses` by those of frame `number` of the run, at `rate_hz`.
-    pub fn poses(&self, number: u64, rate_hz: f64, poses: &mut Vec<Pose>) {
-        poses.clear();
+    fn poses(&self, number: u64, rate_hz: f64, poses: &mut Vec<Pose>) {
         let time_s = number as f64 / rate_hz;
         let state = self.subject.at(time_s);
         for index in 0..self.n_bodies {
@@ -155,11 +230,12 @@ mod tests {
     #[test]
     fn bodies_move_with_their_segments() {
         let spec = JumpSpec::new(5, 100.0).clean();
-        let bodies = RigidBodies::new(&spec, 12).unwrap();
+        let bodies = GeneratedBodies::new(&spec, 12).unwrap();
         let names: Vec<String> = bodies.infos().into_iter().map(|body| body.name).collect();
         assert_eq!((&names[0][..], &names[9][..], &names[11][..]), ("trunk", "head", "l_thigh_2"));
         let (mut poses, mut signs) = (Vec::new(), 0);
         for number in 0..1000 {
+            poses.clear();
             bodies.poses(number, 100.0, &mut poses);
             assert!(poses.iter().map(|pose| pose.body).eq(1..=12));
             let state = bodies.subject.at(number as f64 / 100.0);

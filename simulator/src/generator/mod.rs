@@ -24,7 +24,7 @@ use plan::{JointCurves, PhaseTimes, Style};
 
 pub use mocapd_take::phase::Phase;
 
-pub use bodies::RigidBodies;
+pub use bodies::{GeneratedBodies, RecordedPoses, RigidBodies};
 pub use body::{BONES, SITES};
 pub use forces::{ForcePlates, PLATE_COMPONENTS, plate_corners_mm};
 pub use rng::Rng;

@@ -15,7 +15,6 @@ use mocapd_acquire::{
     rig::Rig,
     series::{RecordedSeries, SeriesTake},
 };
-use mocapd_codec::poses::ANGLE_DEGREES;
 use mocapd_drivers::{
     registry::OpenError,
     uri::{DeviceUri, Location},
@@ -76,7 +75,7 @@ pub(crate) struct Args {
     raw: Option<PathBuf>,
     /// Largest error of the rotations of rigid bodies: 0.05deg, 0.0001 to 10 degrees [default: the angle by which a point
     /// 200 mm away moves by the tolerance]
-    #[arg(long, value_name = "ANGLE", value_parser = angle_degrees, conflicts_with = "lossless", allow_hyphen_values = true)]
+    #[arg(long, value_name = "ANGLE", value_parser = units::angle_degrees, conflicts_with = "lossless", allow_hyphen_values = true)]
     angle_tolerance: Option<f64>,
     #[command(flatten)]
     codec: CodecArgs,
@@ -85,19 +84,6 @@ pub(crate) struct Args {
     /// Print one JSON document
     #[arg(long)]
     json: bool,
-}
-
-/// Parses an angle in degrees that the codec can keep.
-fn angle_degrees(text: &str) -> Result<f64, String> {
-    let number = text.trim().trim_end_matches("deg").trim_end();
-    let degrees = number.parse().ok().filter(|degrees| ANGLE_DEGREES.contains(degrees));
-    degrees.ok_or_else(|| {
-        format!(
-            "'{text}' is no angle from {} to {} degrees: give one such as 0.05deg",
-            ANGLE_DEGREES.start(),
-            ANGLE_DEGREES.end()
-        )
-    })
 }
 
 /// Parses the device. Unlike the service, `record` has no default: the user names the device.

@@ -8,7 +8,7 @@ use std::{
 
 use mocapd_codec::sampled::SampledEncoder;
 
-use super::{SourceTake, damaged};
+use super::{SourceTake, damaged, poses::PoseEnds};
 use crate::{
     TakeError, TakeMap, TakeTraversal, TakeWriter,
     damage::Problem,
@@ -170,14 +170,21 @@ pub(super) fn cut<W: Write>(
         let is_known = |of: u32| map.recorded_groups().any(|group| group.group.number == of);
         ledger.groups.extend(stated.groups.iter().filter(|group| !is_known(group.group)).copied());
     }
+    let poses = PoseEnds::read(map, input, rows)?;
     for group in map.sample_groups() {
         let n = group.n_samples();
-        let first = if rows.start == 0 { 0 } else { start.map_or(n, |t| number_at(map, group, t)) };
-        let last = match end {
-            Some(time) if rows.end < map.n_rows => number_at(map, group, time),
-            _ => n,
+        let of_poses = poses.iter().find(|of| of.group == group.group.number);
+        let numbers = match of_poses {
+            Some(of_poses) => of_poses.numbers.clone(),
+            None => {
+                let at = |time: Option<RowTime>| time.map_or(n, |time| number_at(map, group, time));
+                let first = if rows.start == 0 { 0 } else { at(start) };
+                let last = if rows.end < map.n_rows { at(end) } else { n };
+                first..last.max(first)
+            }
         };
-        let part = Part { group, numbers: first..last.max(first), tick_hz: tick_hz(map) };
+        let exact = of_poses.map_or(&[][..], |of_poses| &of_poses.anchors);
+        let part = Part { group, numbers, tick_hz: tick_hz(map), exact };
         let is_of_group = |of: &&GroupLedger| of.group == group.group.number;
         let whole = stated.groups.iter().find(is_of_group).copied().unwrap_or_default();
         // A part has no larger errors than the whole.
@@ -192,7 +199,7 @@ pub(super) fn cut<W: Write>(
     take.sample_ledger(&ledger)
 }
 
-fn tick_hz(map: &TakeMap) -> u64 {
+pub(super) fn tick_hz(map: &TakeMap) -> u64 {
     map.header.device.as_ref().map_or(1, |device| device.tick_hz)
 }
 
@@ -252,8 +259,6 @@ fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
             None => run = run.or(Some(found.start..found.start)),
         }
     }
-    // Poses have the times of their frames, which the lines between anchors miss by less than half a period.
-    let late_s = if group.group.has_poses() { -0.5 / group.group.rate_hz } else { 0.0 };
     let Some(run) = run else { return 0 };
     // A row in an outage lies in no run.
     if last_s(&run).is_none_or(|s| s < -APART_S_MAX) {
@@ -262,7 +267,7 @@ fn number_at(map: &TakeMap, group: &GroupSamples, row: RowTime) -> u64 {
     let (mut low, mut high) = (run.start, run.end);
     while low < high {
         let middle = low + (high - low) / 2;
-        if after_s(middle).is_some_and(|s| s < late_s) { low = middle + 1 } else { high = middle }
+        if after_s(middle).is_some_and(|s| s < 0.0) { low = middle + 1 } else { high = middle }
     }
     low
 }
@@ -290,6 +295,8 @@ struct Part<'a> {
     group: &'a GroupSamples,
     numbers: Range<u64>,
     tick_hz: u64,
+    /// Times of its samples that are exactly those of recorded rows.
+    exact: &'a [SampleAnchor],
 }
 
 impl Part<'_> {
@@ -361,7 +368,15 @@ impl Part<'_> {
         // The last sample of each run, too: the line of the whole run may lead elsewhere without what is left out.
         let ends = runs(self.group).into_iter().map(|run| run.end).chain([end]);
         let last = ends.filter(|run_end| *run_end > start && *run_end <= end).map(|e| e - 1);
-        anchors.extend([start].into_iter().filter(|_| start < end).chain(last).filter_map(at));
+        anchors.extend(self.exact);
+        // A row that was not recorded has no time of its own, and a pose none but that of its row.
+        let is_timed = |number: &u64| {
+            let run_of = |number: u64| clock.at(number).map(|time| time.run_start);
+            let run = run_of(*number);
+            !self.exact.iter().any(|exact| Some(exact.run_start) == run)
+        };
+        let ends = [start].into_iter().filter(|_| start < end).chain(last);
+        anchors.extend(ends.filter(is_timed).filter_map(at));
         anchors.sort_by_key(|anchor| anchor.number);
         anchors.dedup_by_key(|anchor| anchor.number);
         for anchor in &mut anchors {

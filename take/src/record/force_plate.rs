@@ -80,6 +80,19 @@ impl RecordedPlate {
         Ok(Self { number: number.into(), kind, group, channels, geometry })
     }
 
+    /// What a device states of it.
+    #[must_use]
+    pub fn stated(&self) -> StatedPlate {
+        StatedPlate {
+            number: u8::try_from(self.number).unwrap_or(u8::MAX),
+            code: self.kind.code(),
+            group: self.group,
+            channels: self.channels.clone(),
+            corners_mm: self.geometry.corners_mm(),
+            origin_mm: self.geometry.origin_mm(),
+        }
+    }
+
     fn parse(text: &str) -> Result<Self, String> {
         let of = |name: &str| {
             let mut words = text.split_whitespace().filter_map(|word| word.split_once('='));

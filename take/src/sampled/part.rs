@@ -172,6 +172,14 @@ impl GroupSamples {
         SampleClock::new(anchors, &self.chunks, self.group.rate_hz, tick_hz)
     }
 
+    /// The numbers of the samples in the block that has this one; `None` where it is lost.
+    pub(crate) fn block_of(&self, number: u64) -> Option<Range<u64>> {
+        let at = self.chunks.partition_point(|chunk| chunk.span.first <= number).checked_sub(1)?;
+        let span = self.chunks.get(at)?.span;
+        let is_in = number < span.end() && !matches!(span.content, SampleContent::Lost(_));
+        is_in.then(|| span.first..span.end())
+    }
+
     /// File offsets of the chunks with samples of this range.
     pub(crate) fn offsets_of(&self, range: Range<u64>) -> impl Iterator<Item = u64> {
         let from = self.chunks.partition_point(|chunk| chunk.span.end() <= range.start);

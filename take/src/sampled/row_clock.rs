@@ -101,6 +101,15 @@ impl RowClock {
     /// # Errors
     /// Those of [`TakeTraversal::next_stretch`].
     pub fn read(input: impl Read + Seek, map: &TakeMap) -> Result<Self, TakeError> {
+        Self::read_each(input, map, |_, _, _| {})
+    }
+
+    /// The same; `each` receives every recorded row: its epoch, its number and its ticks.
+    pub(crate) fn read_each(
+        input: impl Read + Seek,
+        map: &TakeMap,
+        mut each: impl FnMut(usize, u64, u64),
+    ) -> Result<Self, TakeError> {
         let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1)) as f64;
         let nominal = tick_hz / map.header.rate_hz;
         let (mut epochs, mut open): (Vec<Epoch>, Option<EpochBuilder>) = (Vec::new(), None);
@@ -124,6 +133,7 @@ impl RowClock {
                         open = Some(EpochBuilder::new(next, offset, nominal, n_knots));
                     }
                 }
+                each(epochs.len(), row, time.device_ticks);
                 is_first = false;
             }
             offset = stretches.bytes_read() + crate::chunk::MAGIC.len() as u64;
@@ -180,7 +190,7 @@ impl RowClock {
     /// time goes on at the epoch's own rate, as far as no other epoch has rows there. `None` beyond that, and where the next
     /// row came later than it was due: the time line of the frames has no place for the time between.
     #[must_use]
-    pub(super) fn position(&self, epoch: usize, time: &SampleTime) -> Option<f64> {
+    pub(crate) fn position(&self, epoch: usize, time: &SampleTime) -> Option<f64> {
         let of = self.epochs.get(epoch)?;
         let row_of = |knot: Option<&Knot>| knot.map(|knot| knot.row as f64);
         let next = of.knots.partition_point(|knot| time.ticks_since(knot.ticks) >= 0.0);

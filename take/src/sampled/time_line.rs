@@ -45,7 +45,11 @@ fn ascending(samples: &GroupSamples, tick_hz: u64) -> Vec<SampleAnchor> {
 }
 
 /// The epochs of a group's runs.
-fn epochs_of(samples: &GroupSamples, clock: &RowClock, tick_hz: u64) -> Vec<(u64, Option<usize>)> {
+pub(crate) fn epochs_of(
+    samples: &GroupSamples,
+    clock: &RowClock,
+    tick_hz: u64,
+) -> Vec<(u64, Option<usize>)> {
     let mut found: Vec<(u64, Option<usize>)> = Vec::new();
     let mut from = 0;
     let mut before: Option<u64> = None;

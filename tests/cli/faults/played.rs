@@ -70,7 +70,7 @@ pub(crate) fn record_from(
 }
 
 /// The sampled channels of the device: two force plates and five electrodes.
-pub(super) fn sources() -> Vec<SampledSource> {
+pub(crate) fn sources() -> Vec<SampledSource> {
     let plates = Arc::new(ForcePlates::new(&JumpSpec::new(1, RATE_HZ)).unwrap());
     vec![
         SampledSource::plates(0, plates, 1000.0).unwrap(),
@@ -79,7 +79,7 @@ pub(super) fn sources() -> Vec<SampledSource> {
 }
 
 /// Rigid bodies in two groups of a take, a tenth of whose poses are missing.
-pub(super) fn bodies() -> RigidBodies {
+pub(crate) fn bodies() -> RigidBodies {
     let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.2 });
     RigidBodies::new(&JumpSpec { occlusion, ..JumpSpec::new(1, RATE_HZ) }, 10).unwrap()
 }

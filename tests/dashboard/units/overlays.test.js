@@ -1,11 +1,13 @@
+import { axesOf, bodiesCount, bodiesText, bodyLines } from "/bodies.js";
 import { Comparison, distances } from "/comparison.js";
 import { curveColumns } from "/curves.js";
 import { downloadPath } from "/downloads.js";
 import { Forces } from "/forces.js";
 import { axisTime } from "/format.js";
 import { comparisonText } from "/overlays.js";
+import { Motion } from "/motion.js";
 import { frameText } from "/player.js";
-import { parseForces, parsePoses } from "/service_source.js";
+import { parseBodies, parseForces, parsePoses } from "/service_source.js";
 import { LiveParser } from "/stream.js";
 import { StripHistory, ledgerText, withPrefix } from "/strips.js";
 import { gapsThatBegin } from "/time_axis.js";
@@ -48,6 +50,47 @@ test("a curve has the ends of all bins of a pixel", () => {
   const values = [[0, 1], [-2, 0], null, [5, 6]];
   equal(curveColumns(4, 10, 39, 2, (bin) => values[bin]), [[0, -2, 1], [1, -2, 6]], "a bin that reaches into a pixel counts there, too");
   equal(curveColumns(1, 1, 0, 3, () => [1, NaN]), []);
+});
+
+test("rigid bodies have axes, a state, and the share in which they are tracked", () => {
+  const half = Math.SQRT1_2;
+  const turned = axesOf([half, 0, 0, half], 2).map((axis) => axis.map((part) => Math.round(part * 1e6) / 1e6 + 0));
+  equal(turned, [[0, 2, 0], [-2, 0, 0], [0, 0, 2]], "a quarter turn about z");
+  const pose = (state, x = NaN) => [state, 0.1, x, x, x, 1, 0, 0, 0];
+  const values = new Float32Array([...pose(0, 5), ...pose(1), ...pose(0, NaN)]);
+  const names = ["wand", "", "club"];
+  equal(bodyLines({ names, values, frames: 4, tracked: [4, 1, 0] }).map(({ text }) => text), [
+    "wand · tracked · share tracked 100 %",
+    "body 2 · lost · share tracked 25.0 %",
+    "club · not tracked · share tracked 0 %",
+  ]);
+  equal(bodiesCount({ names, values }), "1 of 3 tracked");
+  equal(bodiesText(names.slice(0, 2), values), "1 of 2 rigid bodies tracked; without a pose: body 2 (lost)");
+  equal(bodiesText(["wand"], values), "1 of 1 rigid body tracked");
+  const many = new Float32Array(Array(8).fill(pose(253)).flat());
+  isTrue(bodiesText(Array(8).fill("b"), many).endsWith("b (missing), b (missing) and 2 more"));
+});
+
+test("rigid bodies alone place the camera, and poses that stop are not shown", () => {
+  const motion = new Motion();
+  motion.setTable({ labels: [], labelled: [], bones: [], up_axis: 3, bodies: ["a", "b"] });
+  const values = new Float32Array([0, 0, 100, 200, 900, 1, 0, 0, 0, 0, 0, -100, 200, 1100, 1, 0, 0, 0]);
+  motion.push({ positionsMm: new Float32Array(0) }, 0);
+  motion.setPoses({ values, frames: 1, tracked: [1, 1] });
+  equal([motion.updateBox(1).low, motion.box.high], [[-100, 200, 0], [100, 200, 1100]]);
+  for (let i = 0; i < 10; i += 1) motion.push({ positionsMm: new Float32Array(0) }, 0);
+  isTrue(motion.bodies.values !== null);
+  motion.push({ positionsMm: new Float32Array(0) }, 0);
+  equal([motion.bodies.values, motion.bodies.names], [null, ["a", "b"]]);
+});
+
+test("a window of poses of rigid bodies is parsed", () => {
+  const buffer = new ArrayBuffer(32 + 2 * 72);
+  const view = new DataView(buffer);
+  [[0, 0x3142504d], [4, 2], [16, 2], [20, 3], [24, 2]].forEach(([at, value]) => view.setUint32(at, value, true));
+  const { frames, every, positions, isDamaged } = parseBodies(buffer, 2);
+  equal([frames, every, positions.length, isDamaged], [2, 3, 36, true]);
+  throws(() => parseBodies(buffer, 1), "bodies");
 });
 
 test("forces are those of each plate, and their curve has the ends", () => {

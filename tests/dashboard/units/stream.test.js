@@ -41,6 +41,18 @@ test("a live stream is parsed, and an unknown kind is skipped", () => {
   equal([third.row, third.positionsMm.length, rest.length], [8, 0, 0]);
 });
 
+test("the poses of rigid bodies have nine numbers and a count each", () => {
+  const body = new Uint8Array(12 + 2 * 44);
+  const view = new DataView(body.buffer);
+  body[0] = 5;
+  view.setBigUint64(4, 9n, true);
+  view.setFloat32(12 + 36 + 8, -2.5, true);
+  [7n, 2n ** 40n].forEach((n, i) => view.setBigUint64(12 + 72 + 8 * i, n, true));
+  const [found] = read([message(body)]);
+  equal([found.kind, found.frames, found.tracked, found.values.length, found.values[11]], ["poses", 9, [7, 2 ** 40], 18, -2.5]);
+  throws(() => read([message(body.slice(0, -1))]), "nine floats");
+});
+
 test("the pose of a face follows its frame", () => {
   const body = new Uint8Array(52);
   body[0] = 3;

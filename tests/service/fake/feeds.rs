@@ -6,11 +6,13 @@ use std::sync::{
 };
 
 use crossbeam_channel::{Sender, bounded};
+use mocapd_acquire::pipeline::PreviewBody;
 use mocapd_service::{
     control::EventFeed,
-    live::{LiveFeed, LiveFrame, LiveMessage, LiveSamples, LiveTable},
+    live::{LiveFeed, LiveFrame, LiveMessage, LivePoses, LiveSamples, LiveTable},
     status::{ServiceEvent, ServiceEventKind, State},
 };
+use mocapd_take::poses::{Pose, PoseState};
 
 /// Capacity of the queues: events and frames.
 const EVENTS: usize = 64;
@@ -77,6 +79,15 @@ impl Feeds {
             7 => vec![LiveSamples { group: 1, first: 40, n: 50, ranges: vec![[-0.5, 9.0]] }],
             _ => Vec::new(),
         };
+        // And rigid bodies in the same.
+        let pose = Pose {
+            state: PoseState::Tracked,
+            position_mm: [1.0, 2.0, 3.0],
+            quaternion: [0.6, 0.0, 0.8, 0.0],
+            residual_mm: 0.25,
+        };
+        let body = PreviewBody { pose, n_tracked: 3 };
+        let poses = (row == 7).then(|| LivePoses { n_frames: 5, bodies: vec![body] });
         let frame = Arc::new(LiveFrame {
             row,
             device_ticks: row * 10,
@@ -84,6 +95,7 @@ impl Feeds {
             positions_mm: vec![[row as f32, 2.0, f32::NAN]; n_markers],
             face: None,
             samples,
+            poses,
         });
         self.send(&LiveMessage::Frame(frame))
     }
@@ -121,5 +133,6 @@ fn table(n_markers: usize) -> Arc<LiveTable> {
         limbs: Vec::new(),
         face: None,
         groups: Vec::new(),
+        bodies: vec!["wand".to_owned()],
     })
 }

@@ -13,7 +13,7 @@ use mocapd_service::{
     http::{Problem, ProblemKind, openapi},
     live::{LiveFace, LiveLimb},
     playback::{
-        GapBins, LargestError, PlateList, PlateOverview, PlaybackEvent, TakeDifference,
+        BodyList, GapBins, LargestError, PlateList, PlateOverview, PlaybackEvent, TakeDifference,
         TakeOverview,
     },
     status::{
@@ -41,6 +41,7 @@ const ROUTES: &[(&str, &str)] = &[
     ("get", "/v1/quality"),
     ("get", "/v1/status"),
     ("get", "/v1/takes"),
+    ("get", "/v1/takes/{name}/bodies"),
     ("get", "/v1/takes/{name}/difference"),
     ("get", "/v1/takes/{name}/download"),
     ("get", "/v1/takes/{name}/face"),
@@ -49,6 +50,7 @@ const ROUTES: &[(&str, &str)] = &[
     ("get", "/v1/takes/{name}/notes"),
     ("get", "/v1/takes/{name}/overview"),
     ("get", "/v1/takes/{name}/plates"),
+    ("get", "/v1/takes/{name}/poses"),
     ("get", "/v1/takes/{name}/window"),
     ("get", "/v1/trash"),
     ("post", "/login"),
@@ -237,6 +239,13 @@ fn examples() -> Vec<(&'static str, Value)> {
                 missing_samples: vec![1],
                 lost_frames: vec![1],
                 ..GapBins::new(1)
+            })),
+        ),
+        (
+            "BodyList",
+            value(serde_json::to_value(BodyList {
+                names: vec!["wand".to_owned()],
+                window_frames_max: 1,
             })),
         ),
         (

@@ -1,5 +1,6 @@
 //! Tests of the HTTP API with a fake service, over real sockets.
 
+mod bodies;
 pub(crate) mod client;
 mod commands;
 mod connections;

@@ -167,7 +167,8 @@ fn frames_follow_their_table_of_markers() {
     let table: serde_json::Value = serde_json::from_slice(&table).unwrap();
     assert_eq!((kind, &table["labels"][1]), (1, &"m1".into()));
     served.fake.feeds.send_frame(7, 2);
-    viewer.until(|stream| stream.messages().len() == 3);
+    viewer.until(|stream| stream.messages().len() == 4);
+    assert_eq!(table["bodies"], serde_json::json!(["wand"]));
     let (kind, frame) = viewer.messages().remove(1);
     assert_eq!((kind, frame.len()), (2, 3 + 24 + 24));
     assert_eq!(u64::from_le_bytes(frame[3..11].try_into().unwrap()), 7);
@@ -177,9 +178,16 @@ fn frames_follow_their_table_of_markers() {
     assert_eq!((kind, &samples[..3]), (4, &[1, 0, 0][..]));
     assert_eq!(samples[3..15], [&40_u64.to_le_bytes()[..], &50_u32.to_le_bytes()].concat());
     assert_eq!(samples[15..], [(-0.5_f32).to_le_bytes(), 9_f32.to_le_bytes()].concat());
+    // And so do its rigid bodies: one, tracked in three frames of five.
+    let (kind, poses) = viewer.messages().remove(3);
+    assert_eq!((kind, &poses[..3], poses.len()), (5, &[0; 3][..], 3 + 8 + 36 + 8));
+    assert_eq!(poses[3..11], 5_u64.to_le_bytes());
+    let expected = [0.0, 0.25, 1.0, 2.0, 3.0, 0.6, 0.0, 0.8, 0.0_f32];
+    assert_eq!(poses[11..47], expected.map(f32::to_le_bytes).concat());
+    assert_eq!(poses[47..], 3_u64.to_le_bytes());
     // A later viewer gets the table at once.
     served.fake.feeds.send_table(5);
-    viewer.until(|stream| stream.messages().len() == 4);
+    viewer.until(|stream| stream.messages().len() == 5);
     let mut second = Stream::open(served.at, "/v1/live", &[]);
     second.until(|stream| stream.messages().len() == 1);
     assert_eq!(served.fake.feeds.send_frame(8, 5), 1, "one feed serves all viewers");

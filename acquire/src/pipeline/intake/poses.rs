@@ -4,11 +4,11 @@
 use mocapd_drivers::device::{BODIES_MAX, BodyInfo, EndOfPoses, Pose, PoseFrame};
 
 use super::Intake;
-use crate::pipeline::sampled::PosesOutcome;
-
-/// How long a command for a take waits for the poses of the last frame, in host nanoseconds: devices send them with the
-/// frame, so only a line that delivers both in different reads separates them.
-const WAIT_NS: u64 = 20_000_000;
+use crate::pipeline::{
+    plan::POSES_WAIT_NS,
+    publish_tap::PublishTapSender,
+    sampled::{NewPoses, PosesOutcome},
+};
 
 /// Poses whose frame has not come, and the frame whose poses have not.
 #[derive(Debug, Default)]
@@ -69,8 +69,9 @@ impl Intake {
         self.pose_step.last_poses = Some(frame.seq);
         let segment = self.clocks.segment();
         let outcome = self.samples.poses(frame, self.feed.next_stretch(), segment);
-        for tap in &mut self.publish {
-            tap.poses(frame.seq, self.samples.pose_rows());
+        if let Some(NewPoses { rows, n_frames, n_tracked }) = self.samples.new_poses() {
+            self.tap.offer_poses(frame.seq, n_frames, (rows, n_tracked));
+            self.publish.iter_mut().for_each(|tap| tap.poses(frame.seq, rows));
         }
         if let PosesOutcome::Refused { body } = outcome {
             self.count_refused(format_args!("poses of body {body}"));
@@ -109,7 +110,7 @@ impl Intake {
 
     /// Whether the poses of the last frame are still expected.
     pub(super) fn awaits_poses(&self, now_ns: u64) -> bool {
-        self.lacks_poses() && now_ns.saturating_sub(self.last_arrival_ns) < WAIT_NS
+        self.lacks_poses() && now_ns.saturating_sub(self.last_arrival_ns) < POSES_WAIT_NS
     }
 
     /// The poses of the last frame of a take did not come: its end does not wait any longer.
@@ -123,5 +124,7 @@ impl Intake {
     pub(super) fn reset_poses(&mut self) {
         self.flush_poses();
         self.pose_step.last_frame = None;
+        self.tap.forget_frame();
+        self.publish.iter_mut().for_each(PublishTapSender::forget_frame);
     }
 }

@@ -1,6 +1,5 @@
 //! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
 
-use mocapd_codec::poses::PoseRow;
 use mocapd_drivers::{
     device::{BodyInfo, EndOfPoses, PoseFrame, SampleBatch, SampledGroupInfo},
     link::SAMPLE_VALUES_MAX,
@@ -11,7 +10,7 @@ use super::{
     GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
     SampleWakes,
     counter::{BatchStep, SampleCounter},
-    poses::{PoseRows, PosesOutcome},
+    poses::{NewPoses, PoseRows, PosesOutcome},
     tap::SampleTapSender,
 };
 use crate::pipeline::{PipelineConfig, messages::BlockTime};
@@ -55,6 +54,8 @@ pub(in crate::pipeline) struct SampledIntake {
     by_id: [Option<u8>; 256],
     wakes: SampleWakes,
     poses: PoseRows,
+    /// Whether the poses of the last frame had not come before.
+    has_new_poses: bool,
     tap: SampleTapSender,
 }
 
@@ -137,7 +138,14 @@ impl SampledIntake {
             }
         });
         let groups = groups.collect();
-        Self { groups, by_id, wakes, poses: PoseRows::new(config.recorded_bodies()), tap }
+        Self {
+            groups,
+            by_id,
+            wakes,
+            poses: PoseRows::new(config.recorded_bodies()),
+            has_new_poses: false,
+            tap,
+        }
     }
 
     fn group_mut(&mut self, id: u8) -> Option<&mut GroupIntake> {
@@ -203,13 +211,16 @@ impl SampledIntake {
         segment: u32,
     ) -> PosesOutcome {
         let outcome = self.poses.fill(frame);
-        self.put_poses((frame.number, frame.device_ticks), stretch, segment);
+        self.has_new_poses = self.put_poses((frame.number, frame.device_ticks), stretch, segment);
+        if self.has_new_poses {
+            self.poses.count_tracked();
+        }
         outcome
     }
 
-    /// The rows of all bodies in the last frame that had poses, in the order of the bodies.
-    pub(in crate::pipeline) fn pose_rows(&self) -> &[PoseRow] {
-        self.poses.rows()
+    /// The poses of the last frame, unless they came before.
+    pub(in crate::pipeline) fn new_poses(&self) -> Option<NewPoses<'_>> {
+        self.has_new_poses.then(|| self.poses.last())
     }
 
     /// Counts the poses that are missing up to the end of a run.
@@ -223,7 +234,13 @@ impl SampledIntake {
         self.put_poses((end.number, end.device_ticks), stretch, segment);
     }
 
-    fn put_poses(&mut self, (number, device_ticks): (u32, u64), stretch: u64, segment: u32) {
+    /// Returns `false` if they came before.
+    fn put_poses(
+        &mut self,
+        (number, device_ticks): (u32, u64),
+        stretch: u64,
+        segment: u32,
+    ) -> bool {
         let Self { groups, by_id, wakes, poses, .. } = self;
         let index_of = |batch: &SampleBatch<'_>| by_id[usize::from(batch.group)].map(usize::from);
         let batches = poses
@@ -233,14 +250,19 @@ impl SampledIntake {
             groups.get(index).is_some_and(|group| group.has_room(&batch))
         };
         let have_room = batches.clone().all(has_room);
+        let mut are_new = false;
         for (index, batch) in batches {
             let Some(group) = groups.get_mut(index) else { continue };
             if !have_room {
-                group.lose(&batch, LossCauses::RING_FULL);
-            } else if group.batch(&batch, stretch, segment) {
+                are_new |= group.lose(&batch, LossCauses::RING_FULL);
+                continue;
+            }
+            if group.batch(&batch, stretch, segment) {
                 wakes.wake(index);
             }
+            are_new |= group.accepted.is_some();
         }
+        are_new
     }
 
     /// Ends the open blocks with a stretch, so that they are in the same takes, and begin where it can be decoded from
@@ -293,11 +315,13 @@ impl GroupIntake {
         usize::from(batch.n_channels) == n_channels && batch.form == self.info.form
     }
 
-    /// Counts the samples of a batch that cannot be stored.
-    fn lose(&mut self, batch: &SampleBatch<'_>, causes: LossCauses) {
-        if self.follow(batch) {
+    /// Counts the samples of a batch that cannot be stored. Returns `false` if it came before.
+    fn lose(&mut self, batch: &SampleBatch<'_>, causes: LossCauses) -> bool {
+        let is_new = self.follow(batch);
+        if is_new {
             self.add_lost(batch.n_samples() as u64, causes);
         }
+        is_new
     }
 
     /// Follows the numbers of a batch, and counts what is missing before it. Returns `false` if it came before.

@@ -41,7 +41,7 @@ use mocapd_take::{
 
 use self::coder::SampledGroupCoder;
 pub(super) use self::intake::{BatchOutcome, SampledIntake};
-pub(super) use self::poses::PosesOutcome;
+pub(super) use self::poses::{NewPoses, PosesOutcome};
 pub use self::tap::{SampleColumn, SampleRange, SampleTapReceiver};
 use super::{
     PipelineConfig,

@@ -2,7 +2,7 @@
 
 use mocapd_codec::{
     GROUP_CHANNELS,
-    poses::{GROUP_BODIES, POSE_CHANNELS, PoseRow, RESIDUAL_NOT_REPORTED, without_pose},
+    poses::{GROUP_BODIES, POSE_CHANNELS, PoseRow, RESIDUAL_NOT_REPORTED, has_pose, without_pose},
 };
 use mocapd_drivers::{
     device::{
@@ -55,6 +55,19 @@ pub(super) struct PoseRows {
     row: Vec<f32>,
     /// Whether the frame had any.
     has_samples: bool,
+    /// Frames with poses, and by body in how many of them it was tracked.
+    n_frames: u64,
+    n_tracked: Vec<u64>,
+}
+
+/// The poses of a frame that had not come before.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::pipeline) struct NewPoses<'a> {
+    /// By body.
+    pub(in crate::pipeline) rows: &'a [PoseRow],
+    /// Frames with poses so far, and by body in how many of them it was tracked.
+    pub(in crate::pipeline) n_frames: u64,
+    pub(in crate::pipeline) n_tracked: &'a [u64],
 }
 
 #[derive(Debug)]
@@ -68,7 +81,14 @@ impl PoseRows {
     pub(super) fn new(bodies: &[BodyInfo]) -> Self {
         let known = |info: &BodyInfo| KnownBody { info: info.clone(), is_contradicted: false };
         let row = vec![0.0; bodies.len() * POSE_CHANNELS];
-        Self { bodies: bodies.iter().map(known).collect(), last: None, row, has_samples: false }
+        Self {
+            bodies: bodies.iter().map(known).collect(),
+            last: None,
+            row,
+            has_samples: false,
+            n_frames: 0,
+            n_tracked: vec![0; bodies.len()],
+        }
     }
 
     /// Whether an announcement has the known bodies and no others.
@@ -110,9 +130,19 @@ impl PoseRows {
         outcome
     }
 
-    /// The rows of the last frame that had poses, by body.
-    pub(super) fn rows(&self) -> &[PoseRow] {
-        self.row.as_chunks().0
+    /// Counts the frame, and by body whether it was tracked in it.
+    pub(super) fn count_tracked(&mut self) {
+        self.n_frames += 1;
+        let (rows, _) = self.row.as_chunks::<POSE_CHANNELS>();
+        for (n_tracked, row) in self.n_tracked.iter_mut().zip(rows) {
+            *n_tracked += u64::from(has_pose(row));
+        }
+    }
+
+    /// The poses of the last frame that had any.
+    pub(super) fn last(&self) -> NewPoses<'_> {
+        let rows = self.row.as_chunks().0;
+        NewPoses { rows, n_frames: self.n_frames, n_tracked: &self.n_tracked }
     }
 
     /// Takes the number of samples at the end.

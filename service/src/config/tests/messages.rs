@@ -123,6 +123,8 @@ fn wrong_types_and_units_say_what_was_found_and_what_to_write() {
     wrong("take.stretch", "'49ms'", (2, 0), &["\"49ms\""]);
     wrong("take.tolerance", "'0mm'", (2, 0), &["\"0mm\"", "lossless = true"]);
     wrong("take.tolerance", "'1s'", (2, 0), &["\"1s\"", "'s'"]);
+    let range = ["0.0001", "10 degrees"];
+    wrong("take.angle_tolerance", "'11deg'", (2, 0), &["'11deg'", range[0], range[1]]);
     wrong("take.max_length", "'0s'", (2, 0), &["\"0s\""]);
     wrong("take.trash_keep", "'0s'", (2, 0), &["\"0s\""]);
     let offline = wrong("take.resampler", "'spline'", (2, 0), &["\"spline\""]);
@@ -188,6 +190,8 @@ fn contradictions_are_reported_where_they_are() {
     );
     let text = "[take]\nresampler = 'lossless'\ntolerance = '1mm'";
     assert_eq!(refused(text, (3, 0), "take.tolerance", &[]), with_tolerance);
+    let text = "[take]\nlossless = true\nangle_tolerance = '1deg'";
+    refused(text, (3, 0), "take.angle_tolerance", &["lossless", "angle_tolerance"]);
     for (resampler, lossless) in [("fast", "true"), ("lossless", "false")] {
         let text = format!("[take]\nresampler = '{resampler}'\nlossless = {lossless}");
         let both = [format!("lossless = {lossless}"), format!("resampler = \"{resampler}\"")];

@@ -12,6 +12,7 @@ use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
 use mocapd_simulator::generator::{ForcePlates, JumpSpec, Occlusion, RigidBodies};
 use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
+use mocapd_simulator::recorded::{self, RecordedSignals};
 use mocapd_simulator::sampled::SampledSource;
 use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
 use mocapd_take::motion::Motion;
@@ -56,9 +57,73 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
     Ok(motion)
 }
 
-/// The sampled channels of the device.
-pub(super) fn sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
-    let mut sources = Vec::new();
+/// The sampled channels and the rigid bodies of the device: those of the take, and those that the options add.
+pub(super) fn signals(args: &ServeArgs) -> Result<RecordedSignals, Failure> {
+    let mut signals = recorded(args)?;
+    sampled(args, &mut signals.sampled)?;
+    signals.bodies = match bodies(args)? {
+        None => signals.bodies,
+        generated => generated,
+    };
+    Ok(signals)
+}
+
+/// The sampled channels for a server on the network, which states them otherwise than the link protocol.
+pub(super) fn network_sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
+    let RecordedSignals { sampled, .. } = signals(args)?;
+    let is_recorded = args.take.is_some();
+    let mut kept = Vec::new();
+    for source in sampled {
+        if source.has_losses() {
+            let id = source.info().id;
+            notify(&format!(
+                "group {id} of the take is not sent: samples are missing in it, which only the link protocol can state"
+            ));
+        } else {
+            // The plates of a take may have any channels in any order.
+            kept.push(if is_recorded { source.without_plates() } else { source });
+        }
+    }
+    Ok(kept)
+}
+
+/// The sampled channels and rigid bodies of the take.
+fn recorded(args: &ServeArgs) -> Result<RecordedSignals, Failure> {
+    let is_take = |path: &&Path| {
+        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("take"))
+    };
+    let Some(path) = args.take.as_deref().filter(is_take) else {
+        return Ok(RecordedSignals::default());
+    };
+    let seconds = args.seconds.map(|seconds| seconds.as_secs_f64());
+    let mut found = recorded::read(path, seconds).map_err(|error| match error {
+        SourceError::Read { path, source } => files::cannot_read(&path, source).into(),
+        error => Failure::from(error),
+    })?;
+    let say = |what: &str| notify(&format!("{}: {what}", path.display()));
+    found.left_out.iter().for_each(|why| say(&format!("not sent: {why}")));
+    let has_any = !found.sampled.is_empty() || found.bodies.is_some();
+    if has_any && (args.speed != 1.0 || args.looping) {
+        say(
+            "its sampled channels and rigid bodies are not sent: they need a take that is played once, at its own speed",
+        );
+        return Ok(RecordedSignals::default());
+    }
+    if found.bodies.is_some() && args.rate.is_some() {
+        say("its rigid bodies are not sent at another rate: remove --rate");
+        found.bodies = None;
+    }
+    Ok(found)
+}
+
+/// Adds the sampled channels of the options.
+fn sampled(args: &ServeArgs, sources: &mut Vec<SampledSource>) -> Result<(), Failure> {
+    let next_id = |sources: &[SampledSource]| {
+        let is_free =
+            |id: &usize| sources.iter().all(|source| usize::from(source.info().id) != *id);
+        let message = format!("a device has at most {GROUPS_MAX} groups of sampled channels");
+        (0..GROUPS_MAX).find(is_free).ok_or_else(|| Failure::usage_message(message))
+    };
     if let (Some(rate_hz), Some(spec)) = (args.plates, generated(args)) {
         if args.speed != 1.0 || args.looping {
             return Err(Failure::usage_message(
@@ -69,19 +134,15 @@ pub(super) fn sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
         sources.push(SampledSource::plates(0, plates, rate_hz).map_err(Failure::usage)?);
     }
     for electrodes in &args.emg {
-        let (id, seed) = (sources.len(), args.generate.map_or(0, |Generated { seed }| seed));
-        if id >= GROUPS_MAX {
-            let message = format!("a device has at most {GROUPS_MAX} groups of sampled channels");
-            return Err(Failure::usage_message(message));
-        }
+        let (id, seed) = (next_id(sources)?, args.generate.map_or(0, |Generated { seed }| seed));
         let source = SampledSource::electrodes(id as u8, *electrodes, seed.wrapping_add(id as u64));
         sources.push(source.map_err(Failure::usage)?);
     }
-    Ok(sources)
+    Ok(())
 }
 
-/// The rigid bodies of the device.
-pub(super) fn bodies(args: &ServeArgs) -> Result<Option<Arc<RigidBodies>>, Failure> {
+/// The rigid bodies of the options.
+fn bodies(args: &ServeArgs) -> Result<Option<Arc<RigidBodies>>, Failure> {
     let (Some(n_bodies), Some(spec)) = (args.bodies, generated(args)) else { return Ok(None) };
     if args.speed != 1.0 || args.looping {
         return Err(Failure::usage_message(

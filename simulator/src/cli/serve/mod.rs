@@ -13,6 +13,7 @@ use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice, 
 use mocapd_simulator::faults::{FaultyDevice, Script};
 use mocapd_simulator::line::{ServeOptions, serve};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
+use mocapd_simulator::recorded::RecordedSignals;
 use mocapd_simulator::sampled::Electrodes;
 use mocapd_simulator::source::Generated;
 use mocapd_take::motion::Motion;
@@ -353,8 +354,7 @@ fn device(
                     "{name} happens to a NatNet server only: add --protocol natnet"
                 ));
             }
-            let sampled = input::sampled(args)?;
-            let bodies = input::bodies(args)?;
+            let RecordedSignals { sampled, bodies, .. } = input::signals(args)?;
             let faults = script.clone();
             let settings = DeviceSettings { faults, sampled, bodies, ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;

@@ -17,7 +17,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         speed: args.speed,
         looping: args.looping,
         faults: input::script(args)?,
-        sampled: input::sampled(args)?,
+        sampled: input::network_sampled(args)?,
     };
     let mut device = QtmDevice::new(motion, settings).map_err(|error| match error {
         QtmError::Device(error) => refused(error),
