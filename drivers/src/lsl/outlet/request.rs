@@ -15,9 +15,10 @@ pub(super) const REQUEST_BYTES_MAX: usize = 1 << 14;
 /// Bytes of a question for streams: those of liblsl have some hundred.
 const QUESTION_BYTES_MAX: usize = 1 << 10;
 
-/// Parentheses of a question that are opened: those of liblsl have none, and a program's a function or two. The parser calls
-/// itself for each, and some thousand would overflow the stack.
+/// Parentheses, other symbols and spaces of a question outside its texts: those of liblsl have some twenty. The parser and the
+/// evaluation call themselves for each, and some thousand would overflow the stack.
 const PARENTHESES_MAX: usize = 16;
+const SYMBOLS_MAX: usize = 64;
 
 /// How fast we convert the order of bytes, which decides whose order is used: as fast as any, so that a reader with another
 /// order gets its own.
@@ -137,8 +138,23 @@ impl Described {
     /// A question with conditions in brackets, `//` or `*` is not answered: a hostile one takes longer with each of them.
     pub(super) fn is_meant(&self, question: &str) -> bool {
         let is_costly = ["[", "//", "*"].iter().any(|part| question.contains(part));
-        let is_flat = question.matches('(').count() <= PARENTHESES_MAX;
-        let is_simple = question.len() <= QUESTION_BYTES_MAX && is_flat && !is_costly;
+        let is_simple = question.len() <= QUESTION_BYTES_MAX && is_flat(question) && !is_costly;
         is_simple && self.short.matches(question)
     }
+}
+
+fn is_flat(question: &str) -> bool {
+    let (mut quote, mut n_opened, mut n_symbols) = (None, 0, 0);
+    for c in question.chars() {
+        match quote {
+            Some(end) if c == end => quote = None,
+            Some(_) => {}
+            None if matches!(c, '\'' | '"') => quote = Some(c),
+            None => {
+                n_opened += usize::from(c == '(');
+                n_symbols += usize::from(!c.is_alphanumeric());
+            }
+        }
+    }
+    n_opened <= PARENTHESES_MAX && n_symbols <= SYMBOLS_MAX
 }
