@@ -30,19 +30,19 @@ pub(super) enum EntryKind {
 
 /// Messages that are sent, or dropped, together.
 #[derive(Debug)]
-struct Entry {
+struct QueuedEntry {
     bytes: Vec<u8>,
     kind: EntryKind,
 }
 
 /// Numbers of frames, and of batches of samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(super) struct Counts {
+pub(super) struct MissedCounts {
     pub(super) frames: u64,
     pub(super) batches: u64,
 }
 
-impl Counts {
+impl MissedCounts {
     pub(super) fn add(&mut self, other: Self) {
         self.frames += other.frames;
         self.batches += other.batches;
@@ -57,7 +57,7 @@ impl Counts {
 /// The messages that wait for a client.
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
-    entries: VecDeque<Entry>,
+    entries: VecDeque<QueuedEntry>,
     /// Bytes of the first entry that were sent.
     sent: usize,
     droppable_bytes: usize,
@@ -77,14 +77,14 @@ impl Outbox {
         if !bytes.is_empty() {
             self.other_bytes += bytes.len();
             self.other_entries += 1;
-            self.entries.push_back(Entry { bytes, kind: EntryKind::Other });
+            self.entries.push_back(QueuedEntry { bytes, kind: EntryKind::Other });
         }
         true
     }
 
     /// Appends the messages of a frame or batch. Returns what was dropped for them, the oldest first.
-    pub(super) fn put_droppable(&mut self, bytes: Vec<u8>, kind: EntryKind) -> Counts {
-        let mut dropped = Counts::default();
+    pub(super) fn put_droppable(&mut self, bytes: Vec<u8>, kind: EntryKind) -> MissedCounts {
+        let mut dropped = MissedCounts::default();
         while self.droppable_bytes + bytes.len() > DROPPABLE_BYTES_MAX
             || self.entries.len() >= ENTRIES_MAX
         {
@@ -95,7 +95,7 @@ impl Outbox {
             dropped.count(oldest);
         }
         self.droppable_bytes += bytes.len();
-        self.entries.push_back(Entry { bytes, kind });
+        self.entries.push_back(QueuedEntry { bytes, kind });
         dropped
     }
 
@@ -135,8 +135,8 @@ impl Outbox {
     }
 
     /// Drops all frames and batches of which nothing was sent. Returns their numbers.
-    pub(super) fn drop_all_droppable(&mut self) -> Counts {
-        let mut dropped = Counts::default();
+    pub(super) fn drop_all_droppable(&mut self) -> MissedCounts {
+        let mut dropped = MissedCounts::default();
         while let Some(oldest) = self.drop_oldest() {
             dropped.count(oldest);
         }
@@ -144,8 +144,8 @@ impl Outbox {
     }
 
     /// Drops everything; what the connection took a part of has no end then. Returns the frames and batches that were waiting.
-    pub(super) fn clear(&mut self) -> Counts {
-        let mut dropped = Counts::default();
+    pub(super) fn clear(&mut self) -> MissedCounts {
+        let mut dropped = MissedCounts::default();
         self.entries.iter().for_each(|entry| dropped.count(entry.kind));
         *self = Self { frames_sent: self.frames_sent, ..Self::default() };
         dropped
@@ -167,8 +167,8 @@ impl Outbox {
 mod tests {
     use super::*;
 
-    fn counts(frames: u64, batches: u64) -> Counts {
-        Counts { frames, batches }
+    fn counts(frames: u64, batches: u64) -> MissedCounts {
+        MissedCounts { frames, batches }
     }
 
     #[test]
@@ -197,7 +197,7 @@ mod tests {
     #[test]
     fn short_frames_are_bounded_by_their_number() {
         let mut outbox = Outbox::default();
-        let mut dropped = Counts::default();
+        let mut dropped = MissedCounts::default();
         for _ in 0..ENTRIES_MAX + 10 {
             dropped.add(outbox.put_droppable(vec![1], EntryKind::Frame));
         }

@@ -7,12 +7,12 @@ use mocapd_take::interchange::foxglove::Message;
 use tungstenite::{handshake::server::Request, http::StatusCode};
 
 use super::{
-    outbox::{Counts, EntryKind, Outbox},
+    outbox::{EntryKind, MissedCounts, Outbox},
     protocol::{
         Channel, ClientMessage, SUBPROTOCOLS, Subscription, put_advertise, put_error, put_message,
         put_server_info, put_time, put_unadvertise,
     },
-    web_socket::{Received, Refusal, WebSocket, refuse},
+    web_socket::{Received, RefusedHandshake, WebSocket, refuse},
 };
 use crate::publish::clients::{ClientLimits, NotAccepted};
 
@@ -37,7 +37,7 @@ pub(super) struct ClientReport {
     pub(super) subprotocol: &'static str,
     pub(super) is_streaming: bool,
     pub(super) frames_sent: u64,
-    pub(super) missed: Counts,
+    pub(super) missed: MissedCounts,
 }
 
 #[derive(Debug)]
@@ -59,9 +59,9 @@ struct Client {
     has_frames: bool,
     has_batches: bool,
     is_over: bool,
-    missed: Counts,
+    missed: MissedCounts,
     /// What of that it missed because it read too slowly.
-    dropped: Counts,
+    dropped: MissedCounts,
 }
 
 /// A server.
@@ -79,7 +79,7 @@ pub(super) struct FoxgloveServer {
     now: Duration,
     refused: u64,
     /// Frames that clients were sent which are gone, and what these missed.
-    gone: (u64, Counts),
+    gone: (u64, MissedCounts),
     news: Vec<String>,
 }
 
@@ -102,7 +102,7 @@ impl FoxgloveServer {
             next_client: 0,
             now: Duration::ZERO,
             refused: 0,
-            gone: (0, Counts::default()),
+            gone: (0, MissedCounts::default()),
             news: Vec::new(),
         }
     }
@@ -246,7 +246,7 @@ impl FoxgloveServer {
     }
 
     /// Frames that clients were sent, and what they missed, also those that are gone.
-    pub(super) fn totals(&self) -> (u64, Counts) {
+    pub(super) fn totals(&self) -> (u64, MissedCounts) {
         self.clients.iter().fold(self.gone, |(sent, mut missed), client| {
             missed.add(client.missed);
             (sent + client.outbox.frames_sent(), missed)
@@ -335,7 +335,7 @@ impl FoxgloveServer {
 }
 
 /// The subprotocol for a request, or why it is refused.
-fn accept(request: &Request, origins: &[String]) -> Result<&'static str, Refusal> {
+fn accept(request: &Request, origins: &[String]) -> Result<&'static str, RefusedHandshake> {
     // The script of any web page could connect from this machine, which may. Programs have no origin, or one of another scheme:
     // installed viewers that are web pages inside, and in some browsers pages that were saved as files, which a person has opened.
     for origin in request.headers().get_all("Origin") {
@@ -436,8 +436,8 @@ impl StreamServer for FoxgloveServer {
             has_frames: false,
             has_batches: false,
             is_over: false,
-            missed: Counts::default(),
-            dropped: Counts::default(),
+            missed: MissedCounts::default(),
+            dropped: MissedCounts::default(),
         });
         Ok(id)
     }
@@ -449,7 +449,7 @@ impl StreamServer for FoxgloveServer {
         let ClientReport { peer, frames_sent, .. } = client.report();
         self.gone.0 += frames_sent;
         self.gone.1.add(client.missed);
-        let Counts { frames, batches } = client.dropped;
+        let MissedCounts { frames, batches } = client.dropped;
         if (frames > 0 || batches > 0) && self.news.len() < NEWS_MAX {
             let n = frames_sent + client.missed.frames;
             self.news.push(format!(

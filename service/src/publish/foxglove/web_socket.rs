@@ -27,7 +27,7 @@ const HANDSHAKE_BYTES_MAX: usize = 16 << 10;
 const MESSAGE_BYTES_MAX: usize = 64 << 10;
 
 /// Why a handshake is refused: the HTTP status, and what to do.
-pub(super) type Refusal = (StatusCode, String);
+pub(super) type RefusedHandshake = (StatusCode, String);
 
 /// What a client sent.
 #[derive(Debug, PartialEq, Eq)]
@@ -45,12 +45,12 @@ pub(super) enum Received {
 /// The web socket of a client.
 #[derive(Debug)]
 pub(super) struct WebSocket {
-    state: State,
+    state: SocketState,
     buffers: Buffers,
 }
 
 #[derive(Debug)]
-enum State {
+enum SocketState {
     /// The bytes of its request so far.
     Handshake(Vec<u8>),
     Open(Box<WebSocketContext>),
@@ -67,44 +67,44 @@ struct Buffers {
 
 impl Default for WebSocket {
     fn default() -> Self {
-        Self { state: State::Handshake(Vec::new()), buffers: Buffers::default() }
+        Self { state: SocketState::Handshake(Vec::new()), buffers: Buffers::default() }
     }
 }
 
 impl WebSocket {
     /// Whether it is open.
     pub(super) fn is_open(&self) -> bool {
-        matches!(self.state, State::Open(_))
+        matches!(self.state, SocketState::Open(_))
     }
 
     /// Takes bytes of the client; `accept` chooses the subprotocol of its request. What is to be sent to it is appended to `out`.
     pub(super) fn receive(
         &mut self,
         bytes: &[u8],
-        accept: impl FnOnce(&Request) -> Result<&'static str, Refusal>,
+        accept: impl FnOnce(&Request) -> Result<&'static str, RefusedHandshake>,
         out: &mut Vec<u8>,
     ) -> Vec<Received> {
         let mut received = Vec::new();
         match &mut self.state {
-            State::Handshake(request) => {
+            SocketState::Handshake(request) => {
                 request.extend_from_slice(bytes);
                 match handshake(request, accept, out) {
                     Ok(None) => return received,
                     Ok(Some(size)) => {
                         received.push(Received::Opened);
                         self.buffers.input = request.split_off(size);
-                        self.state = State::Open(Box::new(context()));
+                        self.state = SocketState::Open(Box::new(context()));
                     }
                     Err((status, text)) => {
                         refuse(status, &text, out);
-                        self.state = State::Closed;
+                        self.state = SocketState::Closed;
                         received.push(Received::Closed);
                         return received;
                     }
                 }
             }
-            State::Open(_) => self.buffers.input.extend_from_slice(bytes),
-            State::Closed => return received,
+            SocketState::Open(_) => self.buffers.input.extend_from_slice(bytes),
+            SocketState::Closed => return received,
         }
         self.read(&mut received);
         out.append(&mut self.buffers.output);
@@ -113,7 +113,7 @@ impl WebSocket {
 
     /// Reads the messages that have arrived whole. Pings and a close are answered.
     fn read(&mut self, received: &mut Vec<Received>) {
-        let State::Open(context) = &mut self.state else { return };
+        let SocketState::Open(context) = &mut self.state else { return };
         loop {
             match context.read(&mut self.buffers) {
                 Ok(Message::Text(text)) => received.push(Received::Text(text.as_str().to_owned())),
@@ -125,7 +125,7 @@ impl WebSocket {
                 }
                 Err(_) => {
                     // The answer to a close is written.
-                    self.state = State::Closed;
+                    self.state = SocketState::Closed;
                     received.push(Received::Closed);
                     return;
                 }
@@ -133,7 +133,7 @@ impl WebSocket {
         }
         // A pong may wait for the next read.
         if context.flush(&mut self.buffers).is_err() {
-            self.state = State::Closed;
+            self.state = SocketState::Closed;
             received.push(Received::Closed);
         }
     }
@@ -170,9 +170,9 @@ fn context() -> WebSocketContext {
 /// Answers a request that is complete; returns its size, or `None` if it is not.
 fn handshake(
     bytes: &[u8],
-    accept: impl FnOnce(&Request) -> Result<&'static str, Refusal>,
+    accept: impl FnOnce(&Request) -> Result<&'static str, RefusedHandshake>,
     out: &mut Vec<u8>,
-) -> Result<Option<usize>, Refusal> {
+) -> Result<Option<usize>, RefusedHandshake> {
     const WHAT_TO_DO: &str = "this port speaks the Foxglove WebSocket protocol: open it in Foxglove or Lichtblick as a connection";
     let invalid = |error: tungstenite::Error| {
         (StatusCode::BAD_REQUEST, format!("{WHAT_TO_DO} (no web socket: {error})"))
