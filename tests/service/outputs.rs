@@ -9,7 +9,7 @@
 
 use std::{
     io::{ErrorKind, Read, Write},
-    net::{SocketAddr, TcpStream},
+    net::{Ipv4Addr, SocketAddr, TcpStream, UdpSocket},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -19,13 +19,20 @@ use std::{
 };
 
 use mocapd_acquire::heartbeat::Heartbeat;
-use mocapd_drivers::qtm::{PacketKind, PacketReader, put_text, read_frame};
+use mocapd_drivers::{
+    natnet::{Bitstream, FrameOfData, MessageKind},
+    qtm::{PacketKind, PacketReader, put_text, read_frame},
+};
 use mocapd_service::{
-    config::{DeviceChoice, FoxglovePublishConfig, QtmPublishConfig},
+    config::{
+        DeviceChoice, FoxglovePublishConfig, LslPublishConfig, NatNetPublishConfig,
+        QtmPublishConfig,
+    },
     control::{Control, Request},
     engine::{Engine, EngineOptions},
     publish::{
-        FOXGLOVE, PublishedFeed, PublisherName, QTM, RunningPublisher, open_foxglove, open_qtm,
+        FOXGLOVE, LSL, NATNET, PublishedFeed, PublisherName, QTM, RunningPublisher, open_foxglove,
+        open_lsl, open_natnet, open_qtm,
     },
     status::{PublishStatus, PublishedClient},
 };
@@ -34,7 +41,8 @@ use mocapd_testkit::random::Random;
 
 use super::{
     engine::{named, options, read, wait_until},
-    publish::{Source, crowd},
+    publish::{KNOWN_WITHIN, Source, crowd},
+    publish_network::{Client, asked, described},
 };
 use crate::support::fast;
 
@@ -44,9 +52,10 @@ struct Output {
     open: fn(PublishedFeed, &Arc<dyn Control>) -> RunningPublisher,
     /// A client that has requested all frames.
     request: fn(SocketAddr) -> TcpStream,
-    /// A frame's place in time, for each frame in what a client has read so far; frames follow each other by `step`.
+    /// A frame's place in time, for each frame in what a client has read so far; frames follow each other by `step`, if their
+    /// times are even.
     frames: fn() -> Box<dyn FrameReader>,
-    step: u64,
+    step: Option<u64>,
 }
 
 /// Finds frames in the bytes that a client reads.
@@ -55,7 +64,7 @@ trait FrameReader: Send {
     fn next(&mut self) -> Option<u64>;
 }
 
-/// Every publisher that there is. Further ones are further entries.
+/// The publishers whose clients connect by TCP. Those of NatNet have datagrams: [`NatNetClients`].
 const OUTPUTS: &[Output] = &[
     Output {
         name: QTM,
@@ -73,7 +82,7 @@ const OUTPUTS: &[Output] = &[
             stream
         },
         frames: || Box::new(QtmFrames(PacketReader::default())),
-        step: 1,
+        step: Some(1),
     },
     Output {
         name: FOXGLOVE,
@@ -88,7 +97,25 @@ const OUTPUTS: &[Output] = &[
             stream
         },
         frames: || Box::new(FoxgloveFrames { is_open: true, ..FoxgloveFrames::default() }),
-        step: 1_000_000,
+        step: Some(1_000_000),
+    },
+    Output {
+        name: LSL,
+        open: |feed, control| {
+            let config = LslPublishConfig { enabled: true, ..LslPublishConfig::default() };
+            let config = LslPublishConfig { clients_max: 10, ..config };
+            open_lsl(&config, feed, control).unwrap()
+        },
+        request: |address| {
+            let request = format!(
+                "LSL:streamfeed/110 {}\r\nNative-Byte-Order: 1234\r\nValue-Size: 4\r\nMax-Buffer-Length: 10000\r\n\
+                 Protocol-Version: 110\r\n\r\n",
+                described(address.port()).uid
+            );
+            asked(address.port(), &request)
+        },
+        frames: || Box::new(LslFrames::default()),
+        step: None,
     },
 ];
 
@@ -189,6 +216,87 @@ fn channel_ids(message: &[u8]) -> Vec<u64> {
     let message: serde_json::Value = serde_json::from_slice(message).unwrap();
     let channels = message["channels"].as_array().cloned().unwrap_or_default();
     channels.iter().map(|channel| channel["id"].as_u64().unwrap()).collect()
+}
+
+/// Samples behind the headers of a stream, after two that test the line: each has a tag, its time and three floats a marker.
+#[derive(Default)]
+struct LslFrames {
+    bytes: Vec<u8>,
+    is_open: bool,
+    n_tested: usize,
+}
+
+impl FrameReader for LslFrames {
+    fn extend(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
+        if !self.is_open
+            && let Some(end) = self.bytes.windows(4).position(|four| four == b"\r\n\r\n")
+        {
+            self.bytes.drain(..end + 4);
+            self.is_open = true;
+        }
+    }
+
+    fn next(&mut self) -> Option<u64> {
+        // Three of four markers of the crowd are labelled.
+        const SAMPLE_BYTES: usize = 1 + 8 + 3 * 4 * 150;
+        while self.is_open && self.bytes.len() >= SAMPLE_BYTES {
+            let sample: Vec<u8> = self.bytes.drain(..SAMPLE_BYTES).collect();
+            assert_eq!(sample[0], 2, "it has a time");
+            self.n_tested += 1;
+            if self.n_tested > 2 {
+                let time_s = f64::from_le_bytes(sample[1..9].try_into().unwrap());
+                return Some((time_s * 1e9) as u64);
+            }
+        }
+        None
+    }
+}
+
+/// Clients of NatNet, to which datagrams are sent whether they read them or not: one reads, one does not, and one sends garbage.
+struct NatNetClients {
+    good: JoinHandle<Vec<u32>>,
+    _deaf: Client,
+    garbage: JoinHandle<()>,
+}
+
+impl NatNetClients {
+    fn connect(address: SocketAddr, stop: &Arc<AtomicBool>) -> Self {
+        let (good, deaf) = (Client::connect(address), Client::connect(address));
+        let until = Arc::clone(stop);
+        let read = move || {
+            let mut numbers = Vec::new();
+            while !until.load(Ordering::Relaxed) {
+                if let Some(body) = good.next(MessageKind::Frame) {
+                    numbers.push(FrameOfData::read(&body, Bitstream::new(4, 1)).unwrap().number);
+                }
+                if numbers.len() % 500 == 0 {
+                    good.send(MessageKind::KeepAlive, "");
+                }
+            }
+            numbers
+        };
+        let good = Builder::new().name("client".to_owned()).spawn(read).unwrap();
+        let until = Arc::clone(stop);
+        let send = move || {
+            let mut random = Random::new(8);
+            let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+            while !until.load(Ordering::Relaxed) {
+                let length = (random.next_u64() % 1400) as usize;
+                let mut bytes: Vec<u8> = (0..length).map(|_| random.next_u64() as u8).collect();
+                // Half of them have a kind that exists.
+                if let [kind, high, ..] = &mut bytes[..]
+                    && *kind < 128
+                {
+                    (*kind, *high) = (*kind % 11, 0);
+                }
+                socket.send_to(&bytes, address).unwrap();
+                thread::sleep(Duration::from_millis(5));
+            }
+        };
+        let garbage = Builder::new().name("garbage".to_owned()).spawn(send).unwrap();
+        Self { good, _deaf: deaf, garbage }
+    }
 }
 
 /// A client that reads as fast as it can, until it is told to stop and nothing comes any more: the places of its frames.
@@ -292,7 +400,7 @@ fn all_outputs_with_hostile_clients_cost_the_recording_no_frame() {
     let directory = tempfile::tempdir().unwrap();
     let source = Source::new(crowd(), QtmSettings { looping: true, ..QtmSettings::default() });
     let options = options(directory.path(), directory.path());
-    let publishers = OUTPUTS.iter().map(|output| output.name).collect();
+    let publishers = OUTPUTS.iter().map(|output| output.name).chain([NATNET]).collect();
     let mut options = EngineOptions { publishers, ..options };
     options.device.uri = DeviceChoice::At(source.uri.parse().unwrap());
     options.take.codec = fast(1.0);
@@ -302,8 +410,15 @@ fn all_outputs_with_hostile_clients_cost_the_recording_no_frame() {
         .iter()
         .map(|output| (output.open)(engine.published(output.name).unwrap(), &control))
         .collect();
+    let config =
+        NatNetPublishConfig { enabled: true, data_port: 1, ..NatNetPublishConfig::default() };
+    let config = NatNetPublishConfig { bitstream: Bitstream::new(4, 1), clients_max: 10, ..config };
+    let natnet = open_natnet(&config, engine.published(NATNET).unwrap(), &control).unwrap();
     engine.arm(&Request::default()).unwrap();
     let stop = Arc::new(AtomicBool::new(false));
+    // Streams and settings begin anew while markers appear.
+    wait_until("all markers", || engine.status().input.frames > KNOWN_WITHIN.into());
+    let natnet_clients = NatNetClients::connect(natnet.address(), &stop);
     let mut clients: Vec<Clients> = OUTPUTS
         .iter()
         .zip(&running)
@@ -341,8 +456,9 @@ fn all_outputs_with_hostile_clients_cost_the_recording_no_frame() {
         assert!(places.is_sorted_by(|a, b| a < b), "{title}: in order, and none twice");
         assert_eq!(places.len() as u64, report.frames_sent, "{title}: {report:?}");
         let [first, last] = [0, places.len() - 1].map(|at| places[at]);
-        assert_eq!((last - first) % output.step, 0, "{title}");
-        let n_between = (last - first) / output.step + 1 - places.len() as u64;
+        assert_eq!((last - first) % output.step.unwrap_or(1), 0, "{title}");
+        let n_between =
+            output.step.map_or(0, |step| (last - first) / step + 1 - places.len() as u64);
         assert!(n_between <= report.frames_missed, "{title}: {n_between}, {report:?}");
         let wanted = report.frames_sent + report.frames_missed;
         let others = [&stuck, &slow].map(|stream| stream.local_addr().unwrap());
@@ -362,7 +478,13 @@ fn all_outputs_with_hostile_clients_cost_the_recording_no_frame() {
         );
         drop((good, stuck, slow));
     }
+    let NatNetClients { good, garbage, .. } = natnet_clients;
+    let numbers = good.join().unwrap();
+    garbage.join().unwrap();
+    assert!(numbers.is_sorted_by(|a, b| a < b), "in order, and none twice");
+    assert!(numbers.len() as u64 > ledger.recorded / 2, "{} frames of NatNet", numbers.len());
+    println!("NatNet: a client read {} frames", numbers.len());
     println!("recorded {} frames of {}", ledger.recorded, ledger.frames_sent);
-    running.into_iter().for_each(RunningPublisher::close);
+    running.into_iter().chain([natnet]).for_each(RunningPublisher::close);
     engine.stop_service();
 }

@@ -224,7 +224,7 @@ pub(super) fn crowd() -> Motion {
 }
 
 /// Frames within which the writer knows all markers, on the slowest machine.
-const KNOWN_WITHIN: u32 = 1500;
+pub(super) const KNOWN_WITHIN: u32 = 1500;
 
 /// Compares a frame with the source, float by float. The row of a frame is its number.
 fn assert_is_source(motion: &Motion, number: u32, body: &[u8]) {

@@ -108,10 +108,10 @@ fn motion(rate_hz: f64) -> Motion {
 }
 
 /// A NatNet client at a socket of its own.
-struct Client(UdpSocket);
+pub(super) struct Client(pub(super) UdpSocket);
 
 impl Client {
-    fn connect(server: SocketAddr) -> Self {
+    pub(super) fn connect(server: SocketAddr) -> Self {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         socket.connect(server).unwrap();
         socket.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
@@ -122,7 +122,7 @@ impl Client {
         client
     }
 
-    fn send(&self, kind: MessageKind, text: &str) {
+    pub(super) fn send(&self, kind: MessageKind, text: &str) {
         let mut bytes = Vec::new();
         match text {
             "" => put_message(kind, &mut bytes, |_| {}),
@@ -132,7 +132,7 @@ impl Client {
     }
 
     /// The content of the next message of a kind; `None` if there is none for a second.
-    fn next(&self, kind: MessageKind) -> Option<Vec<u8>> {
+    pub(super) fn next(&self, kind: MessageKind) -> Option<Vec<u8>> {
         let mut buffer = vec![0; 1 << 16];
         let until = Instant::now() + Duration::from_secs(1);
         loop {
@@ -217,14 +217,14 @@ fn natnet_clients_get_every_frame_in_their_version_with_the_sources_positions() 
     assert!(status.frames_sent >= 400 && status.frames_missed >= n_missed as u64, "{status:?}");
 }
 
-fn asked(port: u16, request: &str) -> TcpStream {
+pub(super) fn asked(port: u16, request: &str) -> TcpStream {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
     stream.write_all(request.as_bytes()).unwrap();
     stream
 }
 
-fn described(port: u16) -> StreamDescription {
+pub(super) fn described(port: u16) -> StreamDescription {
     let mut xml = String::new();
     asked(port, "LSL:fullinfo\r\n").read_to_string(&mut xml).unwrap();
     StreamDescription::parse(&xml).unwrap()
