@@ -59,7 +59,9 @@ fn a_recording_equals_what_was_sent() {
         }
         assert_eq!(n_missed, 180 - recorded);
         assert!(recorded > 60, "{recorded} of 180 frames");
-        std::fs::remove_file(folder.path("out.csv")).unwrap();
+        for file in ["out.csv", "out.poses.csv"] {
+            std::fs::remove_file(folder.path(file)).unwrap();
+        }
     }
 }
 

@@ -151,6 +151,7 @@ fn subscribe_to_all(stream: &mut TcpStream, address: SocketAddr) {
         assert_eq!(frames.next(), None, "nothing is subscribed to");
     }
     let subscription = |id: &u64| format!(r#"{{"id":{},"channelId":{id}}}"#, id + 100);
+    assert_eq!(frames.channels[0] + 100, u64::from(LOG_SUBSCRIPTION), "the server's first channel");
     let all: Vec<String> = frames.channels.iter().map(subscription).collect();
     let text = format!(r#"{{"op":"subscribe","subscriptions":[{}]}}"#, all.join(","));
     // A mask of zeros leaves the text as it is.
@@ -161,12 +162,17 @@ fn subscribe_to_all(stream: &mut TcpStream, address: SocketAddr) {
     stream.write_all(&message).unwrap();
 }
 
+/// The subscription to the log.
+const LOG_SUBSCRIPTION: u32 = 101;
+
 /// Frames of a web socket: each begins with a message of its time.
 #[derive(Default)]
 struct FoxgloveFrames {
     bytes: Vec<u8>,
     is_open: bool,
     channels: Vec<u64>,
+    /// The time of the next message.
+    time_ns: Option<u64>,
 }
 
 impl FrameReader for FoxgloveFrames {
@@ -199,9 +205,13 @@ impl FrameReader for FoxgloveFrames {
             match (kind, payload.first()) {
                 (0x81, _) => self.channels.extend(channel_ids(payload)),
                 (0x82, Some(2)) => {
-                    found = Some(u64::from_le_bytes(payload[1..9].try_into().unwrap()));
+                    self.time_ns = Some(u64::from_le_bytes(payload[1..9].try_into().unwrap()));
                 }
-                (0x82, Some(1)) => {}
+                (0x82, Some(1)) => {
+                    // The log states its time while there is no device.
+                    let time_ns = self.time_ns.take();
+                    found = time_ns.filter(|_| payload[1..5] != LOG_SUBSCRIPTION.to_le_bytes());
+                }
                 other => panic!("{other:?}"),
             }
             at += 2 + n_long + length;
@@ -310,7 +320,8 @@ fn read_all(
     loop {
         let is_over = stop.load(Ordering::Relaxed);
         match stream.read(&mut buffer) {
-            Ok(0) => panic!("the connection was closed"),
+            // As streams of LSL are, when their device is disarmed.
+            Ok(0) => break,
             Ok(n) => {
                 frames.extend(&buffer[..n]);
                 places.extend(std::iter::from_fn(|| frames.next()));
@@ -353,7 +364,7 @@ struct Clients {
     output: &'static Output,
     local: SocketAddr,
     good: JoinHandle<(TcpStream, Vec<u64>)>,
-    garbage: JoinHandle<()>,
+    garbage: Option<JoinHandle<()>>,
     stuck: TcpStream,
     slow: TcpStream,
 }
@@ -367,7 +378,7 @@ impl Clients {
         let good = Builder::new().name("client".to_owned()).spawn(read).unwrap();
         let until = Arc::clone(stop);
         let garbage = move || send_garbage(output, address, &until);
-        let garbage = Builder::new().name("garbage".to_owned()).spawn(garbage).unwrap();
+        let garbage = Builder::new().name("garbage".to_owned()).spawn(garbage).ok();
         let [stuck, slow] = [(); 2].map(|()| (output.request)(address));
         Self { output, local, good, garbage, stuck, slow }
     }
@@ -444,16 +455,23 @@ fn all_outputs_with_hostile_clients_cost_the_recording_no_frame() {
     assert!(ledger.closes && ledger.recorded > 2000, "{ledger:?}");
     assert_eq!(ledger.frames_sent, ledger.recorded, "{ledger:?}");
     read(&started.path);
-    engine.disarm(&Request::default()).unwrap();
     stop.store(true, Ordering::Relaxed);
-    for Clients { output, local, good, garbage, stuck, slow } in clients {
-        let (good, places) = good.join().unwrap();
+    for garbage in clients.iter_mut().filter_map(|clients| clients.garbage.take()) {
         garbage.join().unwrap();
+    }
+    engine.disarm(&Request::default()).unwrap();
+    for Clients { output, local, good, stuck, slow, .. } in clients {
+        let (good, places) = good.join().unwrap();
         let title = output.name.title;
         // The status is 200 ms old at most.
         thread::sleep(Duration::from_millis(500));
-        let report = client(&engine, output, local).unwrap();
         assert!(places.is_sorted_by(|a, b| a < b), "{title}: in order, and none twice");
+        let Some(report) = client(&engine, output, local) else {
+            let n_sent = status(&engine, output).frames_sent;
+            assert!((2000..=n_sent).contains(&(places.len() as u64)), "{title}: {n_sent}");
+            println!("{title}: a client read {} frames", places.len());
+            continue;
+        };
         assert_eq!(places.len() as u64, report.frames_sent, "{title}: {report:?}");
         let [first, last] = [0, places.len() - 1].map(|at| places[at]);
         assert_eq!((last - first) % output.step.unwrap_or(1), 0, "{title}");

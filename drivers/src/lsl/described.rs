@@ -1,12 +1,18 @@
 //! Descriptions of streams that we publish, by the conventions of the XDF wiki.
 
-pub use labstream_core::net::{StreamInfo, info::hostname};
+pub use labstream_core::net::StreamInfo;
 use labstream_core::{
     net::Node,
     wire::{Format, IRREGULAR_RATE},
 };
 
 use crate::device::SampledGroupInfo;
+
+/// The name of this machine. `labstream-core` reads it from `/proc/sys`, which the sandbox of our unit hides.
+#[must_use]
+pub fn hostname() -> String {
+    rustix::system::uname().nodename().to_string_lossy().into_owned()
+}
 
 /// Channels of a body in a stream of poses, each with its type and its unit: the quaternion's real part, then its three axial
 /// components.
@@ -35,6 +41,7 @@ impl Publisher<'_> {
     fn info(&self, kind: &str, n_channels: usize, format: Format, rate_hz: f64) -> StreamInfo {
         let mut info = StreamInfo::new(self.name, kind, n_channels as u32, format, rate_hz);
         self.source_id.clone_into(&mut info.source_id);
+        info.hostname = hostname();
         info
     }
 

@@ -62,6 +62,12 @@ impl Components {
         all.filter(|(_, named)| *named).map(|(kind, _)| kind)
     }
 
+    /// Whether there are components of rigid bodies.
+    #[must_use]
+    pub fn has_bodies(&self) -> bool {
+        self.bodies().next().is_some()
+    }
+
     /// Whether there are components of samples.
     #[must_use]
     pub fn has_samples(&self) -> bool {

@@ -366,6 +366,10 @@ impl LivePublisher for LslPublisher {
         }
     }
 
+    fn wants_poses(&self) -> bool {
+        self.is_read(POSES)
+    }
+
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame) {
         let [markers, poses] = [MARKERS, POSES].map(|stream| self.port(stream));
         let Some(served) = &mut self.device else { return };

@@ -150,9 +150,7 @@ pub(crate) trait LivePublisher {
     fn wanted(&self) -> WantedKinds;
 
     /// Whether the poses of these frames are wanted, too: frames of a device with bodies wait for them, up to the next frame.
-    fn wants_poses(&self) -> bool {
-        true
-    }
+    fn wants_poses(&self) -> bool;
 
     /// Passes a frame on to the clients that want frames; some come after none is wanted any more.
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame);

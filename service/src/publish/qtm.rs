@@ -224,6 +224,10 @@ impl LivePublisher for QtmPublisher {
         WantedKinds { frames: server.wants_frames(), samples: server.wants_samples() }
     }
 
+    fn wants_poses(&self) -> bool {
+        self.server.server.wants_bodies()
+    }
+
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame) {
         self.server.server.left_out(frame.frames_left_out);
         if self.map.follow(frame.markers.len(), &device.progress) {

@@ -345,6 +345,10 @@ mod tests {
             WantedKinds { frames: true, samples: true }
         }
 
+        fn wants_poses(&self) -> bool {
+            true
+        }
+
         fn frame(&mut self, _: &PublishedDevice, frame: &TappedFrame) {
             let mut seen = self.seen();
             assert!(!seen.panics, "as the test wants");

@@ -165,6 +165,15 @@ impl QtmServer {
         self.clients.iter().any(wants)
     }
 
+    /// Whether a client requests rigid bodies.
+    #[must_use]
+    pub fn wants_bodies(&self) -> bool {
+        self.clients.iter().any(|client| {
+            let stream = client.stream.as_ref().map(|stream| stream.components);
+            stream.into_iter().chain(client.one_frame).any(|components| components.has_bodies())
+        })
+    }
+
     /// Whether a client requests samples of analog devices or force plates.
     #[must_use]
     pub fn wants_samples(&self) -> bool {

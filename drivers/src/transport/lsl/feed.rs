@@ -105,7 +105,7 @@ impl Feed {
         let format = wire_format(description.format);
         let mut params = FeedParams::new(&description.uid, format);
         params.source_id = header_value(&description.source_id);
-        params.hostname = header_value(&labstream_core::net::info::hostname());
+        params.hostname = header_value(&crate::lsl::hostname());
         params.session_id = header_value(&config::get().session_id);
         params.max_buffer_length = match description.rate_hz {
             0.0 => KEPT_IRREGULAR,

@@ -8,7 +8,6 @@ use std::{
 };
 
 use labstream_core::net::config;
-use socket2::{Domain, Protocol, Socket, Type};
 
 use super::feed::monotonic_ns;
 use crate::{
@@ -16,6 +15,7 @@ use crate::{
     transport::network::{
         interfaces,
         server::{StreamServer, TcpServer},
+        shared_socket,
     },
 };
 
@@ -178,12 +178,7 @@ fn in_range<T>(mut open: impl FnMut(u16) -> io::Result<T>) -> io::Result<T> {
 /// machine share the port.
 fn questions(address: Ipv4Addr) -> io::Result<UdpSocket> {
     let settings = config::get();
-    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
-    socket.set_reuse_address(true)?;
-    socket.set_broadcast(true)?;
-    socket.set_nonblocking(true)?;
-    socket.bind(&SocketAddr::from((Ipv4Addr::UNSPECIFIED, settings.multicast_port)).into())?;
-    let socket = socket.into();
+    let socket = shared_socket(settings.multicast_port)?;
     join_groups(&socket, address);
     Ok(socket)
 }

@@ -20,6 +20,7 @@ use std::{
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use self::datagrams::DatagramSocket;
+pub(in crate::transport) use self::multicast::shared_socket;
 pub use self::{
     multicast::{Interface, interfaces, multicast_sender},
     search::search,

@@ -8,6 +8,19 @@ use std::{
 use nix::ifaddrs::getifaddrs;
 use socket2::{Domain, Protocol, Socket, Type};
 
+/// A socket that gets the datagrams of all networks for a port, which several programs of this machine share.
+///
+/// # Errors
+/// The system's.
+pub(in crate::transport) fn shared_socket(port: u16) -> io::Result<UdpSocket> {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_reuse_address(true)?;
+    socket.set_broadcast(true)?;
+    socket.set_nonblocking(true)?;
+    socket.bind(&SocketAddr::from((Ipv4Addr::UNSPECIFIED, port)).into())?;
+    Ok(socket.into())
+}
+
 /// An IPv4 address of an interface of this machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Interface {

@@ -26,7 +26,7 @@ use self::{
     protocol::Channel,
     server::{ClientId, ClientReport, FoxgloveServer},
     stream_time::unix_now_ns,
-    topics::{DeviceTopics, LOG},
+    topics::{DeviceTopics, LOG, TRANSFORMS},
 };
 use super::{
     LivePublisher, PublishedDevice, PublishedFeed, PublisherName, RunningPublisher, WantedKinds,
@@ -122,6 +122,10 @@ impl LivePublisher for FoxglovePublisher {
         let topics = self.topics.as_ref();
         let [frames, samples] = topics.map_or([false; 2], |topics| topics.wanted(&self.server));
         WantedKinds { frames, samples }
+    }
+
+    fn wants_poses(&self) -> bool {
+        self.topics.is_some() && self.server.is_wanted(TRANSFORMS)
     }
 
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame) {

@@ -38,7 +38,7 @@ const DISPLAYED_HZ: u64 = 60;
 const MARKERS: &str = "/markers";
 const SPHERES: &str = "/spheres";
 const LINES: &str = "/lines";
-const TRANSFORMS: &str = "/tf";
+pub(super) const TRANSFORMS: &str = "/tf";
 const OF_EVERY_FRAME: [&str; 4] = [MARKERS, SPHERES, LINES, TRANSFORMS];
 
 /// Those that are sent less often.

@@ -222,6 +222,11 @@ impl LivePublisher for NatNetPublisher {
         WantedKinds { frames, samples }
     }
 
+    fn wants_poses(&self) -> bool {
+        // Every frame has the bodies.
+        true
+    }
+
     fn frame(&mut self, device: &PublishedDevice, frame: &TappedFrame) {
         self.server.left_out(frame.frames_left_out);
         let followed = self.device.as_mut().and_then(|it| it.follow(device, frame.markers.len()));

@@ -88,6 +88,22 @@ pub(super) fn network_signals(args: &ServeArgs) -> Result<RecordedSignals, Failu
     Ok(RecordedSignals { sampled: kept, bodies, left_out })
 }
 
+/// The sampled channels for a server that sends no rigid bodies.
+pub(super) fn network_sampled(args: &ServeArgs) -> Result<Vec<SampledSource>, Failure> {
+    if args.bodies.is_some() {
+        return Err(Failure::usage_message(
+            "--bodies needs the link protocol or --protocol qtm: remove it",
+        ));
+    }
+    let RecordedSignals { sampled, bodies, .. } = network_signals(args)?;
+    if bodies.is_some() {
+        notify(
+            "the rigid bodies of the take are not sent: the link protocol and --protocol qtm have them",
+        );
+    }
+    Ok(sampled)
+}
+
 /// The sampled channels and rigid bodies of the take.
 fn recorded(args: &ServeArgs) -> Result<RecordedSignals, Failure> {
     let is_take = |path: &&Path| {

@@ -17,7 +17,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         speed: args.speed,
         looping: args.looping,
         faults: input::script(args)?,
-        sampled: input::network_signals(args)?.sampled,
+        sampled: input::network_sampled(args)?,
     };
     let mut device = LslDevice::new(motion, settings).map_err(|error| match error {
         LslError::Device(error) => refused(error),

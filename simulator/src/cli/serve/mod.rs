@@ -359,6 +359,10 @@ fn device(
             let settings = DeviceSettings { faults, sampled, bodies, ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));
+            let RecordedSignals { sampled, bodies, .. } = input::signals(args)?;
+            if !sampled.is_empty() || bodies.is_some() {
+                notify("an NDI system sends markers: what else the take has is not sent");
+            }
             let rate_millihertz = device.hello().rate_millihertz;
             match script {
                 Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_millihertz),

@@ -70,7 +70,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         looping: args.looping,
         bitstream: natnet.bitstream.unwrap_or(Bitstream::NEWEST),
         rigid_bodies: natnet.rigid_body.clone(),
-        sampled: input::network_signals(args)?.sampled,
+        sampled: input::network_sampled(args)?,
         faults: input::script(args)?,
         ..NatNetSettings::new(stream)
     };
