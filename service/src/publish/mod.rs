@@ -75,12 +75,6 @@ pub fn open_all(
     control: &Arc<dyn Control>,
 ) -> anyhow::Result<Vec<RunningPublisher>> {
     let mut running = Vec::new();
-    #[cfg(not(feature = "full"))]
-    if config.publish_foxglove.enabled {
-        // A rig records without a viewer.
-        let message = crate::config::FoxglovePublishConfig::NOT_BUILT;
-        control.notify(crate::status::ServiceEventKind::Warning, message);
-    }
     if let Some(feed) = published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
     }
