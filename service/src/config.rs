@@ -15,7 +15,7 @@ mod tests;
 
 use std::{
     fmt::{self, Write},
-    net::{Ipv4Addr, SocketAddr},
+    net::SocketAddr,
     path::{self, Path, PathBuf},
     time::Duration,
 };
@@ -39,7 +39,7 @@ pub use self::{
     keys::{example, table},
     name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name, is_reserved_name},
     problem::{ConfigError, ConfigProblem, PROBLEMS_MAX, SourceLocation},
-    publishers::{LslPublishConfig, NatNetPublishConfig},
+    publishers::{FoxglovePublishConfig, LslPublishConfig, NatNetPublishConfig, QtmPublishConfig},
     read::{CONFIG_BYTES_MAX, CONFIG_PATH, Environment, Overrides},
 };
 use crate::{log::Level, subject::SubjectFiles, trigger::Network};
@@ -171,120 +171,6 @@ pub struct TriggerConfig {
     pub allow_from: Vec<Network>,
     /// Longest delay that a trigger may ask for.
     pub delay_max: Duration,
-}
-
-/// The section `[publish.qtm]`.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct QtmPublishConfig {
-    /// Whether it is published.
-    pub enabled: bool,
-    /// The TCP address.
-    pub listen: SocketAddr,
-    /// The other machines that may connect.
-    pub allow_from: Vec<Network>,
-    /// Limit on simultaneous clients.
-    pub clients_max: usize,
-    /// Whether a client may take control.
-    pub control: bool,
-    /// The file with the password for it.
-    pub password_file: Option<PathBuf>,
-}
-
-impl Default for QtmPublishConfig {
-    fn default() -> Self {
-        Self {
-            enabled: false,
-            listen: (Ipv4Addr::LOCALHOST, 0).into(),
-            allow_from: Vec::new(),
-            clients_max: 0,
-            control: false,
-            password_file: None,
-        }
-    }
-}
-
-impl QtmPublishConfig {
-    /// Remarks on the section, one line each.
-    fn notes(&self) -> Vec<String> {
-        let Self { enabled: true, listen, allow_from, control, password_file, .. } = self else {
-            return Vec::new();
-        };
-        let mut notes = reach_notes("publish.qtm", *listen, allow_from);
-        if !is_local(*listen) && *control {
-            notes.push(
-                "publish.qtm.control is on: the password is sent over the network unencrypted; use a network that you trust"
-                    .to_owned(),
-            );
-        }
-        if !control && password_file.is_some() {
-            notes.push(
-                "publish.qtm.password_file has no effect: publish.qtm.control is false".to_owned(),
-            );
-        }
-        notes
-    }
-}
-
-fn is_local(listen: SocketAddr) -> bool {
-    listen.ip().to_canonical().is_loopback()
-}
-
-/// Remarks on the keys `listen` and `allow_from` of a section whose server is enabled, if they contradict each other.
-fn reach_notes(section: &str, listen: SocketAddr, allow_from: &[Network]) -> Vec<String> {
-    match (is_local(listen), allow_from) {
-        (true, [_, ..]) => vec![format!(
-            "{section}.allow_from has no effect: only this machine can reach {section}.listen = {listen}; \
-             listen on 0.0.0.0:{} for others",
-            listen.port()
-        )],
-        (false, []) => vec![format!(
-            "{section}.listen is {listen}, but no other machine may connect: list those that may in \
-             {section}.allow_from, such as allow_from = [\"192.168.10.0/24\"]"
-        )],
-        _ => Vec::new(),
-    }
-}
-
-/// The section `[publish.foxglove]`.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct FoxglovePublishConfig {
-    /// Whether it is published.
-    pub enabled: bool,
-    /// The TCP address.
-    pub listen: SocketAddr,
-    /// The other machines that may connect.
-    pub allow_from: Vec<Network>,
-    /// The web pages whose scripts may connect.
-    pub origins: Vec<String>,
-    /// Limit on simultaneous clients.
-    pub clients_max: usize,
-}
-
-impl Default for FoxglovePublishConfig {
-    fn default() -> Self {
-        Self {
-            enabled: false,
-            listen: (Ipv4Addr::LOCALHOST, 0).into(),
-            allow_from: Vec::new(),
-            origins: Vec::new(),
-            clients_max: 0,
-        }
-    }
-}
-
-impl FoxglovePublishConfig {
-    /// What to do where the service has no server for Foxglove.
-    pub(crate) const NOT_BUILT: &str = "publish.foxglove.enabled is true, but this build cannot publish for Foxglove: use the \
-        Debian package, or build with `cargo build --release --features full`";
-
-    /// Remarks on the section, one line each.
-    fn notes(&self) -> Vec<String> {
-        match self {
-            Self { enabled: false, .. } => Vec::new(),
-            _ if cfg!(not(feature = "full")) => vec![Self::NOT_BUILT.to_owned()],
-            Self { listen, allow_from, .. } => reach_notes("publish.foxglove", *listen, allow_from),
-        }
-    }
 }
 
 impl fmt::Display for DeviceChoice {

@@ -116,6 +116,10 @@ pub struct PublishStatus {
     pub frames_sent: u64,
     /// Frames that clients missed since then, also those that have left.
     pub frames_missed: u64,
+    /// Batches of sampled channels that clients missed since then, also those that have left, where they are not parts of
+    /// frames.
+    #[serde(default)]
+    pub batches_missed: u64,
     /// Frames of those that all clients missed because the server was too slow.
     #[serde(default)]
     pub frames_left_out: u64,
@@ -146,7 +150,7 @@ pub struct PublishedClient {
     pub is_streaming: bool,
     /// Whether it may start and stop takes.
     pub is_in_control: bool,
-    /// Frames that it was sent.
+    /// Frames that it was sent; of LSL's other streams batches of samples, or events.
     pub frames_sent: u64,
     /// Frames that it requested and missed, because it read too slowly or the network took no more.
     pub frames_missed: u64,

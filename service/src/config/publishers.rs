@@ -1,10 +1,65 @@
-//! The sections `[publish.natnet]` and `[publish.lsl]`.
+//! The sections of publishers: `[publish.qtm]` and so on.
 
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::{
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4},
+    path::PathBuf,
+};
 
 use mocapd_drivers::natnet::Bitstream;
 
 use super::Network;
+
+/// The section `[publish.qtm]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct QtmPublishConfig {
+    /// Whether it is published.
+    pub enabled: bool,
+    /// The TCP address.
+    pub listen: SocketAddr,
+    /// The other machines that may connect.
+    pub allow_from: Vec<Network>,
+    /// Limit on simultaneous clients.
+    pub clients_max: usize,
+    /// Whether a client may take control.
+    pub control: bool,
+    /// The file with the password for it.
+    pub password_file: Option<PathBuf>,
+}
+
+impl Default for QtmPublishConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            listen: (Ipv4Addr::LOCALHOST, 0).into(),
+            allow_from: Vec::new(),
+            clients_max: 0,
+            control: false,
+            password_file: None,
+        }
+    }
+}
+
+impl QtmPublishConfig {
+    /// Remarks on the section, one line each.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let Self { enabled: true, listen, allow_from, control, password_file, .. } = self else {
+            return Vec::new();
+        };
+        let mut notes = reach_notes("publish.qtm", *listen, allow_from);
+        if !is_local(listen.ip()) && *control {
+            notes.push(
+                "publish.qtm.control is on: the password is sent over the network unencrypted; use a network that you trust"
+                    .to_owned(),
+            );
+        }
+        if !control && password_file.is_some() {
+            notes.push(
+                "publish.qtm.password_file has no effect: publish.qtm.control is false".to_owned(),
+            );
+        }
+        notes
+    }
+}
 
 /// The section `[publish.natnet]`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -45,10 +100,10 @@ impl NatNetPublishConfig {
         let Self { enabled: true, listen, multicast, allow_from, .. } = self else {
             return Vec::new();
         };
-        let is_local = listen.ip().to_canonical().is_loopback();
-        let example = format!("0.0.0.0:{}", listen.port());
-        let mut notes = reach_notes("natnet", &listen.to_string(), &example, is_local, allow_from);
-        if !is_local && let Some(group) = multicast {
+        let mut notes = reach_notes("publish.natnet", *listen, allow_from);
+        if !is_local(listen.ip())
+            && let Some(group) = multicast
+        {
             notes.push(format!(
                 "publish.natnet.multicast is {group}: every machine of that network can read the frames, whatever \
                  publish.natnet.allow_from says"
@@ -72,7 +127,7 @@ impl NatNetPublishConfig {
     pub(super) fn multicast_problem(&self) -> Option<String> {
         let group = self.multicast?;
         match self.listen.ip() {
-            std::net::IpAddr::V4(ip) if !ip.is_unspecified() => None,
+            IpAddr::V4(ip) if !ip.is_unspecified() => None,
             _ => Some(format!(
                 "frames to the group {group} leave by one interface: set publish.natnet.listen to its IPv4 address, such as \
                  192.168.10.2:{}",
@@ -108,26 +163,83 @@ impl LslPublishConfig {
         let Self { enabled: true, listen, allow_from, .. } = self else {
             return Vec::new();
         };
-        reach_notes("lsl", &listen.to_string(), "0.0.0.0", listen.is_loopback(), allow_from)
+        // Its ports are those of LSL's configuration.
+        let texts = [listen.to_string(), Ipv4Addr::UNSPECIFIED.to_string()];
+        notes_on_reach("publish.lsl", &texts, listen.is_loopback(), allow_from)
     }
 }
 
+/// The section `[publish.foxglove]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FoxglovePublishConfig {
+    /// Whether it is published.
+    pub enabled: bool,
+    /// The TCP address.
+    pub listen: SocketAddr,
+    /// The other machines that may connect.
+    pub allow_from: Vec<Network>,
+    /// The web pages whose scripts may connect.
+    pub origins: Vec<String>,
+    /// Limit on simultaneous clients.
+    pub clients_max: usize,
+}
+
+impl Default for FoxglovePublishConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            listen: (Ipv4Addr::LOCALHOST, 0).into(),
+            allow_from: Vec::new(),
+            origins: Vec::new(),
+            clients_max: 0,
+        }
+    }
+}
+
+impl FoxglovePublishConfig {
+    /// What to do where the service has no server for Foxglove.
+    const NOT_BUILT: &str = "publish.foxglove.enabled is true, but this build cannot publish for Foxglove: use the \
+        Debian package, or build with `cargo build --release --features full`";
+
+    /// Remarks on the section, one line each.
+    pub(super) fn notes(&self) -> Vec<String> {
+        match self {
+            Self { enabled: false, .. } => Vec::new(),
+            _ if cfg!(not(feature = "full")) => vec![Self::NOT_BUILT.to_owned()],
+            Self { listen, allow_from, .. } => reach_notes("publish.foxglove", *listen, allow_from),
+        }
+    }
+}
+
+fn is_local(listen: IpAddr) -> bool {
+    listen.to_canonical().is_loopback()
+}
+
 /// Remarks on a section whose address and networks contradict each other.
-fn reach_notes(
-    id: &str,
-    listen: &str,
-    example: &str,
+fn reach_notes(section: &str, listen: SocketAddr, allow_from: &[Network]) -> Vec<String> {
+    let all: IpAddr = match listen.ip() {
+        IpAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+        IpAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
+    };
+    let texts = [listen.to_string(), SocketAddr::new(all, listen.port()).to_string()];
+    notes_on_reach(section, &texts, is_local(listen.ip()), allow_from)
+}
+
+/// The same with the address, and that of all networks, as they are to be written.
+fn notes_on_reach(
+    section: &str,
+    [listen, all]: &[String; 2],
     is_local: bool,
     allow_from: &[Network],
 ) -> Vec<String> {
     match (is_local, allow_from.is_empty()) {
         (true, false) => vec![format!(
-            "publish.{id}.allow_from has no effect: only this machine can reach publish.{id}.listen = {listen}; listen on \
-             {example} for others"
+            "{section}.allow_from has no effect: only this machine can reach {section}.listen = {listen}; listen on {all} \
+             for others"
         )],
         (false, true) => vec![format!(
-            "publish.{id}.listen is {listen}, but no other machine may connect: list those that may in \
-             publish.{id}.allow_from, such as allow_from = [\"192.168.10.0/24\"]"
+            "{section}.listen is {listen}, but no other machine may connect: list those that may in \
+             {section}.allow_from, such as allow_from = [\"192.168.10.0/24\"]"
         )],
         _ => Vec::new(),
     }

@@ -331,7 +331,7 @@ fn of_publish(publish: &[PublishStatus], out: &mut MetricWriter<'_>) -> fmt::Res
     };
     let help = "Clients that what is received is published to";
     out.by("publish_clients", help, "protocol", &by(|it| it.clients.len() as u64))?;
-    let figures: [(&str, &str, PublishFigure); 6] = [
+    let figures: [(&str, &str, PublishFigure); 7] = [
         (
             "clients_refused",
             "Clients that were refused: too many, or from an address that is not allowed",
@@ -343,6 +343,11 @@ fn of_publish(publish: &[PublishStatus], out: &mut MetricWriter<'_>) -> fmt::Res
         ("frames_missed", "Frames that clients missed, also those that have left", |it| {
             it.frames_missed
         }),
+        (
+            "batches_missed",
+            "Batches of samples that clients missed beside frames, also those that have left",
+            |it| it.batches_missed,
+        ),
         (
             "frames_left_out",
             "Frames that all clients missed because the server was too slow",

@@ -305,8 +305,8 @@ impl LslPublisher {
     /// Publishes the streams that a device has from the start.
     fn publish_device(&mut self) {
         let Some(served) = &self.device else { return };
-        let PublishedDevice { header, bodies, sampled, .. } = served.device.clone();
-        let names: Vec<String> = bodies.into_iter().map(|body| body.name).collect();
+        let names = served.device.body_names();
+        let PublishedDevice { header, sampled, .. } = served.device.clone();
         let poses = |publisher: Publisher<'_>| publisher.poses(&names, header.rate_hz);
         self.set_stream(POSES, "-poses", (!names.is_empty()).then_some(&poses));
         for (index, group) in sampled.iter().enumerate() {

@@ -28,7 +28,10 @@ use std::{
 
 use mocapd_acquire::pipeline::{PipelineProgress, PublishTap, TappedBatch, TappedFrame, lock};
 use mocapd_drivers::device::{BodyInfo, ForcePlateInfo, SampledGroupInfo};
-use mocapd_take::record::{Header, Subject};
+use mocapd_take::{
+    interchange::output_names,
+    record::{Header, Subject},
+};
 
 #[cfg(feature = "full")]
 pub use self::foxglove::{FOXGLOVE, open as open_foxglove};
@@ -75,12 +78,6 @@ pub fn open_all(
     control: &Arc<dyn Control>,
 ) -> anyhow::Result<Vec<RunningPublisher>> {
     let mut running = Vec::new();
-    #[cfg(not(feature = "full"))]
-    if config.publish_foxglove.enabled {
-        // A rig records without a viewer.
-        let message = crate::config::FoxglovePublishConfig::NOT_BUILT;
-        control.notify(crate::status::ServiceEventKind::Warning, message);
-    }
     if let Some(feed) = published(QTM) {
         running.push(open_qtm(&config.publish_qtm, feed, control)?);
     }
@@ -112,6 +109,13 @@ pub struct PublishedDevice {
     pub plates: Vec<ForcePlateInfo>,
     /// The subject of the configuration.
     pub subject: Option<Arc<Subject>>,
+}
+
+impl PublishedDevice {
+    /// The names of its rigid bodies, as exports of its takes have them.
+    fn body_names(&self) -> Vec<String> {
+        output_names(self.bodies.iter().map(|body| (body.id.into(), &body.name)))
+    }
 }
 
 /// A device from when it is armed until it is disarmed, for one publisher.

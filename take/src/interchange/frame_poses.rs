@@ -66,12 +66,37 @@ impl<'a> FramePoses<'a> {
     }
 }
 
-/// The names of the bodies, each of which is unique and has no tabs; a body without a name is named by its number.
+/// The names of a recording's bodies as [`output_names`] has them.
 pub(super) fn body_names(info: &MotionInfo) -> Vec<String> {
     let bodies = info.recording.as_ref().map_or(&[][..], |recording| recording.bodies());
-    let names = bodies.iter().map(|body| match without_tabs(&body.name).trim() {
-        "" => format!("body{}", body.number),
+    output_names(bodies.iter().map(|body| (body.number, &body.name)))
+}
+
+/// The names of bodies in exports and live streams, from their numbers and names: each is unique and has no tabs. A body
+/// without a name is named by its number.
+pub fn output_names(bodies: impl Iterator<Item = (u32, impl AsRef<str>)>) -> Vec<String> {
+    unique_names(bodies.map(|(number, name)| match without_tabs(name.as_ref()).trim() {
+        "" => format!("body{number}"),
         name => name.to_owned(),
-    });
-    unique_names(names)
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BODIES: [&str; 6] = ["hand", " ", "world", "hand", "hand#2", "left\tfoot"];
+
+    #[test]
+    fn every_body_has_a_name_of_its_own() {
+        let found = output_names((6..).zip(BODIES));
+        assert_eq!(found, ["hand", "body7", "world", "hand#2", "hand#2#2", "left foot"]);
+    }
+
+    #[cfg(feature = "full")]
+    #[test]
+    fn no_frame_of_reference_of_a_body_is_that_of_the_positions_or_of_the_world() {
+        let found = crate::interchange::foxglove::child_frames(output_names((6..).zip(BODIES)));
+        assert_eq!(found, ["hand", "body7", "world#2", "hand#2", "hand#2#2", "left foot"]);
+    }
 }

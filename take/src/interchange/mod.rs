@@ -56,6 +56,7 @@ mod xdf;
 mod zip;
 
 pub use csv::quote as csv_cell;
+pub use frame_poses::output_names;
 pub use motion_reader::{MotionReader, ReaderSettings};
 pub use recorded_rows::{plates_of_group, recorded_plates};
 pub use rotated::RotatedFrames;

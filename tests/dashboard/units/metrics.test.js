@@ -139,9 +139,12 @@ test("a client that missed frames says so", () => {
     frames_sent: 12_000, frames_missed: 0 };
   equal(clientText(client), "10.0.0.7:5151 by UDP · version 1.25 · 12\u202f000 frames sent");
   isTrue(clientText({ ...client, frames_missed: 1 }).includes("1 frame missed"));
+  isTrue(clientText({ ...client, batches_missed: 2 }).endsWith("frames sent · 2 batches of samples missed"));
   isTrue(clientText({ ...client, is_streaming: false, is_in_control: true }).endsWith("requests no frames · in control"));
   const publish = { protocol: "qtm", listen: "127.0.0.1:22223", clients: [client], clients_max: 10, frames_missed: 3 };
   equal(publishText(publish), "QTM at 127.0.0.1:22223: 1 of 10, 3 frames missed in all");
+  equal(publishText({ ...publish, protocol: "foxglove", frames_missed: 0, batches_missed: 1 }),
+    "FOXGLOVE at 127.0.0.1:22223: 1 of 10, 1 batch of samples missed in all");
   const samples = { ...publish, protocol: "lsl", clients: [], frames_missed: 0, poses_left_out: 1, batches_left_out: 2 };
   equal(publishText(samples), "LSL at 127.0.0.1:22223: 0 of 10, poses of 1 frame left out, 2 batches of samples left out");
   equal(publishedLines([publish, samples]), [publishText(publish), clientText(client), publishText(samples)]);

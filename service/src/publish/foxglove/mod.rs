@@ -162,6 +162,7 @@ impl LivePublisher for FoxglovePublisher {
             clients_refused,
             frames_sent,
             frames_missed: missed.frames,
+            batches_missed: missed.batches,
             clients: self.server.reports().into_iter().map(PublishedClient::from).collect(),
             ..PublishStatus::default()
         }

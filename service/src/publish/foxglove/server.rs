@@ -388,7 +388,9 @@ impl Client {
     /// Disconnects it; what waits is missed.
     fn end(&mut self) {
         self.close();
-        self.outbox.clear();
+        // A frame of which it was sent a part.
+        let cut = self.outbox.clear();
+        self.missed.add(cut);
     }
 
     fn report(&self) -> ClientReport {
@@ -700,6 +702,19 @@ mod tests {
             server.disconnect(id);
         }
         assert_eq!(server.totals().1.frames, 4, "what was dropped is missed");
+    }
+
+    #[test]
+    fn a_frame_that_ends_in_the_middle_is_missed() {
+        let mut server = server(&["/a"]);
+        let id = connected(&mut server);
+        subscribe(&mut server, id, 1, "/a");
+        read(&mut server, id);
+        (0..3).for_each(|_| frame(&mut server, "/a", 1000));
+        server.sent(id, 10);
+        server.disconnect(id);
+        let (sent, missed) = server.totals();
+        assert_eq!((sent, missed.frames, missed.batches), (0, 3, 0));
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! What is published of a device: its topics, and the messages of its frames and samples.
 
-use std::{collections::HashSet, sync::Arc};
+use std::sync::Arc;
 
 use mocapd_acquire::pipeline::{TappedBatch, TappedFrame, lock};
-use mocapd_drivers::device::{BodyInfo, SampledChannelInfo, SampledGroupInfo};
+use mocapd_drivers::device::{SampledChannelInfo, SampledGroupInfo};
 use mocapd_report::labels::marker_lines;
 use mocapd_take::{
     foreign::force_plates::ForcePlate,
@@ -96,7 +96,7 @@ impl DeviceTopics {
             is_labelled: Vec::new(),
             lines: Vec::new(),
             face: None,
-            bodies: body_frames(&device.bodies),
+            bodies: foxglove::child_frames(device.body_names()),
             groups: group_topics(device),
             row: Vec::new(),
             names_due_ns: 0,
@@ -353,34 +353,9 @@ fn group_record(group: &SampledGroupInfo) -> SampledGroup {
     }
 }
 
-/// Frames of reference of bodies: their names where these are unambiguous, otherwise with their numbers.
-fn body_frames(bodies: &[BodyInfo]) -> Vec<String> {
-    let mut taken: HashSet<String> = ["world", "mocap"].map(str::to_owned).into();
-    let frame = |body: &BodyInfo| {
-        let mut name = body.name.trim().to_owned();
-        if name.is_empty() {
-            name = format!("body {}", body.id);
-        }
-        while !taken.insert(name.clone()) {
-            name = format!("{name} #{}", body.id);
-        }
-        name
-    };
-    bodies.iter().map(frame).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn every_body_has_a_frame_of_its_own() {
-        let body = |(id, name): (u16, &str)| BodyInfo { id, name: name.to_owned() };
-        let names = ["hand", "", "world", "hand", "hand #9", "body 1"];
-        let bodies: Vec<BodyInfo> = (6..).zip(names).map(body).collect();
-        let found = body_frames(&bodies);
-        assert_eq!(found, ["hand", "body 7", "world #8", "hand #9", "hand #9 #10", "body 1"]);
-    }
 
     #[test]
     fn messages_that_are_sent_less_often_keep_their_rate() {
