@@ -588,6 +588,22 @@ mod tests {
     }
 
     #[test]
+    fn every_number_of_a_server_that_publishes_is_a_metric() {
+        let mut numbers = Vec::new();
+        let mut server = serde_json::to_value(PublishStatus::default()).unwrap();
+        server["protocol"] = "foxglove".into();
+        number(&mut server, "", &mut numbers);
+        let publish = vec![serde_json::from_value(server).unwrap()];
+        let text = text(Status { publish, ..Status::default() });
+        for (path, number) in numbers.iter().filter(|(path, _)| path != ".clients_max") {
+            let name = path.trim_start_matches('.');
+            let line = format!("mocapd_publish_{name}_total{{protocol=\"foxglove\"}} {number}\n");
+            assert!(text.contains(&line), "{line}: {text}");
+        }
+        assert!(numbers.len() > 7, "{numbers:?}");
+    }
+
+    #[test]
     fn states_are_one_of_several() {
         let text = text(Status { state: State::Armed, ..Status::default() });
         assert!(text.contains("mocapd_state{state=\"armed\"} 1.0\n"), "{text}");

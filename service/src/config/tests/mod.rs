@@ -265,6 +265,7 @@ fn questionable_settings_are_noted() {
     let natnet = |keys: &str| format!("[publish.natnet]\nenabled = true\n{keys}");
     about(&natnet("listen = '0.0.0.0:1510'"), &["publish.natnet.allow_from", "192.168.10.0/24"]);
     about(&natnet("allow_from = ['10.0.0.1']"), &["publish.natnet.allow_from", "0.0.0.0:1510"]);
+    about(&natnet("listen = '[::1]:1510'\nallow_from = ['fd00::1']"), &["listen on [::]:1510 for"]);
     let group = "listen = '10.0.0.2:1510'\nallow_from = ['10.0.0.1']\nmulticast = '239.1.1.1:1511'";
     about(&natnet(group), &["every machine", "239.1.1.1:1511"]);
     let lsl = |keys: &str| format!("[publish.lsl]\nenabled = true\n{keys}");

@@ -355,7 +355,35 @@ fn group_record(group: &SampledGroupInfo) -> SampledGroup {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_acquire::{
+        header,
+        pipeline::{Pipeline, PipelineConfig},
+    };
+    use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+    use mocapd_drivers::device::BodyInfo;
+
     use super::*;
+
+    #[test]
+    fn every_body_has_a_frame_of_reference_of_its_own_named_as_in_an_export() {
+        let codec =
+            Settings { kind: ResamplerKind::Lossless, tolerance: Tolerance::from_mm(1.0).unwrap() };
+        let config = PipelineConfig::new(codec, 100.0, 1_000_000, Vec::new());
+        let header = header::new(&codec, 100.0).unwrap();
+        let (_, pipeline, _) = Pipeline::arm(&config, &header).unwrap();
+        let body = |(id, name): (u16, &str)| BodyInfo { id, name: name.to_owned() };
+        let names = ["hand", "", "world", "hand", "hand #9", "body 1"];
+        let device = PublishedDevice {
+            progress: Arc::clone(pipeline.progress()),
+            header,
+            bodies: (6..).zip(names).map(body).collect(),
+            sampled: Vec::new(),
+            plates: Vec::new(),
+            subject: None,
+        };
+        let found = DeviceTopics::new(&device, None).bodies;
+        assert_eq!(found, ["hand", "body7", "world#2", "hand#2", "hand #9", "body 1"]);
+    }
 
     #[test]
     fn messages_that_are_sent_less_often_keep_their_rate() {
