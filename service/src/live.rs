@@ -143,7 +143,7 @@ impl LiveMessage {
     /// kind 4, about a twentieth of a second of a group of sampled channels: u8 index of the group in the table, two zero bytes,
     /// u64 number of the first sample, u32 number of samples, then for each channel its least and its largest value as f32.
     /// And so does kind 5, the poses of the rigid bodies: three zero bytes, u64 number of frames with poses since the device was
-    /// armed, for each body of the table the nine f32 of [`pose_values`], and then for each a u64: in how many of these frames it
+    /// armed, for each body of the table the nine f32 of `pose_values`, and then for each a u64: in how many of these frames it
     /// was tracked.
     pub fn put(&self, out: &mut Vec<u8>) {
         match self {

@@ -4,10 +4,10 @@
 //! through rings beside those of the recording; what waits for its clients is bounded. A publisher that is too slow, or a
 //! client, misses some, which is counted, and nothing waits for it.
 //!
-//! A protocol implements [`LivePublisher`]: what to do with frames, samples and sockets. [`runner`] does the rest for all of
+//! A protocol implements `LivePublisher`: what to do with frames, samples and sockets. `runner` does the rest for all of
 //! them: it opens the port until that succeeds, follows the device, takes what waits in the tap, reports clients, and ends.
-//! [`clients`] says who may connect. To add one: its section of the configuration with `enabled`, a module here with a
-//! [`PublisherName`] and a function that calls [`runner::start`], and its lines in [`names`] and [`open_all`].
+//! `clients` says who may connect. To add one: its section of the configuration with `enabled`, a module here with a
+//! [`PublisherName`] and a function that calls `runner::start`, and its lines in [`names`] and [`open_all`].
 
 mod clients;
 #[cfg(feature = "full")]

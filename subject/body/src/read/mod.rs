@@ -1,7 +1,7 @@
 //! Readers of mesh files: OBJ, PLY (text and binary of both byte orders), STL (text and binary) and OFF.
 //!
 //! The content determines the format; the file name's extension counts only if the content leaves it open. Counts in a
-//! file are never trusted for allocation: every vertex and face comes from bytes that exist. [`Surface`]
+//! file are never trusted for allocation: every vertex and face comes from bytes that exist. `Surface`
 //! collects them within limits, and checks them at the end.
 
 mod obj_off_stl;
