@@ -304,8 +304,8 @@ impl TakeFile {
         bodies: Vec<usize>,
     ) -> PyResult<()> {
         let n_rows = out.shape()[0] as u64;
-        let is_shaped = out.shape()[1..] == [bodies.len(), POSE_VALUES]
-            && states.shape() == &out.shape()[..2];
+        let is_shaped =
+            out.shape()[1..] == [bodies.len(), POSE_VALUES] && states.shape() == &out.shape()[..2];
         if !is_shaped {
             let message = "the arrays must be [frames, bodies, 8] and [frames, bodies]";
             return Err(Failure::Value(message.into()).into());

@@ -510,7 +510,7 @@ async def check_service(port, options):
         if problems:
             raise problems[0]
         expect(stopped["ledger"]["closes"] and stopped["ledger"]["recorded"] > 0.9 * RATE_HZ * options.seconds, stopped)
-        missed = status["publish"]["clients"][0]["frames_missed"]
+        missed = status["publish"][0]["clients"][0]["frames_missed"]
         expect(numbers[-1] - numbers[0] + 1 == len(numbers) + missed, f"{len(numbers)} frames, {missed} missed")
 
 
@@ -540,7 +540,7 @@ async def measure_memory(port, options):
         added = resident_mb(pid) - before
         for task in clients:
             task.cancel()
-        missed = [found["frames_missed"] for found in status["publish"]["clients"]]
+        missed = [found["frames_missed"] for found in status["publish"][0]["clients"]]
         print(f"{before:.0f} MB, and {added:.0f} MB with eight clients; they missed {missed} frames; "
               f"the recorder received {status['input']['frames']} frames and lost {status['input']['lost']}")
 
