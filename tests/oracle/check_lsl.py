@@ -371,7 +371,11 @@ def check_names(options, folder):
     with publisher("strings", name), publisher("mocap", name):
         nobody = record(options, "lsl:nobody", folder / "x.take", "--seconds", "1s")
         expect(nobody.returncode == 1 and "no stream 'nobody'" in nobody.stderr and "found: '" in nobody.stderr, nobody.stderr)
-        several = record(options, f"lsl:{name}", folder / "x.take", "--seconds", "1s")
+        # One of the two may answer late on a busy machine.
+        for _ in range(3):
+            several = record(options, f"lsl:{name}", folder / "x.take", "--seconds", "1s")
+            if "streams match" in several.stderr:
+                break
         expect(several.returncode == 1 and "2 streams match" in several.stderr, several.stderr)
         recorded(options, f"lsl:{name}?type=MoCap", folder / "one.take", "--seconds", "1s")
     return "3 answers"
@@ -573,11 +577,16 @@ def check_service_samples(options, folder):
         expect(labels == [str(label) for label in archive[f"sampled_{group}_labels"]], labels)
         expect({channel[2] for channel in channels_of(info)} == {"Analog"}, channels_of(info))
         got, taken = np.array(samples, dtype=np.float32), archive[f"sampled_{group}"].astype(np.float32)
-        first = next(k for k in range(len(got)) if (got[k] == taken[0]).all())
-        place = np.round((stamps - stamps[first]) * info.nominal_srate()).astype(int)
-        inside = (place >= 0) & (place < len(taken))
-        place, n = place[inside], int(inside.sum())
-        expect(n > 0.5 * len(got) and (got[inside] == taken[place]).all(), f"group {group}: {n} of {len(got)} samples")
+        # A plate on which somebody stands still sends the same sample again and again: the take begins at one of these.
+        for first in np.flatnonzero((got == taken[0]).all(axis=1)):
+            place = np.round((stamps - stamps[first]) * info.nominal_srate()).astype(int)
+            inside = (place >= 0) & (place < len(taken))
+            place, n = place[inside], int(inside.sum())
+            if (got[inside] == taken[place]).all():
+                break
+        else:
+            raise AssertionError(f"group {group}: the take has other samples")
+        expect(n > 0.5 * len(got), f"group {group}: {n} of {len(got)} samples")
         # On a machine that stands still, batches are left out, which is counted.
         expect(place[-1] + 1 == n or lost > 0, f"group {group}: {place[-1] + 1 - n} samples are missing, and none is counted")
         times = archive[f"sampled_{group}_time_s"][place]
