@@ -95,6 +95,14 @@ pub struct SampledChannelInfo {
     pub offset: f64,
 }
 
+impl SampledChannelInfo {
+    /// The value of a sample, in the channel's unit.
+    #[must_use]
+    pub fn value(&self, sample: f32) -> f64 {
+        (f64::from(sample) - self.offset) * self.scale
+    }
+}
+
 /// Channels that are sampled together, at a rate of their own.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SampledGroupInfo {

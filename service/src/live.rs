@@ -223,7 +223,7 @@ fn live_channel(form: SampleForm, channel: &SampledChannelInfo) -> LiveChannel {
 /// By channel the ends of what the device sent, in the channel's unit.
 pub(crate) fn values_of(group: &SampledGroupInfo, sent: &[SampleRange]) -> Vec<[f32; 2]> {
     let value = |(range, channel): (&SampleRange, &SampledChannelInfo)| {
-        let [a, b] = range.map(|sent| (f64::from(sent) - channel.offset) * channel.scale);
+        let [a, b] = range.map(|sent| channel.value(sent));
         [a.min(b) as f32, a.max(b) as f32]
     };
     sent.iter().zip(&group.channels).map(value).collect()

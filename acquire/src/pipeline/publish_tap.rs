@@ -1,7 +1,7 @@
 //! What a device sends, for one publisher: frames with their markers and poses, and batches of sampled channels, copied into
 //! rings beside those of the recording, without waiting. What does not fit is left out and counted.
 //!
-//! Frames and batches have rings of their own, so that neither costs the other a place. Nothing is copied of what nobody
+//! Frames and batches have separate rings, so that neither takes room from the other. Nothing is copied of what nobody
 //! wants, and the memory of a ring is not used before something is.
 
 use std::sync::{

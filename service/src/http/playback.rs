@@ -1,5 +1,7 @@
 //! Finished takes for a player: an overview, windows of frames, and where samples are missing.
 
+#![expect(unused_qualifications, reason = "the macro of utoipa qualifies the types of queries")]
+
 use std::{
     collections::VecDeque,
     io::BufReader,
@@ -19,6 +21,7 @@ use mocapd_acquire::files::SparseFile;
 use mocapd_take::{TakeError, TakeMap};
 use serde::Deserialize;
 use tokio::sync::watch;
+use utoipa::IntoParams;
 
 use super::{
     Shared,
@@ -70,10 +73,17 @@ pub(super) async fn overview(
     .await
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 pub(super) struct WindowQuery {
+    /// The first frame is the one at or after this time in seconds; 0 by default
+    #[param(minimum = 0, maximum = 1e9)]
     from: Option<f64>,
+    /// The length in seconds; 4 by default
+    #[param(exclusive_minimum = 0, maximum = 3600)]
     seconds: Option<f64>,
+    /// Only every n-th frame; 1 by default
+    #[param(minimum = 1, maximum = 10000)]
     every: Option<u32>,
 }
 
@@ -84,13 +94,7 @@ pub(super) struct WindowQuery {
 /// are gaps), u32 zero; then for each frame three f32 per marker in millimetres, NaN where the sample is missing. A
 /// response has at most a megabyte: a longer window ends earlier.
 #[utoipa::path(get, path = "/v1/takes/{name}/window", tag = "takes",
-    params(("name" = String, Path, description = "The take's name, without `.take`"),
-        ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
-            description = "The first frame is the one at or after this time in seconds; 0 by default"),
-        ("seconds" = Option<f64>, Query, exclusive_minimum = 0, maximum = 3600,
-            description = "The length in seconds; 4 by default"),
-        ("every" = Option<u32>, Query, minimum = 1, maximum = 10000,
-            description = "Only every n-th frame; 1 by default")),
+    params(("name" = String, Path, description = "The take's name, without `.take`"), WindowQuery),
     responses((status = 200, description = "The frames", body = Vec<u8>,
             content_type = "application/octet-stream"),
         (status = 416, description = "The take ends before the window begins", body = Problem,
@@ -145,13 +149,7 @@ pub(super) async fn plates(
 /// moment in newton metres, and the least and the largest upward force up to the next frame in newtons. NaN where there is
 /// none. A response has at most a megabyte: a longer window ends earlier.
 #[utoipa::path(get, path = "/v1/takes/{name}/forces", tag = "takes",
-    params(("name" = String, Path, description = "The take's name, without `.take`"),
-        ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
-            description = "The first frame is the one at or after this time in seconds; 0 by default"),
-        ("seconds" = Option<f64>, Query, exclusive_minimum = 0, maximum = 3600,
-            description = "The length in seconds; 4 by default"),
-        ("every" = Option<u32>, Query, minimum = 1, maximum = 10000,
-            description = "Only every n-th frame; 1 by default")),
+    params(("name" = String, Path, description = "The take's name, without `.take`"), WindowQuery),
     responses((status = 200, description = "The forces", body = Vec<u8>,
             content_type = "application/octet-stream"),
         (status = 416, description = "The take ends before the window begins", body = Problem,
@@ -190,13 +188,7 @@ pub(super) async fn bodies(
 /// w, x, y, z. The states are 0 tracked, 1 lost, 2 rejected, 3 any other of the device, 253 missing, 254 refused by the
 /// recorder, and 255 not listed. NaN where there is nothing. A response has at most a megabyte: a longer window ends earlier.
 #[utoipa::path(get, path = "/v1/takes/{name}/poses", tag = "takes",
-    params(("name" = String, Path, description = "The take's name, without `.take`"),
-        ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
-            description = "The first frame is the one at or after this time in seconds; 0 by default"),
-        ("seconds" = Option<f64>, Query, exclusive_minimum = 0, maximum = 3600,
-            description = "The length in seconds; 4 by default"),
-        ("every" = Option<u32>, Query, minimum = 1, maximum = 10000,
-            description = "Only every n-th frame; 1 by default")),
+    params(("name" = String, Path, description = "The take's name, without `.take`"), WindowQuery),
     responses((status = 200, description = "The poses", body = Vec<u8>,
             content_type = "application/octet-stream"),
         (status = 416, description = "The take ends before the window begins", body = Problem,
@@ -220,13 +212,7 @@ pub(super) async fn poses(
 /// u32 flags (as of `window`), u32 zero; then for each frame twelve f32 as in the live stream, NaN where the pose is not known.
 /// No frames follow if the take has no face whose markers are mapped.
 #[utoipa::path(get, path = "/v1/takes/{name}/face", tag = "takes",
-    params(("name" = String, Path, description = "The take's name, without `.take`"),
-        ("from" = Option<f64>, Query, minimum = 0, maximum = 1e9,
-            description = "The first frame is the one at or after this time in seconds; 0 by default"),
-        ("seconds" = Option<f64>, Query, exclusive_minimum = 0, maximum = 3600,
-            description = "The length in seconds; 4 by default"),
-        ("every" = Option<u32>, Query, minimum = 1, maximum = 10000,
-            description = "Only every n-th frame; 1 by default")),
+    params(("name" = String, Path, description = "The take's name, without `.take`"), WindowQuery),
     responses((status = 200, description = "The poses", body = Vec<u8>,
             content_type = "application/octet-stream"),
         (status = 416, description = "The take ends before the window begins", body = Problem,

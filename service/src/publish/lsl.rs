@@ -493,11 +493,7 @@ fn put_values(group: &SampledGroupInfo, batch: &TappedBatch, out: &mut Vec<f32>)
     let n_channels = group.channels.len().max(1);
     for sample in batch.samples.chunks_exact(n_channels) {
         let channels = sample.iter().zip(&group.channels);
-        out.extend(
-            channels.map(|(value, channel)| {
-                ((f64::from(*value) - channel.offset) * channel.scale) as f32
-            }),
-        );
+        out.extend(channels.map(|(value, channel)| channel.value(*value) as f32));
     }
 }
 

@@ -27,10 +27,10 @@ use std::{
 };
 
 use mocapd_acquire::pipeline::{PipelineProgress, PublishTap, TappedBatch, TappedFrame, lock};
-use mocapd_drivers::device::{BodyInfo, ForcePlateInfo, SampledGroupInfo};
+use mocapd_drivers::device::{BodyInfo, ForcePlateInfo, SampledChannelInfo, SampledGroupInfo};
 use mocapd_take::{
     interchange::output_names,
-    record::{Header, Subject},
+    record::{Header, SampledChannel, SampledGroup, Subject},
 };
 
 #[cfg(feature = "full")]
@@ -234,5 +234,21 @@ impl PublishedFeed {
 
     fn report(&self, status: Option<PublishStatus>) {
         *lock(&self.slot.status) = status;
+    }
+}
+
+/// A group as takes describe it, for the units of its plates.
+fn group_record(info: &SampledGroupInfo) -> SampledGroup {
+    let channel = |channel: &SampledChannelInfo| SampledChannel {
+        name: channel.name.clone(),
+        unit: channel.unit.clone(),
+        scale: channel.scale,
+        offset: channel.offset,
+        ..SampledChannel::default()
+    };
+    SampledGroup {
+        number: info.id.into(),
+        channels: info.channels.iter().map(channel).collect(),
+        ..SampledGroup::default()
     }
 }

@@ -14,7 +14,7 @@ use mocapd_take::{
     },
     motion::{Position, UpAxis},
     poses::PoseState,
-    record::{SampledChannel, SampledGroup, Subject},
+    record::Subject,
 };
 
 use super::{
@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     live::LiveFace,
-    publish::PublishedDevice,
+    publish::{PublishedDevice, group_record},
     subject::{FaceOverlay, live_limbs, with_limbs},
 };
 
@@ -261,9 +261,7 @@ impl GroupTopics {
         for (index, sample) in sent.enumerate() {
             let time_ns = start_ns + (index as f64 * self.interval_ns).round() as u64;
             last_ns = time_ns;
-            let value = |(sent, channel): (&f32, &SampledChannelInfo)| {
-                (f64::from(*sent) - channel.offset) * channel.scale
-            };
+            let value = |(sent, channel): (&f32, &SampledChannelInfo)| channel.value(*sent);
             values.clear();
             values.extend(sample.iter().zip(&self.channels).map(value));
             row.clear();
@@ -337,20 +335,6 @@ fn group_topics(device: &PublishedDevice) -> Vec<GroupTopics> {
         }
     };
     device.sampled.iter().map(topics).collect()
-}
-
-/// A group as a take describes it, as far as the units of its force plates need it.
-fn group_record(group: &SampledGroupInfo) -> SampledGroup {
-    let channel = |channel: &SampledChannelInfo| SampledChannel {
-        name: channel.name.clone(),
-        unit: channel.unit.clone(),
-        ..SampledChannel::default()
-    };
-    SampledGroup {
-        number: group.id.into(),
-        channels: group.channels.iter().map(channel).collect(),
-        ..SampledGroup::default()
-    }
 }
 
 #[cfg(test)]

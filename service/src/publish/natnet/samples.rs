@@ -173,7 +173,7 @@ impl GroupQueue {
         }
         let scaled = |(place, value): (usize, &f32)| {
             let channel = self.info.channels.get(place)?;
-            Some(((f64::from(*value) - channel.offset) * channel.scale) as f32)
+            Some(channel.value(*value) as f32)
         };
         for sample in batch.samples.chunks_exact(self.n_channels()) {
             self.values.extend(sample.iter().enumerate().filter_map(scaled));

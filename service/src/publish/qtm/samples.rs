@@ -8,10 +8,9 @@ use mocapd_drivers::{
 use mocapd_take::{
     foreign::force_plates::{self, PlateLoad},
     interchange::plates_of_group,
-    record::{SampledChannel, SampledGroup},
 };
 
-use crate::publish::PublishedDevice;
+use crate::publish::{PublishedDevice, group_record};
 
 /// Names of the channels of a plate that is a QTM's, before its number.
 const OF_QTM: [&str; FORCE_VALUES] = ["Fx", "Fy", "Fz", "Mx", "My", "Mz", "COPx", "COPy", "COPz"];
@@ -60,7 +59,7 @@ impl SampleMap {
                 plates.push((id, PlateSource::Group));
                 map.plates.push(ForcePlate { id, rate_hz, corners_mm: None });
             }
-            for plate in plates_of_group(&stated, &record(info)) {
+            for plate in plates_of_group(&stated, &group_record(info)) {
                 let id = plate.number as u32;
                 let corners = plate.geometry.corners_mm();
                 let corners_mm = Some(corners.map(|corner| corner.map(|v| v as f32)));
@@ -127,20 +126,4 @@ fn plate_of_qtm(info: &SampledGroupInfo) -> Option<u32> {
     let id = info.channels.first()?.name.strip_prefix(OF_QTM[0])?.parse().ok()?;
     let names = OF_QTM.iter().map(|name| format!("{name}{id}"));
     names.eq(info.channels.iter().map(|channel| channel.name.clone())).then_some(id)
-}
-
-/// A group as takes describe it, for the units of its plates.
-fn record(info: &SampledGroupInfo) -> SampledGroup {
-    let channel = |channel: &mocapd_drivers::device::SampledChannelInfo| SampledChannel {
-        name: channel.name.clone(),
-        unit: channel.unit.clone(),
-        scale: channel.scale,
-        offset: channel.offset,
-        ..SampledChannel::default()
-    };
-    SampledGroup {
-        number: info.id.into(),
-        channels: info.channels.iter().map(channel).collect(),
-        ..SampledGroup::default()
-    }
 }
