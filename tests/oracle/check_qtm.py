@@ -383,6 +383,11 @@ async def bodies_beside_motioncapture(port, seconds):
     with concurrent.futures.ProcessPoolExecutor(max_workers=1) as pool:
         reading = pool.submit(read_motioncapture, port, seconds)
         theirs = await asyncio.wait_for(asyncio.wrap_future(reading), 30)
+    # The last frames that motioncapture has read may reach this client later.
+    enough = len(packets) + RATE_HZ
+    async with asyncio.timeout(10):
+        while len(packets) < enough:
+            await asyncio.sleep(0.1)
     await connection.stream_frames_stop()
     connection.disconnect()
     numbers = [number for number, _, _ in packets]
