@@ -10,17 +10,17 @@ from mask import mask_bytes
 TOLERANCES_MM = (0.1, 0.5, 1.0, 5.0, 10.0, 20.0)
 
 
-def rows_of(path, cache_folder, codec_name, tolerances_mm):
-    """The rows of one codec for one take."""
+def rows_of(path, cache_folder, codec_name, tolerances_mm, tuned=True):
+    """The rows of one codec for one take; without `tuned` at the axis tolerances that are safe for any data only."""
     take = takes.load(path)
     cache = Cache(cache_folder, take.sha256, codec_name)
     codec = next(c for c in all_codecs() if c.name == codec_name)
     mask = 0 if codec.lossless else mask_bytes(take.present)
     rows = []
     for tolerance_mm in tolerances_mm:
-        found = smallest(take, codec, cache, tolerance_mm, tuned=codec.tuned)
+        found = smallest(take, codec, cache, tolerance_mm, tuned=codec.tuned and tuned)
         if found:
-            plain = smallest(take, codec, cache, tolerance_mm, tuned=False) if codec.tuned else found
+            plain = smallest(take, codec, cache, tolerance_mm, tuned=False) if codec.tuned and tuned else found
             result, gaps = found
             more = {"gaps": gaps, "plain_bytes": plain[0].bytes + mask, "plain_layout": plain[0].layout}
             rows.append(row(take, codec, tolerance_mm, result, mask) | more)
@@ -60,7 +60,7 @@ def row(take, codec, tolerance_mm, result, mask):
     }
 
 
-def all_rows(paths, cache_folder, processes=2, log=lambda text: None, found=lambda rows: None, names=None):
+def all_rows(paths, cache_folder, processes=2, log=lambda text: None, found=lambda rows: None, names=None, tuned=True):
     """Rows of all codecs, or of those in `names`, for all takes.
 
     After each pair of codec and take, `log` is called with a line of progress and `found` with all rows so far.
@@ -68,7 +68,7 @@ def all_rows(paths, cache_folder, processes=2, log=lambda text: None, found=lamb
     jobs = [(path, codec.name) for codec in all_codecs() if not names or codec.name in names for path in paths]
     rows = []
     with ProcessPoolExecutor(processes) as pool:
-        futures = [pool.submit(rows_of, path, cache_folder, name, TOLERANCES_MM) for path, name in jobs]
+        futures = [pool.submit(rows_of, path, cache_folder, name, TOLERANCES_MM, tuned) for path, name in jobs]
         for number, ((path, name), future) in enumerate(zip(jobs, futures), 1):
             rows += future.result()
             log(f"{number}/{len(jobs)} {name}: {path.stem}")

@@ -1,7 +1,8 @@
 """All codecs of the bench, strongest families first."""
 
-from families import containers, numbers, quantised, scientific, trajectories
+from families import containers, numbers, programs, quantised, scientific, trajectories
 
 
 def all_codecs():
-    return scientific.codecs() + trajectories.codecs() + quantised.codecs() + numbers.codecs() + containers.codecs()
+    published = scientific.codecs() + programs.codecs() + trajectories.codecs() + quantised.codecs()
+    return published + numbers.codecs() + containers.codecs()
