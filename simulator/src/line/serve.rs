@@ -292,6 +292,9 @@ const HOST_IDLE_TIMEOUT_NS: u64 = 1_000_000_000;
 /// Time between two polls of the unread bytes.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
+/// Consecutive polls without unread bytes after which the host has all: a tenth of a second.
+const EMPTY_POLLS: u32 = 20;
+
 /// Watches the number of bytes that the host still has to read.
 #[derive(Debug, Default)]
 struct Drain {
@@ -307,9 +310,9 @@ impl Drain {
             self.remaining = Some(remaining);
             self.progress_ns = now_ns;
         }
-        // The kernel moves bytes between its buffers asynchronously and counts only the last one: wait for five
-        // consecutive polls without bytes.
+        // The kernel moves bytes between its buffers asynchronously and counts only the last one. On a busy machine its
+        // worker can be late by tens of milliseconds, and a hang-up discards what it has not moved.
         self.empty_polls = if remaining == 0 { self.empty_polls + 1 } else { 0 };
-        self.empty_polls > 4 || now_ns.saturating_sub(self.progress_ns) > HOST_IDLE_TIMEOUT_NS
+        self.empty_polls > EMPTY_POLLS || now_ns.saturating_sub(self.progress_ns) > HOST_IDLE_TIMEOUT_NS
     }
 }
