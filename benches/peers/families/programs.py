@@ -2,7 +2,8 @@
 
 HPEZ (the second version of QoZ) is an error-bounded compressor with tuned interpolation. Its source builds with CMake:
 
-    git clone https://github.com/szcompressor/QoZ && cmake -S QoZ -B QoZ/build -DCMAKE_BUILD_TYPE=Release
+    git clone https://github.com/szcompressor/QoZ
+    cmake -S QoZ -B QoZ/build -DCMAKE_BUILD_TYPE=Release -DCMAKE_CXX_FLAGS="-include array"
     cmake --build QoZ/build --target qoz
 
 The bench finds `qoz` on PATH, or by its path in QOZ; without it HPEZ is left out.
