@@ -7,9 +7,6 @@ mod endpoints;
 mod envelope;
 mod frame;
 mod messages;
-mod plates;
-mod poses;
-mod samples;
 
 use crate::{
     device::{Claim, Family, LinkBudget},
@@ -17,8 +14,8 @@ use crate::{
 };
 pub use endpoints::{DeviceLink, HostLink};
 pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
-pub use poses::pose_frame_bytes_max;
-pub use samples::batch_bytes_max;
+pub use messages::batch_bytes_max;
+pub use messages::pose_frame_bytes_max;
 
 pub(crate) const FAMILY: Family = Family {
     name: "dvmc",
