@@ -1,9 +1,8 @@
 //! The two ends of a link: [`DeviceLink`] for simulators, [`HostLink`] for the recorder.
 
 use super::{
-    COMMAND_WIRE_BYTES_MAX, ENVELOPE_BYTES, EncodeError, FrameForm, MARKERS_MAX,
-    MARKERS_MESSAGE_BYTES_MAX, SAMPLE_VALUES_MAX, WIRE_BYTES_MAX,
-    envelope::{DecodeOutcome, Deframer, Framer},
+    COMMAND_WIRE_BYTES_MAX, DecodeOutcome, Deframer, ENVELOPE_BYTES, EncodeError, FrameForm,
+    Framer, MARKERS_MAX, MARKERS_MESSAGE_BYTES_MAX, SAMPLE_VALUES_MAX, WIRE_BYTES_MAX,
     frame::{get_frame, put_frame},
     messages::{self, get_hello, get_markers, kind},
 };

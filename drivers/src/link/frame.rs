@@ -4,8 +4,8 @@
 //! difference refers to the previous marker *of the same frame*, so a lost frame affects no other.
 
 use super::{
-    DELTA_UM_MAX, ENVELOPE_BYTES, EncodeError, FRAME_HEADER_BYTES_MAX, MARKER_BYTES_MAX,
-    MARKERS_MAX, RUN_MARKERS_MAX, envelope::Framer, messages::kind, wire_bytes,
+    DELTA_UM_MAX, ENVELOPE_BYTES, EncodeError, FRAME_HEADER_BYTES_MAX, Framer, MARKER_BYTES_MAX,
+    MARKERS_MAX, RUN_MARKERS_MAX, messages::kind, wire_bytes,
 };
 use crate::{
     bytes::{Cursor, WireValue},
