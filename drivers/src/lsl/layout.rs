@@ -3,8 +3,7 @@
 use std::collections::HashMap;
 
 use super::{
-    convention::{length_unit, marker_of, position_axis},
-    description::{ChannelDescription, StreamDescription},
+    description::{ChannelDescription, StreamDescription, length_unit, marker_of, position_axis},
     values::ValueFormat,
 };
 use crate::{

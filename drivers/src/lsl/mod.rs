@@ -5,9 +5,7 @@
 //! stream of [messages](StreamMessage), which [`LslHost`] decodes.
 
 mod axis;
-mod convention;
 mod decoder;
-mod described;
 mod description;
 mod envelope;
 mod host;
@@ -15,18 +13,20 @@ mod layout;
 mod outlet;
 mod values;
 
+pub(crate) use self::{
+    description::clean,
+    envelope::{DATA_HEADER_BYTES, data_header},
+};
 pub use self::{
-    described::{Publisher, StreamInfo, hostname},
-    description::{ChannelDescription, DESCRIPTION_BYTES_MAX, StreamDescription},
+    description::{
+        ChannelDescription, DESCRIPTION_BYTES_MAX, Publisher, StreamDescription, StreamInfo,
+        hostname,
+    },
     envelope::{LineRequest, MessageReader, StreamMessage, put_message},
     host::LslHost,
     layout::{GroupLayout, Layout, MarkerColumns, StreamRole},
     outlet::{INLETS_MAX, InletId, InletReport, OutletServer},
     values::ValueFormat,
-};
-pub(crate) use self::{
-    description::clean,
-    envelope::{DATA_HEADER_BYTES, data_header},
 };
 use crate::{
     device::{Claim, Family},
