@@ -2,9 +2,8 @@
 //! until its reply comes.
 
 use super::{
-    COMMAND_PORT, DATA_PORT, GROUP,
+    COMMAND_PORT, DATA_PORT, GROUP, HostPhase, MS, NatNetHost, REPLY_TIMEOUT_NS, SetupStep,
     frame::FrameOfData,
-    host::{HostPhase, MS, NatNetHost, REPLY_TIMEOUT_NS, SetupStep},
     message::{Bitstream, Message, MessageKind, ServerInfo, put_message},
     model::{AssetKind, Model, ModelError},
     names::MarkerNames,

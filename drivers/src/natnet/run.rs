@@ -1,9 +1,8 @@
 //! A stream from its start to its end: frames, samples, and definitions that change.
 
 use super::{
-    DATA_PORT,
+    DATA_PORT, Events, MS, NO_FRAMES_NS, NatNetHost, REPEAT_NS,
     frame::{FrameOfData, MODEL_FILLED, MODELS_CHANGED, NatNetMarker, OCCLUDED, in_mm},
-    host::{Events, MS, NO_FRAMES_NS, NatNetHost, REPEAT_NS},
     message::{Bitstream, Message, MessageKind},
     names::{MarkerNames, is_labelled},
 };
