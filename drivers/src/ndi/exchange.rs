@@ -1,8 +1,8 @@
 //! The request-reply exchange: one request at a time, with time-outs, damage handling and retries.
 
 use super::{
+    Drain, HostState, MS, NdiHost, OnEvent, Outcome, Pending, PendingCommands, Task,
     frame::{read_bx, read_bx2},
-    host::{Drain, HostState, MS, NdiHost, OnEvent, Outcome, Pending, PendingCommands, Task},
     message::{self, REPLY_BYTES_MAX, Reply, code},
 };
 use crate::transport::polled::{LineCommand, Request};

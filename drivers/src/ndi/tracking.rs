@@ -1,8 +1,8 @@
 //! Tracking: polls the frames one by one, and accounts for those that a slow line misses.
 
 use super::{
+    HostState, NdiHost, OnEvent, Outcome, Task,
     frame::{bx_block_bytes, bx2_block_bytes},
-    host::{HostState, NdiHost, OnEvent, Outcome, Task},
     message::{BAUDS, code, with_crc},
     run::FrameStep,
 };
