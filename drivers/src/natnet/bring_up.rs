@@ -3,10 +3,10 @@
 
 use super::{
     COMMAND_PORT, DATA_PORT, GROUP, HostPhase, MS, NatNetHost, REPLY_TIMEOUT_NS, SetupStep,
+    assets::MarkerNames,
     frame::FrameOfData,
     message::{Bitstream, Message, MessageKind, ServerInfo, put_message},
     model::{AssetKind, Model, ModelError},
-    names::MarkerNames,
     sampled::{DeviceGroups, SAMPLES_PER_FRAME_MAX},
 };
 use crate::{

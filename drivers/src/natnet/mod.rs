@@ -4,13 +4,11 @@
 //! understands is in the same modules, so that both ends have one description of every message.
 
 mod assets;
-mod bodies;
 mod bring_up;
 pub(crate) mod discovery;
 mod frame;
 mod message;
 mod model;
-mod names;
 mod run;
 mod sampled;
 mod server;
@@ -36,7 +34,11 @@ pub use self::{
         StreamReport,
     },
 };
-use self::{bodies::BodyTable, names::MarkerNames, sampled::DeviceGroups, stream_run::NatNetRun};
+use self::{
+    assets::{BodyTable, MarkerNames},
+    sampled::DeviceGroups,
+    stream_run::NatNetRun,
+};
 use crate::{
     device::{
         Claim, Command, DeviceEvent, Family, Hello, LinkBudget, LinkCounters, MarkerSample, Pong,

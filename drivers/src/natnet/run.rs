@@ -2,9 +2,9 @@
 
 use super::{
     DATA_PORT, Events, MS, NO_FRAMES_NS, NatNetHost, REPEAT_NS,
+    assets::{MarkerNames, is_labelled},
     frame::{FrameOfData, MODEL_FILLED, MODELS_CHANGED, NatNetMarker, OCCLUDED, in_mm},
     message::{Bitstream, Message, MessageKind},
-    names::{MarkerNames, is_labelled},
 };
 use crate::{
     device::{DeviceEvent, EndOfPoses, Frame, LinkBudget, MarkerSample, PoseFrame},
