@@ -12,7 +12,6 @@ mod model;
 mod run;
 mod sampled;
 mod server;
-mod stream_run;
 
 use std::net::Ipv4Addr;
 
@@ -36,8 +35,8 @@ pub use self::{
 };
 use self::{
     assets::{BodyTable, MarkerNames},
+    run::NatNetRun,
     sampled::DeviceGroups,
-    stream_run::NatNetRun,
 };
 use crate::{
     device::{
