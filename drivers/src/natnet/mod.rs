@@ -5,7 +5,6 @@
 
 mod assets;
 mod bring_up;
-pub(crate) mod discovery;
 mod frame;
 mod message;
 mod model;
@@ -17,7 +16,7 @@ use std::net::Ipv4Addr;
 
 pub use self::{
     assets::{AssetTable, ServedMarker, in_m},
-    discovery::find_servers,
+    bring_up::find_servers,
     frame::{
         ACTIVE, ChannelSamples, FrameEnd, FrameOfData, FrameToSend, HAS_MODEL, MEASURED,
         MODEL_FILLED, MODELS_CHANGED, NatNetMarker, OCCLUDED, SampledData, SampledToSend,
