@@ -3,7 +3,6 @@
 //! The device only replies to requests. [`NdiHost`] therefore sends
 //! [line commands](crate::transport::polled), which the transport executes before the next read.
 
-mod assignment;
 mod bring_up;
 mod exchange;
 mod frame;
