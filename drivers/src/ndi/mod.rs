@@ -7,15 +7,14 @@ mod bring_up;
 mod exchange;
 mod frame;
 mod message;
-mod run;
 mod strays;
 mod tracking;
 
 use self::{
     frame::{FrameData, STRAYS_MAX, TOOLS_MAX},
     message::{REPLY_BYTES_MAX, speed_at_most},
-    run::{PollPacer, TrackingRun},
     strays::StrayTracker,
+    tracking::{PollPacer, TrackingRun},
 };
 use crate::{
     device::{
@@ -177,7 +176,7 @@ pub struct NdiHost {
     baud: u32,
     speed_max: usize,
     /// Index in `BAUDS` of the requested highest baud rate. A failed rate lowers `speed_max`, until a reattach,
-    /// or until the line has carried [`RELIABLE_FRAMES`](run::RELIABLE_FRAMES) frames.
+    /// or until the line has carried [`RELIABLE_FRAMES`](tracking::RELIABLE_FRAMES) frames.
     speed_requested: usize,
     /// Handles left to process in this step, and the number of rounds of initialization.
     handles_left: Vec<u8>,
