@@ -4,7 +4,6 @@
 //! [line commands](crate::transport::polled), which the transport executes before the next read.
 
 mod bring_up;
-mod exchange;
 mod frame;
 mod message;
 mod strays;
