@@ -46,6 +46,5 @@ pub mod plain_file;
 pub mod qtm;
 pub mod raw_log;
 pub mod registry;
-pub mod stream_query;
 pub mod transport;
 pub mod uri;

@@ -8,7 +8,6 @@ pub use crate::device::{Candidate, Claim, Family};
 use crate::{
     device::Protocol,
     link, lsl, natnet, ndi, qtm,
-    stream_query::StreamQuery,
     transport::{
         Access, Transport, TransportError, access,
         lsl::LslTransport,
@@ -16,7 +15,7 @@ use crate::{
         serial::SerialTransport,
         usb::{self, UsbDevice, UsbTransport},
     },
-    uri::{DeviceUri, Location, NETWORK_FAMILIES},
+    uri::{DeviceUri, Location, NETWORK_FAMILIES, StreamQuery},
 };
 
 /// All device families. Register a new one here.

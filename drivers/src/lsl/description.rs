@@ -13,7 +13,7 @@ use labstream_core::{
 use roxmltree::{Document, Node, ParsingOptions};
 
 use super::values::ValueFormat;
-use crate::{device::SampledGroupInfo, stream_query::LengthUnit};
+use crate::{device::SampledGroupInfo, uri::LengthUnit};
 
 /// Longest description in bytes: 4096 channels with a label, a type, a unit and as much again of what else a program states.
 pub const DESCRIPTION_BYTES_MAX: usize = 1 << 20;

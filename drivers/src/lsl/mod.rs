@@ -35,12 +35,11 @@ use crate::{
     device::{
         Claim, Command, DeviceEvent, Family, LinkBudget, LinkCounters, Pong, Protocol, Status,
     },
-    stream_query::{STREAMS_MAX, StreamQuery},
     transport::{
         Transport,
         polled::{LineCommand, LineCommandSender, PolledTransport, line_command_channel},
     },
-    uri::Location,
+    uri::{Location, STREAMS_MAX, StreamQuery},
 };
 
 pub(crate) const FAMILY: Family = Family {

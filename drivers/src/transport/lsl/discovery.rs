@@ -14,7 +14,7 @@ use labstream_core::{
     proto::discovery::{build_query, parse_answer},
 };
 
-use crate::{lsl::StreamDescription, stream_query::StreamQuery, transport::TransportError};
+use crate::{lsl::StreamDescription, transport::TransportError, uri::StreamQuery};
 
 /// How long to wait for a stream: several waves, of which each can be lost.
 const FIND_TIMEOUT: Duration = Duration::from_millis(2500);

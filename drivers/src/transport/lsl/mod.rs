@@ -29,7 +29,7 @@ use crate::{
         DATA_HEADER_BYTES, Layout, LineRequest, StreamDescription, StreamMessage, data_header,
         put_message,
     },
-    stream_query::StreamQuery,
+    uri::StreamQuery,
 };
 
 /// Probes whose reply may still come: as many as the recorder sends at once.

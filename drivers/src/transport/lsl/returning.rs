@@ -11,7 +11,7 @@ use super::{
     discovery::{self, FoundStream},
     feed::{Feed, whole_description},
 };
-use crate::{lsl::StreamDescription, stream_query::STREAMS_MAX};
+use crate::{lsl::StreamDescription, uri::STREAMS_MAX};
 
 /// Time between two searches.
 const INTERVAL: Duration = Duration::from_secs(1);
