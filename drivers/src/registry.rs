@@ -69,7 +69,7 @@ pub fn devices() -> Result<Vec<AttachedDevice>, TransportError> {
 /// Lists devices that answer a search on the networks of this machine, which takes two thirds of a second.
 #[must_use]
 pub fn network_devices() -> Vec<AttachedDevice> {
-    let found = natnet::discovery::candidates().into_iter().chain(qtm::discovery::candidates());
+    let found = natnet::candidates().into_iter().chain(qtm::discovery::candidates());
     found.map(|candidate| list_device(candidate, Access::Accessible)).collect()
 }
 

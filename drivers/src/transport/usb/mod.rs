@@ -13,7 +13,7 @@ use std::{
 use nusb::{DeviceInfo, ErrorKind, MaybeFuture};
 
 use crate::{
-    transport::{Access, TransportError, access::group_remedy},
+    transport::{Access, TransportError, group_remedy},
     uri::Location,
 };
 
