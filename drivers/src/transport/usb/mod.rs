@@ -2,7 +2,6 @@
 
 mod bulk;
 mod pair;
-mod queue;
 mod watch;
 
 use std::{
@@ -18,7 +17,7 @@ use crate::{
 };
 
 pub use bulk::UsbTransport;
-pub use queue::{TRANSFER_BYTES, TRANSFERS};
+pub use bulk::{TRANSFER_BYTES, TRANSFERS};
 pub use watch::UsbWatch;
 
 const SYSFS: &str = "/sys/bus/usb/devices";
