@@ -15,7 +15,8 @@ use nusb::{
     transfer::{Buffer, Bulk, Completion, In, Out, TransferError},
 };
 
-use super::{UsbDevice, find, open_error, pair};
+use super::{UsbDevice, find, open_error};
+use crate::transport::usb;
 use crate::transport::{READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
 
 /// `ENOMEM`: the kernel's memory limit for transfers is exhausted.
@@ -89,7 +90,7 @@ impl UsbTransport {
         let handle = info.open().wait().map_err(failed)?;
         let configuration =
             handle.active_configuration().map_err(|error| invalid(&device, &error.to_string()))?;
-        let pair = pair::bulk_pair(&configuration).map_err(|found| invalid(&device, &found))?;
+        let pair = usb::bulk_pair(&configuration).map_err(|found| invalid(&device, &found))?;
         let interface = handle.detach_and_claim_interface(pair.interface).wait().map_err(failed)?;
         let rx = interface.endpoint(pair.device_to_host).map_err(failed)?;
         let tx = interface.endpoint(pair.host_to_device).map_err(failed)?;
