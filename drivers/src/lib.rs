@@ -33,9 +33,9 @@
 //! # Ok::<(), mocapd_drivers::link::EncodeError>(())
 //! ```
 
+mod axis;
 mod bytes;
 pub mod device;
-mod frame_axis;
 pub mod link;
 pub mod lsl;
 mod marker_ids;

@@ -4,7 +4,6 @@
 //! becomes of samples are here. The [transport](crate::transport::lsl) finds the streams and merges what they send into one
 //! stream of [messages](StreamMessage), which [`LslHost`] decodes.
 
-mod axis;
 mod decoder;
 mod description;
 mod envelope;

@@ -12,9 +12,9 @@ use super::{
     sampled::{DeviceGroups, SAMPLES_PER_FRAME_MAX},
 };
 use crate::{
+    axis::FrameAxis,
     bytes::WireValue,
     device::{BODIES_MAX, Candidate, Hello},
-    frame_axis::FrameAxis,
     marker_ids::{LABELS_MAX, UNLABELLED_MAX},
     transport::{
         DatagramSource,

@@ -14,6 +14,7 @@ mod server;
 
 use std::net::Ipv4Addr;
 
+pub(crate) use self::bring_up::candidates;
 pub use self::{
     assets::{AssetTable, ServedMarker, in_m},
     bring_up::find_servers,
@@ -38,11 +39,11 @@ use self::{
     sampled::DeviceGroups,
 };
 use crate::{
+    axis::FrameAxis,
     device::{
         Claim, Command, DeviceEvent, Family, Hello, LinkBudget, LinkCounters, MarkerSample, Pong,
         Protocol,
     },
-    frame_axis::FrameAxis,
     marker_ids::{LabelTable, UnlabelledIds},
     transport::{
         DatagramSource, Transport,
@@ -307,7 +308,7 @@ impl NatNetHost {
     }
 
     fn on_echo(&mut self, message: &Message<'_>, on_event: Events<'_>) {
-        match message::read_echo_reply(message.body) {
+        match read_echo_reply(message.body) {
             Some((host_ns, ticks)) => {
                 let device_ticks = self.in_ns(ticks);
                 on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks }));
