@@ -3,7 +3,7 @@
 use mocapd_take::record::{ClockFit, ClockJitter, ClockLine, ClockPoint, ClockProbe};
 
 use super::{
-    fit::Line,
+    Line,
     observations::{Arrivals, Bursts, lines},
     seconds,
 };

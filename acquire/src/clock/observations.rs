@@ -6,12 +6,7 @@ use std::collections::VecDeque;
 use mocapd_take::record::{Clock, ClockLine, ClockPoint, ClockProbe};
 use serde::Serialize;
 
-use super::{
-    WINDOW_US,
-    fit::{BURSTS_MAX, Burst, Line, POINTS_MAX, fit},
-    prober::PROBES,
-    seconds,
-};
+use super::{BURSTS_MAX, Burst, Line, POINTS_MAX, WINDOW_US, fit, prober::PROBES, seconds};
 
 /// Round trips that begin within this time of the first form a burst: eight take at most 0.2 s, and the next
 /// burst begins a second later at the earliest.
