@@ -9,15 +9,14 @@
 
 mod model;
 mod observations;
-mod prober;
 #[cfg(test)]
 mod tests;
 
 use mocapd_take::record::{ClockBound, ClockLine, ClockPoint};
 
 pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus, StoreItem};
+pub use observations::Prober;
 pub use observations::{LineDeviation, LineRefit};
-pub use prober::Prober;
 
 /// Longest age of an observation that the line is fitted to: over two minutes the oscillators of a device and of a host
 /// change their relative rate by some hundredths of a ppm, 5 us.
