@@ -2,7 +2,6 @@
 //! complete.
 
 mod dataset;
-mod file_state;
 mod hidden_path;
 mod new_file;
 mod staging;
@@ -31,11 +30,12 @@ use serde::{Serialize, Serializer};
 
 pub use self::{
     dataset::{DatasetError, NewRecording},
-    file_state::{DisplacedFile, FileState, SettledFile},
     hidden_path::remove_incomplete_outputs,
     new_file::{Kept, NewFile},
     staging::rename_new,
-    take_file::{FileId, TakeFile, TakeOutput, is_being_written},
+    take_file::{
+        DisplacedFile, FileId, FileState, SettledFile, TakeFile, TakeOutput, is_being_written,
+    },
 };
 
 /// Why a file cannot be opened or created. The message is one line that says what to do.
