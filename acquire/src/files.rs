@@ -2,7 +2,6 @@
 //! complete.
 
 mod dataset;
-mod hidden_path;
 mod new_file;
 mod staging;
 mod take_file;
@@ -30,8 +29,7 @@ use serde::{Serialize, Serializer};
 
 pub use self::{
     dataset::{DatasetError, NewRecording},
-    hidden_path::remove_incomplete_outputs,
-    new_file::{Kept, NewFile},
+    new_file::{Kept, NewFile, remove_incomplete_outputs},
     staging::rename_new,
     take_file::{
         DisplacedFile, FileId, FileState, SettledFile, TakeFile, TakeOutput, is_being_written,
