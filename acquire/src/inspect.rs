@@ -15,7 +15,7 @@ use mocapd_take::{
 
 use crate::{
     clock::{ClockStatus, LineDeviation, LineRefit},
-    health::TakeHealth,
+    ledger::TakeHealth,
 };
 
 /// Summary of one channel over the whole take.

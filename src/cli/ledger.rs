@@ -3,9 +3,10 @@
 use std::{fmt::Write, path::Path};
 
 use mocapd_acquire::{
-    health::TakeHealth,
     inspect::Summary,
-    ledger::{ClockDocument, GroupLedgerDocument, LedgerDocument, SampleLedgerDocument},
+    ledger::{
+        ClockDocument, GroupLedgerDocument, LedgerDocument, SampleLedgerDocument, TakeHealth,
+    },
     verdict::Finding,
 };
 use mocapd_take::damage::{DamageOrigin, LostRows};

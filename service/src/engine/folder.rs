@@ -11,7 +11,7 @@ use std::{
 
 use mocapd_acquire::{
     files::{FileId, is_being_written},
-    health::TakeHealth,
+    ledger::TakeHealth,
     pipeline::lock,
 };
 use mocapd_drivers::plain_file;

@@ -12,7 +12,7 @@ use anyhow::Context;
 use mocapd_acquire::{
     files::{NewFile, SparseFile},
     header::SOFTWARE,
-    health::TakeHealth,
+    ledger::TakeHealth,
 };
 use mocapd_take::{
     record::EndingKind,

@@ -19,7 +19,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::{files, health::TakeHealth, pipeline::lock};
+use mocapd_acquire::{files, ledger::TakeHealth, pipeline::lock};
 use mocapd_store::{ObjectUrl, Store, StoreError};
 
 pub(super) use self::removal::restore_set_aside;

@@ -13,10 +13,7 @@ use axum::{
     http::{HeaderMap, header},
     response::{IntoResponse, Response},
 };
-use mocapd_acquire::{
-    health::TakeHealth,
-    ledger::{LedgerDocument, SampleLedgerDocument},
-};
+use mocapd_acquire::ledger::{LedgerDocument, SampleLedgerDocument, TakeHealth};
 use prometheus_client::{
     collector::Collector,
     encoding::{DescriptorEncoder, EncodeMetric, text::encode},

@@ -21,9 +21,8 @@ use axum::{
 use futures_util::stream;
 use mocapd_acquire::{
     files::{FileId, SparseFile},
-    health::TakeHealth,
     inspect::Summary,
-    ledger::LedgerDocument,
+    ledger::{LedgerDocument, TakeHealth},
     verdict::Verdict,
 };
 use mocapd_take::TakeError;

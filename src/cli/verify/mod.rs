@@ -13,8 +13,8 @@ use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     clock::LineDeviation,
     files::CountingFile,
-    health::TakeHealth,
     inspect::Summary,
+    ledger::TakeHealth,
     verdict::{Finding, Verdict},
 };
 use mocapd_service::units;
