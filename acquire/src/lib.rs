@@ -3,7 +3,7 @@
 //! [`rig`] opens a device, reads it and reconnects to it. [`pipeline`] carries its frames through lock-free rings and a
 //! pool of resampler threads to a writer. [`record`] combines both for a single take, [`series`] for a recording that is
 //! divided into several. [`clock`] relates the device's
-//! clock to the host's, [`ledger`] accounts for every frame, and [`inspect`] and [`verdict`] read a take back.
+//! clock to the host's, [`ledger`] accounts for every frame, and [`inspect`] reads a take back.
 
 pub mod clock;
 pub mod files;
@@ -23,4 +23,3 @@ pub mod rig;
 pub mod series;
 pub mod setting;
 pub mod threads;
-pub mod verdict;

@@ -3,11 +3,10 @@
 use std::{fmt::Write, path::Path};
 
 use mocapd_acquire::{
-    inspect::Summary,
+    inspect::{Finding, Summary},
     ledger::{
         ClockDocument, GroupLedgerDocument, LedgerDocument, SampleLedgerDocument, TakeHealth,
     },
-    verdict::Finding,
 };
 use mocapd_take::damage::{DamageOrigin, LostRows};
 use serde::Serialize;

@@ -21,9 +21,8 @@ use axum::{
 use futures_util::stream;
 use mocapd_acquire::{
     files::{FileId, SparseFile},
-    inspect::Summary,
+    inspect::{Summary, Verdict},
     ledger::{LedgerDocument, TakeHealth},
-    verdict::Verdict,
 };
 use mocapd_take::TakeError;
 use rustix::{

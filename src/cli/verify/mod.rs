@@ -13,9 +13,8 @@ use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     clock::LineDeviation,
     files::CountingFile,
-    inspect::Summary,
+    inspect::{Finding, Summary, Verdict},
     ledger::TakeHealth,
-    verdict::{Finding, Verdict},
 };
 use mocapd_service::units;
 use mocapd_take::{interchange::Format, record::Ledger};
