@@ -14,7 +14,6 @@ pub mod host_clock;
 pub mod inspect;
 pub mod latency;
 pub mod ledger;
-pub mod listing;
 pub mod parallel_frames;
 pub mod pipeline;
 pub mod raw_log;

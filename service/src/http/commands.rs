@@ -8,7 +8,7 @@ use axum::{
     http::{HeaderMap, StatusCode},
     response::{IntoResponse, Response},
 };
-use mocapd_acquire::listing::{self, ListedDevice};
+use mocapd_acquire::rig::{self, ListedDevice};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -66,7 +66,7 @@ pub(super) async fn healthz(
 #[utoipa::path(get, path = "/v1/devices", tag = "status",
     responses((status = 200, body = Vec<ListedDevice>)))]
 pub(super) async fn devices(State(app): State<Shared>) -> Result<Json<Vec<ListedDevice>>, Problem> {
-    let listed = app.queues.files.run(listing::devices).await?;
+    let listed = app.queues.files.run(rig::devices).await?;
     Ok(Json(listed.map_err(|error| Problem::internal(error.to_string()))?))
 }
 
