@@ -12,7 +12,6 @@ pub mod header;
 pub mod heartbeat;
 pub mod host_clock;
 pub mod inspect;
-pub mod latency;
 pub mod ledger;
 pub mod parallel_frames;
 pub mod pipeline;

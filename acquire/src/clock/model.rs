@@ -7,7 +7,7 @@ use super::{
     observations::{Arrivals, Bursts, lines},
     seconds,
 };
-use crate::latency::LatencyHistogram;
+use crate::host_clock::LatencyHistogram;
 
 /// An item of the clock model for the take to store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

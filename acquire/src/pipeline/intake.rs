@@ -35,7 +35,7 @@ use super::{
 };
 use crate::{
     heartbeat::{HeartbeatHandle, ThreadRole},
-    latency::LatencyHistogram,
+    host_clock::LatencyHistogram,
 };
 
 /// No slot: the channel pool was exhausted when the marker appeared.

@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::latency::LatencyHistogram;
+use mocapd_acquire::host_clock::LatencyHistogram;
 use mocapd_drivers::{registry, transport::Access};
 
 /// The severity of a finding.
