@@ -13,7 +13,6 @@
 mod commands;
 mod counts;
 mod disk;
-mod group;
 mod intake;
 mod messages;
 pub mod offline;
@@ -38,9 +37,9 @@ pub use commands::{
 };
 pub use counts::{Counts, PendingRows};
 pub use disk::{DiskSpace, RESERVE_MIN_BYTES, check_disk_space};
-pub use group::{Visibility, VisibilityCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
+pub use pool::{Visibility, VisibilityCounters};
 pub use progress::{PipelineProgress, TakeProgress, lock};
 pub use publish_tap::{LeftOut, PublishTap, TappedBatch, TappedFrame, TappedMarker};
 pub use ring::{PreviewBody, PreviewFrame, PreviewPoses, PreviewReceiver};
@@ -48,10 +47,9 @@ pub use sampled::{SampleColumn, SampleRange, SampleTapReceiver};
 pub use split::{NextTake, Split, SplitAt, TakeSeries};
 
 use self::{
-    group::Group,
     intake::ReaderEndpoints,
     plan::Plan,
-    pool::Pool,
+    pool::{Group, Pool},
     sampled::SamplingThreads,
     writer::{LiveTake, SampleQueue, TakePlace, Writer, WriterEndpoints},
 };
