@@ -1,7 +1,6 @@
 //! The intake: the reader puts each frame into every ring, or counts it as lost.
 
 mod clock;
-mod frame_counter;
 mod losses;
 mod poses;
 mod rows;
@@ -18,8 +17,7 @@ use mocapd_take::{
 
 use self::{
     clock::ClockTracker,
-    frame_counter::FrameCounter,
-    losses::{PendingLoss, SilenceMonitor},
+    losses::{FrameCounter, PendingLoss, SilenceMonitor},
     poses::PoseStep,
 };
 use super::{
