@@ -2,7 +2,6 @@
 
 mod clock;
 mod losses;
-mod poses;
 mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
@@ -18,7 +17,7 @@ use mocapd_take::{
 use self::{
     clock::ClockTracker,
     losses::{FrameCounter, PendingLoss, SilenceMonitor},
-    poses::PoseStep,
+    rows::PoseStep,
 };
 use super::{
     Counts, PipelineConfig, PipelineProgress, SplitAt,
