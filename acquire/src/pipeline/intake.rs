@@ -28,7 +28,7 @@ use super::{
     publish_tap::{FramePlace, PublishTapSender},
     ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
     sampled::{BatchOutcome, SampledIntake},
-    split::SplitSchedule,
+    writer::splitting::SplitSchedule,
 };
 use crate::{
     heartbeat::{HeartbeatHandle, ThreadRole},

@@ -22,7 +22,6 @@ mod progress;
 mod publish_tap;
 mod ring;
 mod sampled;
-mod split;
 mod writer;
 
 use std::sync::Arc;
@@ -44,7 +43,7 @@ pub use progress::{PipelineProgress, TakeProgress, lock};
 pub use publish_tap::{LeftOut, PublishTap, TappedBatch, TappedFrame, TappedMarker};
 pub use ring::{PreviewBody, PreviewFrame, PreviewPoses, PreviewReceiver};
 pub use sampled::{SampleColumn, SampleRange, SampleTapReceiver};
-pub use split::{NextTake, Split, SplitAt, TakeSeries};
+pub use writer::splitting::{NextTake, Split, SplitAt, TakeSeries};
 
 use self::{
     intake::ReaderEndpoints,

@@ -4,7 +4,7 @@ mod clocks;
 mod live;
 mod pre_roll;
 mod samples;
-mod splitting;
+pub(super) mod splitting;
 
 use std::{
     collections::VecDeque,
