@@ -21,8 +21,7 @@ use self::{
 };
 use super::{
     Counts, PipelineConfig, PipelineProgress, SplitAt,
-    commands::{CommandReceiver, TAKE_COMMANDS_MAX, TakeCommand},
-    messages::{Control, FrameTimes, ToWriter},
+    messages::{CommandReceiver, Control, FrameTimes, TAKE_COMMANDS_MAX, TakeCommand, ToWriter},
     plan::Plan,
     pool::Feed,
     publish_tap::{FramePlace, PublishTapSender},

@@ -25,11 +25,10 @@ pub(super) use self::{
     samples::SampleQueue,
 };
 use super::{
-    Counts, NewTake, PipelineProgress, Split, TakeFailed,
-    commands::{Reply, TakeCommand},
-    lock,
+    Counts, NewTake, PipelineProgress, Split, TakeFailed, lock,
     messages::{
-        Control, FromReader, Part, PartBuffer, PartReport, StretchEnd, StretchReport, WriterInput,
+        Control, FromReader, Part, PartBuffer, PartReport, Reply, StretchEnd, StretchReport,
+        TakeCommand, WriterInput,
     },
     plan::Plan,
     pool::WakeQueue,

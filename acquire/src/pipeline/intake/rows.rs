@@ -19,8 +19,7 @@ use mocapd_take::{
 
 use super::{Intake, NO_SLOT, losses::PendingLoss};
 use crate::pipeline::{
-    commands::TakeCommand,
-    messages::{Control, NewChannel, StretchEnd},
+    messages::{Control, NewChannel, StretchEnd, TakeCommand},
     plan::{POSES_WAIT_NS, RUNS_MAX},
     publish_tap::PublishTapSender,
     ring::{RingProducer, Sample, TimelineItem},

@@ -18,7 +18,9 @@ use super::{LiveTake, TakePlace, Writer};
 use crate::{
     files::FileState,
     pipeline::{
-        NewTake, TakeFailed, TakeResult, commands::Reply, messages::StretchEnd, plan::CONTROL_MAX,
+        NewTake, TakeFailed, TakeResult,
+        messages::{Reply, StretchEnd},
+        plan::CONTROL_MAX,
     },
 };
 
