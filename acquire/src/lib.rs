@@ -9,7 +9,6 @@ pub mod clock;
 pub mod files;
 pub mod gaps;
 pub mod header;
-pub mod heartbeat;
 pub mod host_clock;
 pub mod inspect;
 pub mod ledger;

@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, sync::Arc};
 
-use mocapd_acquire::{heartbeat::Heartbeat, ledger::TakeHealth};
+use mocapd_acquire::{ledger::TakeHealth, threads::Heartbeat};
 use mocapd_service::{
     control::{Control, Request},
     engine::Engine,

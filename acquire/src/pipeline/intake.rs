@@ -30,8 +30,8 @@ use super::{
     writer::splitting::SplitSchedule,
 };
 use crate::{
-    heartbeat::{HeartbeatHandle, ThreadRole},
     host_clock::LatencyHistogram,
+    threads::{HeartbeatHandle, ThreadRole},
 };
 
 /// No slot: the channel pool was exhausted when the marker appeared.

@@ -52,7 +52,7 @@ use self::{
     writer::{LiveTake, SampleQueue, TakePlace, Writer, WriterEndpoints},
 };
 pub use crate::files::TakeOutput;
-use crate::{heartbeat::ThreadRole, threads};
+use crate::threads::{self, ThreadRole};
 
 /// The threads behind an [`Intake`].
 #[derive(Debug)]

@@ -29,10 +29,7 @@ use super::{
     plan::Plan,
     ring::{RingConsumer, RingProducer, Sample, TimelineItem, ring},
 };
-use crate::{
-    heartbeat::{Heartbeat, HeartbeatHandle, ThreadRole},
-    threads,
-};
+use crate::threads::{self, Heartbeat, HeartbeatHandle, ThreadRole};
 
 /// The place where a group waits for work.
 #[derive(Debug)]

@@ -33,7 +33,10 @@ use super::{
     plan::Plan,
     pool::WakeQueue,
 };
-use crate::{files::FileState, heartbeat::HeartbeatHandle, threads::ResamplerFailed};
+use crate::{
+    files::FileState,
+    threads::{HeartbeatHandle, ResamplerFailed},
+};
 
 /// Shortest polling interval of the writer, even if it is to sync with every stretch.
 const POLL_INTERVAL_MIN: Duration = Duration::from_millis(50);

@@ -276,7 +276,7 @@ mod tests {
     };
     use mocapd_acquire::{
         files::{FileId, TakeFile},
-        heartbeat::Heartbeat,
+        threads::Heartbeat,
     };
 
     /// An engine without a device.

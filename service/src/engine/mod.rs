@@ -42,7 +42,11 @@ use std::{
 
 use anyhow::{Context, anyhow};
 use jiff::Zoned;
-use mocapd_acquire::{files::FileId, heartbeat::Heartbeat, pipeline::lock, threads};
+use mocapd_acquire::{
+    files::FileId,
+    pipeline::lock,
+    threads::{self, Heartbeat},
+};
 use mocapd_drivers::{registry, uri::DeviceUri};
 use mocapd_take::record::{EndingKind, Subject};
 

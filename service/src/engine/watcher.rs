@@ -8,8 +8,8 @@ use std::{
 use crossbeam_channel::TryRecvError;
 use mocapd_acquire::{
     files::FileState,
-    heartbeat::{HeartbeatHandle, ThreadRole},
     pipeline::lock,
+    threads::{HeartbeatHandle, ThreadRole},
 };
 use mocapd_take::record::EndingKind;
 

@@ -2,7 +2,7 @@
 
 use std::{fs, os::unix::fs::symlink};
 
-use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_acquire::threads::Heartbeat;
 
 use super::{journal::JOURNAL, *};
 use crate::{
