@@ -14,7 +14,6 @@
 //! The state is a value behind a lock that is held only briefly: never while waiting for a disk or a device.
 
 mod commands;
-mod events;
 mod finish;
 mod finished;
 mod folder;
@@ -52,7 +51,6 @@ use mocapd_take::record::{EndingKind, Subject};
 
 pub(crate) use self::folder::summarise;
 use self::{
-    events::EventPublisher,
     finished::TakeClaims,
     folder::SummaryCache,
     hub::{Hub, Viewers},
@@ -60,6 +58,7 @@ use self::{
     quality::MarkerStatistics,
     session::{Core, Rates},
     uploads::Uploads,
+    watcher::EventPublisher,
 };
 use super::{
     control::{
