@@ -15,11 +15,9 @@
 
 mod commands;
 mod finish;
-mod finished;
 mod folder;
 mod hub;
 mod quality;
-mod recoveries;
 mod scheduled;
 mod session;
 mod status;
@@ -52,8 +50,7 @@ use mocapd_take::record::{EndingKind, Subject};
 
 pub(crate) use self::folder::summarise;
 use self::{
-    finished::TakeClaims,
-    folder::SummaryCache,
+    folder::{SummaryCache, TakeClaims},
     hub::{Hub, Viewers},
     quality::MarkerStatistics,
     session::{Core, Rates},
@@ -145,14 +142,14 @@ impl Engine {
         // Whether or not there is an archive now.
         let directory = inner.core().options.take.directory.clone();
         uploads::restore_set_aside(&inner, &directory);
-        finished::repair(&inner);
-        let cut_off = recoveries::cut_off(&inner);
+        folder::repair(&inner);
+        let cut_off = folder::cut_off(&inner);
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);
         let watched = Arc::clone(&inner);
         if !cut_off.is_empty() {
             let inner = Arc::clone(&inner);
-            let run = move || recoveries::run(&inner, cut_off);
+            let run = move || folder::recover_takes(&inner, cut_off);
             // It ends when it is done, or with the service.
             drop(threads::spawn("mocapd-recover", run)?);
         }
@@ -161,7 +158,7 @@ impl Engine {
         drop(threads::spawn("mocapd-upload", move || uploads::run(&uploading))?);
         let emptying = Arc::clone(&inner);
         // It may wait for a slow disk, but removes what nobody needs.
-        drop(threads::spawn("mocapd-trash", move || finished::run(&emptying))?);
+        drop(threads::spawn("mocapd-trash", move || folder::empty_trash(&emptying))?);
         let scheduling = Arc::clone(&inner);
         let threads = vec![
             threads::spawn("mocapd-hub", move || hub.run())?,
