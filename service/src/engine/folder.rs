@@ -29,7 +29,7 @@ use mocapd_take::{
     recovery::{RecoveryScan, repair_start},
 };
 
-use super::{Inner, status::unix_ms, uploads};
+use super::{Inner, session::unix_ms, uploads};
 use crate::{
     control::{Refusal, RefusalKind},
     finished::{
@@ -292,7 +292,7 @@ impl Drop for Claim<'_> {
 }
 
 /// Removes takes from the trash until the service stops.
-fn empty_trash(inner: &Arc<Inner>) {
+pub(super) fn empty_trash(inner: &Arc<Inner>) {
     let mut problem = None;
     while !inner.is_stopping() {
         let options = Arc::clone(&inner.core().options);
@@ -513,7 +513,7 @@ fn recovered_paths(path: &Path) -> impl Iterator<Item = PathBuf> {
 }
 
 /// Recovers each take into a new file; the original stays unchanged.
-fn recover_takes(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
+pub(super) fn recover_takes(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
     for path in takes {
         if inner.is_stopping() {
             return;

@@ -20,7 +20,6 @@ mod hub;
 mod quality;
 mod scheduled;
 mod session;
-mod status;
 mod supervisor;
 mod trial_names;
 mod uploads;

@@ -27,7 +27,7 @@ use self::{
     journal::{Journal, JournalEntry},
     removal::check_apart,
 };
-use super::{Inner, status::unix_ms};
+use super::{Inner, session::unix_ms};
 use crate::{
     config::ArchiveConfig,
     status::{ArchiveStatus, ServiceEventKind, TakeSummary, TakeUpload, UploadState},

@@ -18,7 +18,10 @@ use mocapd_acquire::{
 };
 use mocapd_take::{escape::visible, record::EndingKind};
 
-use super::{Inner, session::Core, status::free_bytes};
+use super::{
+    Inner,
+    session::{Core, free_bytes},
+};
 use crate::{
     control::EventFeed,
     process,
@@ -255,7 +258,7 @@ impl EventPublisher {
         subscribers.number += 1;
         let event = Arc::new(ServiceEvent {
             number: subscribers.number,
-            unix_ms: super::status::unix_ms(),
+            unix_ms: super::session::unix_ms(),
             kind,
             message: message.to_owned(),
             state,

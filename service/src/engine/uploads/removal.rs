@@ -13,7 +13,7 @@ use mocapd_store::{ObjectUrl, Store, StoreError};
 use super::{Pace, RETRY_MAX, Retry, Uploader, is_of_take};
 use crate::{
     config::ArchiveConfig,
-    engine::{Inner, status::unix_ms},
+    engine::{Inner, session::unix_ms},
     status::{ServiceEventKind, TakeSummary, UploadState},
     take_files::notes,
 };
