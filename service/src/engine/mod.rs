@@ -17,7 +17,6 @@ mod commands;
 mod finish;
 mod folder;
 mod hub;
-mod quality;
 mod scheduled;
 mod session;
 mod supervisor;
@@ -50,8 +49,7 @@ use mocapd_take::record::{EndingKind, Subject};
 pub(crate) use self::folder::summarise;
 use self::{
     folder::{SummaryCache, TakeClaims},
-    hub::{Hub, Viewers},
-    quality::MarkerStatistics,
+    hub::{Hub, MarkerStatistics, Viewers},
     session::{Core, Rates},
     uploads::Uploads,
     watcher::EventPublisher,
