@@ -16,7 +16,6 @@ mod broadcast;
 mod commands;
 mod connection;
 mod download;
-mod finished;
 mod guard;
 mod login;
 mod metrics;

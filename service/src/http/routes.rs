@@ -26,7 +26,7 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     Shared,
     auth::COOKIE,
-    commands, download, finished, guard, login, metrics, playback,
+    commands, download, guard, login, metrics, playback,
     problem::{PROBLEM_JSON, Problem},
     streams, takes,
 };
@@ -57,11 +57,11 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(playback::bodies))
         .routes(routes!(playback::poses))
         .routes(routes!(playback::difference))
-        .routes(routes!(finished::notes_file, finished::edit_notes))
-        .routes(routes!(finished::rename))
-        .routes(routes!(finished::trash))
-        .routes(routes!(finished::trashed))
-        .routes(routes!(finished::restore))
+        .routes(routes!(takes::notes_file, takes::edit_notes))
+        .routes(routes!(takes::rename))
+        .routes(routes!(takes::trash))
+        .routes(routes!(takes::trashed))
+        .routes(routes!(takes::restore))
         .routes(routes!(streams::events))
         .routes(routes!(streams::live))
         .routes(routes!(commands::healthz))
