@@ -12,7 +12,10 @@ use mocapd_acquire::rig::{self, ListedDevice};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Shared, Via, body::JsonBody, problem::Problem};
+use super::{
+    Shared, Via,
+    body::{JsonBody, Problem},
+};
 use crate::{
     control::{Control, Mark, Marked, Refusal, Request, SaveLast, Start, Started, Stopped},
     status::{MarkerQuality, PendingStart, State as ServiceState, Status},

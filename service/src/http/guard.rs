@@ -17,8 +17,8 @@ use axum::{
 
 use super::{
     Counts, Shared, Via,
+    body::{PROBLEM_JSON, Problem, ProblemKind},
     login::{self, LOGIN_PATH},
-    problem::{PROBLEM_JSON, Problem, ProblemKind},
     slots::ConnectionSlot,
 };
 use crate::page;

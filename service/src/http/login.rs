@@ -12,8 +12,7 @@ use axum::{
 use super::{
     Shared,
     auth::{COOKIE, SESSION_MAX},
-    body,
-    problem::{Problem, ProblemKind},
+    body::{self, Problem, ProblemKind},
 };
 
 /// Delay before a wrong token is refused: guessing over one connection is slow, and connections are limited.

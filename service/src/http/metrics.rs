@@ -21,7 +21,7 @@ use prometheus_client::{
     registry::{Registry, Unit},
 };
 
-use super::{Counts, Shared, problem::Problem};
+use super::{Counts, Shared, body::Problem};
 use crate::status::{ArchiveStatus, PublishStatus, State, Status, TakeStatus, TakeSummary};
 
 const OPEN_METRICS: &str = "application/openmetrics-text";

@@ -21,7 +21,6 @@ mod login;
 mod metrics;
 mod options;
 mod playback;
-mod problem;
 mod routes;
 mod server;
 mod slots;
@@ -51,8 +50,8 @@ use self::{
 };
 pub use self::{
     auth::{Token, TokenError},
+    body::{Problem, ProblemKind},
     options::{CONNECTIONS_MAX, HttpOptions, TimeLimits},
-    problem::{Problem, ProblemKind},
     routes::openapi,
     server::HttpServer,
     takes::TakeCheck,

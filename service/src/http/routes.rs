@@ -26,9 +26,8 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     Shared,
     auth::COOKIE,
-    commands, download, guard, login, metrics, playback,
-    problem::{PROBLEM_JSON, Problem},
-    streams, takes,
+    body::{PROBLEM_JSON, Problem},
+    commands, download, guard, login, metrics, playback, streams, takes,
 };
 use crate::page::{PLAYER, WEB};
 

@@ -17,8 +17,8 @@ use utoipa::ToSchema;
 
 use super::{
     Shared, StreamPermit,
+    body::Problem,
     broadcast::{Delivery, EventSubscription},
-    problem::Problem,
     until,
 };
 use crate::status::ServiceEvent;

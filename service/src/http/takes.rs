@@ -38,9 +38,8 @@ use utoipa::ToSchema;
 
 use super::{
     Shared, StreamPermit,
-    body::JsonBody,
+    body::{JsonBody, Problem, ProblemKind},
     commands::Answer,
-    problem::{Problem, ProblemKind},
 };
 use crate::{
     control::{Control, Refusal, Request},
@@ -406,8 +405,8 @@ async fn change<T: Send + 'static>(
     name: Result<Path<String>, PathRejection>,
     what: impl FnOnce(&dyn Control, &str) -> Result<T, Refusal> + Send + 'static,
 ) -> Answer<T> {
-    let name = takes::take_name(name)?;
-    if !takes::is_name(&name) {
+    let name = take_name(name)?;
+    if !is_name(&name) {
         return Err(Problem::not_found("no take has this name: see /v1/takes"));
     }
     let control = Arc::clone(&app.control);
@@ -437,9 +436,9 @@ pub(super) async fn notes_file(
     app: State<Shared>,
     name: Result<Path<String>, PathRejection>,
 ) -> Result<Response, Problem> {
-    let name = takes::take_name(name)?;
+    let name = take_name(name)?;
     let not_there = || Problem::not_found("the take has no notes, or there is no such take");
-    if !takes::is_name(&name) {
+    if !is_name(&name) {
         return Err(not_there());
     }
     let control = Arc::clone(&app.control);
@@ -495,7 +494,7 @@ pub(super) async fn trashed(
     State(app): State<Shared>,
     listing: Result<Query<Listing>, QueryRejection>,
 ) -> Answer<Vec<TrashedTake>> {
-    let limit = takes::limit(listing)?;
+    let limit = limit(listing)?;
     let control = Arc::clone(&app.control);
     Ok(Json(app.queues.files.run(move || control.trashed(limit)).await?))
 }
