@@ -24,7 +24,6 @@ mod playback;
 mod routes;
 mod server;
 mod slots;
-mod streams;
 mod takes;
 mod work_queues;
 

@@ -27,7 +27,7 @@ use super::{
     Shared,
     auth::COOKIE,
     body::{PROBLEM_JSON, Problem},
-    commands, download, guard, login, metrics, playback, streams, takes,
+    broadcast, commands, download, guard, login, metrics, playback, takes,
 };
 use crate::page::{PLAYER, WEB};
 
@@ -61,8 +61,8 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(takes::trash))
         .routes(routes!(takes::trashed))
         .routes(routes!(takes::restore))
-        .routes(routes!(streams::events))
-        .routes(routes!(streams::live))
+        .routes(routes!(broadcast::events))
+        .routes(routes!(broadcast::live))
         .routes(routes!(commands::healthz))
         .routes(routes!(metrics::metrics))
         .routes(routes!(document))
