@@ -17,7 +17,6 @@ mod commands;
 mod connection;
 mod download;
 mod guard;
-mod login;
 mod metrics;
 mod options;
 mod playback;

@@ -25,9 +25,9 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
     Shared,
-    auth::COOKIE,
+    auth::{self, COOKIE},
     body::{PROBLEM_JSON, Problem},
-    broadcast, commands, download, guard, login, metrics, playback, takes,
+    broadcast, commands, download, guard, metrics, playback, takes,
 };
 use crate::page::{PLAYER, WEB};
 
@@ -66,8 +66,8 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(commands::healthz))
         .routes(routes!(metrics::metrics))
         .routes(routes!(document))
-        .routes(routes!(login::page, login::login))
-        .routes(routes!(login::logout))
+        .routes(routes!(auth::page, auth::login))
+        .routes(routes!(auth::logout))
 }
 
 /// The API as `OpenAPI` 3.1, in JSON.
