@@ -24,8 +24,7 @@ use tokio::{
 use tower_service::Service;
 
 use super::{
-    Counts, OpenConnection, Via,
-    options::{LINGER_MAX, TimeLimits},
+    Counts, LINGER_MAX, OpenConnection, TimeLimits, Via,
     slots::{ConnectionSlot, ConnectionSlots, Peer, SlotGuard},
     unless, until,
 };

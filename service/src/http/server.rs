@@ -22,11 +22,10 @@ use tokio::{
 };
 
 use super::{
-    App, Counts,
+    App, Counts, HttpOptions, UNIX_EXTRA,
     auth::Auth,
     broadcast::{EventBroadcast, LiveBroadcast},
     connection::Acceptor,
-    options::{HttpOptions, UNIX_EXTRA},
     routes,
     slots::ConnectionSlots,
     work_queues::{self, WorkQueues},
