@@ -19,7 +19,7 @@ use super::{
     Counts, Shared, Via,
     auth::{self, LOGIN_PATH},
     body::{PROBLEM_JSON, Problem, ProblemKind},
-    slots::ConnectionSlot,
+    connection::ConnectionSlot,
 };
 use crate::page;
 

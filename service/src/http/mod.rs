@@ -21,7 +21,6 @@ mod metrics;
 mod playback;
 mod routes;
 mod server;
-mod slots;
 mod takes;
 mod work_queues;
 

@@ -25,9 +25,8 @@ use super::{
     App, Counts, HttpOptions, UNIX_EXTRA,
     auth::Auth,
     broadcast::{EventBroadcast, LiveBroadcast},
-    connection::Acceptor,
+    connection::{Acceptor, ConnectionSlots},
     routes,
-    slots::ConnectionSlots,
     work_queues::{self, WorkQueues},
 };
 use crate::control::Control;
