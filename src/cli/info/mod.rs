@@ -38,10 +38,7 @@ use super::{
     paths::{InputFormat, InputFormatName},
     remote,
 };
-use crate::cli::{
-    clock::ClockReport,
-    ledger::{DamageReport, OutagesReport},
-};
+use crate::cli::ledger::{ClockReport, DamageReport, OutagesReport};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {

@@ -15,8 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::watch::RawLogReport;
 use crate::cli::{
-    clock::ClockReport,
-    ledger::{self, OutagesReport},
+    ledger::{self, ClockReport, OutagesReport},
     output::plain_path,
     values::{SizeReport, bytes, count, frames_of, rate, thousands},
 };
