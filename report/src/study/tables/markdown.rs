@@ -7,7 +7,7 @@ use mocapd_take::escape::visible;
 use super::{Table, columns, figure, ratio, short, verdicts};
 use crate::{
     phases::Phase,
-    study::{EXHAUSTIVE_FRAMES_MAX, Findings, Method, Piece, paper},
+    study::{self, EXHAUSTIVE_FRAMES_MAX, Findings, Method, Piece},
 };
 
 /// Maximum number of trials that are listed one by one.
@@ -95,7 +95,7 @@ fn table_1(findings: &Findings) -> String {
         let cell = |&piece: &Piece| {
             let sum = findings.sum(piece, Method::WorstSample, mm);
             let here = figure(sum.and_then(|sum| sum.counts.sr2()));
-            format!("{here} / {}", figure(paper::sr2(piece, mm)))
+            format!("{here} / {}", figure(study::sr2(piece, mm)))
         };
         table.row([tolerance(mm)].into_iter().chain(columns.iter().map(cell)));
     }
@@ -264,7 +264,7 @@ fn table_2(findings: &Findings) -> String {
         let bytes = |length, method| ratio(sum(length, method).as_ref());
         add(format!("SR2, {mm} mm"), &|length| {
             let here = sum(length, Method::WorstSample).and_then(|sum| sum.counts.sr2());
-            format!("{} / {}", figure(here), figure(paper::sr2(Piece::First(length), mm)))
+            format!("{} / {}", figure(here), figure(study::sr2(Piece::First(length), mm)))
         });
         add(format!("on disk, `spline`, {mm} mm"), &|length| bytes(length, Method::WorstSample));
         add(format!("on disk, `dense`, {mm} mm"), &|length| bytes(length, Method::Dense));

@@ -8,7 +8,7 @@ use mocapd_take::escape::to_cell;
 
 use crate::{
     phases::Phase,
-    study::{Findings, Method, Piece, Results, Sum, paper},
+    study::{self, Findings, Method, Piece, Results, Sum},
 };
 
 pub use self::markdown::markdown;
@@ -63,7 +63,7 @@ fn columns(findings: &Findings) -> Vec<Piece> {
         let mut tolerances = findings.tolerances_mm.iter();
         tolerances.any(|&mm| findings.sum(*piece, Method::WorstSample, mm).is_some())
     };
-    [standing].into_iter().chain(paper::COLUMNS).filter(is_there).collect()
+    [standing].into_iter().chain(study::COLUMNS).filter(is_there).collect()
 }
 
 /// A CSV cell: six decimals, or empty.
@@ -85,7 +85,7 @@ pub fn csv(findings: &Findings) -> String {
         for tolerance_mm in tolerances(findings, piece) {
             let Some(sum) = findings.sum(piece, method, tolerance_mm) else { continue };
             let is_published = method == Method::WorstSample || method == Method::Exhaustive;
-            let paper = paper::sr2(piece, tolerance_mm).filter(|_| is_published);
+            let paper = study::sr2(piece, tolerance_mm).filter(|_| is_published);
             let Sum { n, wins, max_error_mm, .. } = sum;
             out += &format!(
                 "{},{},{tolerance_mm},{n},{wins},{},{},{},{},{}\n",
