@@ -4,8 +4,8 @@
 use super::crop::Maps;
 use super::features::Ray;
 use super::features::SearchResult;
+use super::regressor::{LANDMARKS, PosedModel, Target};
 use super::regressor::{LandmarkPoints, REGRESSED};
-use super::shape::{LANDMARKS, PosedModel, Target};
 use super::{BROWS, EYES, MOUTH, NOSE, features};
 use crate::plane::{Plane, Point, distance, middle};
 use crate::pose::{EyeLine, YawRule};

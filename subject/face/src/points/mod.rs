@@ -11,7 +11,6 @@ mod evidence;
 mod features;
 pub mod paper;
 pub mod regressor;
-mod shape;
 #[cfg(test)]
 mod tests;
 
@@ -24,7 +23,7 @@ pub use evidence::{Evidence, FAINT};
 use evidence::{LocatedFeatures, clearness};
 use features::{Heights, Ray};
 use regressor::{LandmarkPoints, LandmarkRegressor, REGRESSED, mean};
-use shape::{Landmarks, PosedModel, Target};
+use regressor::{Landmarks, PosedModel, Target};
 
 /// Approximate position of a face (pixels of the photograph); an error of a tenth of the eye distance is harmless.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,7 +3,7 @@
 use mocapd_testkit::photograph::Scene;
 use mocapd_testkit::random::Random;
 
-use super::shape::{Landmarks, PosedModel};
+use super::regressor::{Landmarks, PosedModel};
 use super::{Evidence, FacePoints, Point, RoughFace, features, find, paper};
 use crate::model::{FeatureId, Model};
 use crate::photo::Photo;
