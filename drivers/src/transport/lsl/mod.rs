@@ -1,9 +1,8 @@
 //! The line to streams of the Lab Streaming Layer: finds and describes them, opens their feeds, and merges what arrives into one stream of bytes.
 
 mod discovery;
-mod feed;
-mod outlets;
 mod returning;
+mod sockets;
 
 use std::{
     collections::VecDeque,
@@ -17,11 +16,11 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use self::{
     discovery::is_retry,
-    feed::{Feed, monotonic_ns, whole_description},
     returning::{Return, ReturnWatch},
+    sockets::{Feed, monotonic_ns, whole_description},
 };
 pub use discovery::{FoundStream, streams};
-pub use outlets::OutletSockets;
+pub use sockets::OutletSockets;
 
 use super::{Arrival, READ_TIMEOUT, Transport, TransportError};
 use crate::{

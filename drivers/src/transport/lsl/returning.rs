@@ -9,7 +9,7 @@ use std::{
 
 use super::{
     discovery::{self, FoundStream},
-    feed::{Feed, whole_description},
+    sockets::{Feed, whole_description},
 };
 use crate::{lsl::StreamDescription, uri::STREAMS_MAX};
 
