@@ -1,7 +1,6 @@
 //! The line to streams of the Lab Streaming Layer: finds and describes them, opens their feeds, and merges what arrives into one stream of bytes.
 
 mod discovery;
-mod returning;
 mod sockets;
 
 use std::{
@@ -15,8 +14,7 @@ use labstream_core::proto::timesync::{build_probe, parse_answer};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use self::{
-    discovery::is_retry,
-    returning::{Return, ReturnWatch},
+    discovery::{Return, ReturnWatch, is_retry},
     sockets::{Feed, monotonic_ns, whole_description},
 };
 pub use discovery::{FoundStream, streams};
