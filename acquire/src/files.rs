@@ -2,8 +2,6 @@
 //! complete.
 
 mod dataset;
-mod file_state;
-mod hidden_path;
 mod new_file;
 mod staging;
 mod take_file;
@@ -31,11 +29,11 @@ use serde::{Serialize, Serializer};
 
 pub use self::{
     dataset::{DatasetError, NewRecording},
-    file_state::{DisplacedFile, FileState, SettledFile},
-    hidden_path::remove_incomplete_outputs,
-    new_file::{Kept, NewFile},
+    new_file::{Kept, NewFile, remove_incomplete_outputs},
     staging::rename_new,
-    take_file::{FileId, TakeFile, TakeOutput, is_being_written},
+    take_file::{
+        DisplacedFile, FileId, FileState, SettledFile, TakeFile, TakeOutput, is_being_written,
+    },
 };
 
 /// Why a file cannot be opened or created. The message is one line that says what to do.

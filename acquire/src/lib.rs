@@ -3,19 +3,15 @@
 //! [`rig`] opens a device, reads it and reconnects to it. [`pipeline`] carries its frames through lock-free rings and a
 //! pool of resampler threads to a writer. [`record`] combines both for a single take, [`series`] for a recording that is
 //! divided into several. [`clock`] relates the device's
-//! clock to the host's, [`ledger`] accounts for every frame, and [`inspect`] and [`verdict`] read a take back.
+//! clock to the host's, [`ledger`] accounts for every frame, and [`inspect`] reads a take back.
 
 pub mod clock;
 pub mod files;
 pub mod gaps;
 pub mod header;
-pub mod health;
-pub mod heartbeat;
 pub mod host_clock;
 pub mod inspect;
-pub mod latency;
 pub mod ledger;
-pub mod listing;
 pub mod parallel_frames;
 pub mod pipeline;
 pub mod raw_log;
@@ -24,4 +20,3 @@ pub mod rig;
 pub mod series;
 pub mod setting;
 pub mod threads;
-pub mod verdict;

@@ -43,7 +43,6 @@
 //! # Ok::<(), mocapd_codec::CodecError>(())
 //! ```
 mod block;
-mod bound;
 mod coding;
 mod dense;
 mod fast;
@@ -54,11 +53,11 @@ pub mod sampled;
 mod settings;
 mod spline;
 
+pub use crate::block::Tolerance;
 pub use block::{
     BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Rows,
 };
 pub(crate) use block::{Result, ensure};
-pub use bound::Tolerance;
 pub use coding::range;
 pub use dense::Effort;
 #[cfg(feature = "training")]

@@ -33,9 +33,9 @@
 //! # Ok::<(), mocapd_drivers::link::EncodeError>(())
 //! ```
 
+mod axis;
 mod bytes;
 pub mod device;
-mod frame_axis;
 pub mod link;
 pub mod lsl;
 mod marker_ids;
@@ -46,6 +46,5 @@ pub mod plain_file;
 pub mod qtm;
 pub mod raw_log;
 pub mod registry;
-pub mod stream_query;
 pub mod transport;
 pub mod uri;

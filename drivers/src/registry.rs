@@ -8,7 +8,6 @@ pub use crate::device::{Candidate, Claim, Family};
 use crate::{
     device::Protocol,
     link, lsl, natnet, ndi, qtm,
-    stream_query::StreamQuery,
     transport::{
         Access, Transport, TransportError, access,
         lsl::LslTransport,
@@ -16,7 +15,7 @@ use crate::{
         serial::SerialTransport,
         usb::{self, UsbDevice, UsbTransport},
     },
-    uri::{DeviceUri, Location, NETWORK_FAMILIES},
+    uri::{DeviceUri, Location, NETWORK_FAMILIES, StreamQuery},
 };
 
 /// All device families. Register a new one here.
@@ -70,7 +69,7 @@ pub fn devices() -> Result<Vec<AttachedDevice>, TransportError> {
 /// Lists devices that answer a search on the networks of this machine, which takes two thirds of a second.
 #[must_use]
 pub fn network_devices() -> Vec<AttachedDevice> {
-    let found = natnet::discovery::candidates().into_iter().chain(qtm::discovery::candidates());
+    let found = natnet::candidates().into_iter().chain(qtm::discovery::candidates());
     found.map(|candidate| list_device(candidate, Access::Accessible)).collect()
 }
 

@@ -6,7 +6,7 @@ use labstream_core::wire::{ByteOrder, Codec, Format, Sample, Value};
 use mocapd_drivers::{
     device::{Command, DeviceEvent, Protocol},
     lsl::{LineRequest, LslHost, StreamMessage, put_message},
-    stream_query::StreamQuery,
+    uri::StreamQuery,
 };
 use mocapd_testkit::random::Random;
 

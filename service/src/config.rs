@@ -5,7 +5,6 @@
 
 mod key;
 pub mod keys;
-mod name;
 pub(crate) mod problem;
 mod publishers;
 mod read;
@@ -37,10 +36,12 @@ use self::keys::{KEYS, SECTIONS};
 pub use self::{
     key::{DefaultValue, Key, ReloadPolicy, ValueType},
     keys::{example, table},
-    name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name, is_reserved_name},
     problem::{ConfigError, ConfigProblem, PROBLEMS_MAX, SourceLocation},
     publishers::{FoxglovePublishConfig, LslPublishConfig, NatNetPublishConfig, QtmPublishConfig},
     read::{CONFIG_BYTES_MAX, CONFIG_PATH, Environment, Overrides},
+};
+pub use crate::take_name::{
+    NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name, is_reserved_name,
 };
 use crate::{log::Level, subject::SubjectFiles, trigger::Network};
 

@@ -12,8 +12,8 @@ use crossbeam_channel::{RecvTimeoutError, Sender, bounded};
 use mocapd_take::escape::visible;
 use sd_notify::NotifyState;
 
-pub use mocapd_acquire::heartbeat::{Heartbeat, HeartbeatHandle, ThreadRole};
 use mocapd_acquire::threads;
+pub use mocapd_acquire::threads::{Heartbeat, HeartbeatHandle, ThreadRole};
 
 /// Longest status text in bytes: `systemctl status` shows one line.
 const STATUS_BYTES_MAX: usize = 512;

@@ -4,8 +4,7 @@ use std::fmt;
 
 use mocapd_acquire::{
     files::FileState,
-    health::TakeHealth,
-    ledger::{LedgerDocument, SampleLedgerDocument},
+    ledger::{LedgerDocument, SampleLedgerDocument, TakeHealth},
 };
 use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Deserializer, Serialize};

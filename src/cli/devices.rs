@@ -1,7 +1,7 @@
 //! `devices`: lists attached devices with their drivers, or why they cannot be opened, and QTM servers on the network.
 
 use mocapd::outcome::Outcome;
-use mocapd_acquire::listing::{self, ListedDevice};
+use mocapd_acquire::rig::{self, ListedDevice};
 
 use super::output::{plain, print, print_json};
 
@@ -39,8 +39,8 @@ pub(super) fn text(listed: &[ListedDevice]) -> String {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let mut listed = listing::devices()?;
-    listed.extend(listing::servers());
+    let mut listed = rig::devices()?;
+    listed.extend(rig::servers());
     if args.json {
         print_json(&listed)?;
     } else {

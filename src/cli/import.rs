@@ -8,8 +8,8 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    health::TakeHealth,
     inspect::Summary,
+    ledger::TakeHealth,
     pipeline::{TakeAccount, offline},
 };
 use mocapd_codec::{Effort, Settings};

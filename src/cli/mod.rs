@@ -4,7 +4,6 @@
 mod archive;
 mod batch;
 mod bench;
-mod clock;
 mod concat;
 mod config;
 mod ctl;

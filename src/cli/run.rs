@@ -5,7 +5,7 @@ use std::{path::PathBuf, sync::Arc, time::Duration};
 use anyhow::Context;
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::{heartbeat::Heartbeat, threads};
+use mocapd_acquire::threads::{self, Heartbeat};
 use mocapd_service::{
     config::{CONFIG_PATH, Config, ConfigError, HttpConfig, Overrides},
     control::Control,
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         ConfigError::Refused { .. } => UsageError(error.to_string()).into(),
         error => anyhow::Error::from(error),
     })?;
-    mocapd_acquire::heartbeat::install_fault_hooks()?;
+    threads::install_fault_hooks()?;
     // Handlers are installed before anything starts, so that no signal is missed.
     let signals = signals()?;
     create_directory(&config)?;

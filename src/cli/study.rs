@@ -17,7 +17,7 @@ use mocapd_report::{
     labels,
     phases::{self, Phase},
     plot::{PosePlot, TrajectoryPlot, by_phase, pose, trajectory},
-    study::{Coder, Findings, Method, Options, Piece, Trial, measure, paper, tables, work},
+    study::{self, Coder, Findings, Method, Options, Piece, Trial, measure, tables, work},
 };
 use mocapd_service::units;
 use mocapd_take::{escape::to_cell, motion::Motion};
@@ -330,7 +330,7 @@ fn cells(findings: &Findings) -> Vec<CellReport> {
                 key_rows: counts.key_rows,
                 sr1: counts.sr1(),
                 sr2: counts.sr2(),
-                paper_sr2: paper::sr2(piece, tolerance_mm),
+                paper_sr2: study::sr2(piece, tolerance_mm),
                 file_bytes: (sum.file_bytes > 0).then_some(sum.file_bytes),
                 ratio: sum.ratio(),
                 max_error_mm: sum.max_error_mm,

@@ -7,7 +7,7 @@ mod sampled;
 
 use std::fs;
 
-use mocapd_acquire::verdict::Finding;
+use mocapd_acquire::inspect::Finding;
 use mocapd_simulator::faults::{ExpectedRecording, Fate, LedgerMatch, Script};
 use serde_json::Value;
 

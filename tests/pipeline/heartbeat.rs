@@ -7,8 +7,8 @@ use std::{
 };
 
 use mocapd_acquire::{
-    heartbeat::{ThreadRole, Watchdog},
     pipeline::TakeOutput,
+    threads::{ThreadRole, Watchdog},
 };
 
 use crate::support::{config, fast, feed, jump, start};

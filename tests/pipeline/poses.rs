@@ -4,9 +4,8 @@
 use std::io::Cursor;
 
 use mocapd_acquire::{
-    inspect::Summary,
+    inspect::{Summary, Verdict},
     pipeline::{Intake, PipelineConfig},
-    verdict::Verdict,
 };
 use mocapd_codec::{Settings, poses::PoseBounds};
 use mocapd_drivers::device::{

@@ -4,9 +4,8 @@
 use std::{io::Cursor, time::Duration};
 
 use mocapd_acquire::{
-    inspect::Summary,
+    inspect::{Summary, Verdict},
     pipeline::{Intake, Pipeline, PipelineConfig},
-    verdict::Verdict,
 };
 use mocapd_drivers::device::{SampleBatch, SampleForm, SampledChannelInfo, SampledGroupInfo};
 use mocapd_take::{

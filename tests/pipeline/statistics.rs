@@ -1,6 +1,6 @@
 //! The statistics that a recording states, and `info`, which takes them in place of decoding.
 
-use mocapd_acquire::{health::TakeHealth, inspect::Summary};
+use mocapd_acquire::{inspect::Summary, ledger::TakeHealth};
 use mocapd_take::{
     chunk::{self, ChunkParse, MAGIC, types},
     index::Footer,

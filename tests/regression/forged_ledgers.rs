@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use mocapd_acquire::{health::TakeHealth, inspect::Summary};
+use mocapd_acquire::{inspect::Summary, ledger::TakeHealth};
 use mocapd_take::{
     TakeEvent, TakeMap, TakeWriter,
     chunk::{self, MAGIC, types},

@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, sync::Arc};
 
-use mocapd_acquire::{health::TakeHealth, heartbeat::Heartbeat};
+use mocapd_acquire::{ledger::TakeHealth, threads::Heartbeat};
 use mocapd_service::{
     control::{Control, Request},
     engine::Engine,

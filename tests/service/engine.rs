@@ -2,7 +2,7 @@
 
 use std::{io::Write, path::Path, sync::Arc, time::Duration};
 
-use mocapd_acquire::{files::TakeFile, health::TakeHealth, heartbeat::Heartbeat, inspect::Summary};
+use mocapd_acquire::{files::TakeFile, inspect::Summary, ledger::TakeHealth, threads::Heartbeat};
 use mocapd_service::{
     config::{ArchiveConfig, ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig},
     control::{Control, Mark, RefusalKind, Request, SaveLast, Start},

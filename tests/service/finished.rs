@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use mocapd_acquire::{files::TakeFile, health::TakeHealth, heartbeat::Heartbeat};
+use mocapd_acquire::{files::TakeFile, ledger::TakeHealth, threads::Heartbeat};
 use mocapd_service::{
     control::{Control, Refusal, RefusalKind},
     engine::Engine,

@@ -18,7 +18,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_acquire::threads::Heartbeat;
 use mocapd_drivers::{
     natnet::{Bitstream, FrameOfData, MessageKind},
     qtm::{PacketKind, PacketReader, put_text, read_frame},

@@ -11,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_acquire::threads::Heartbeat;
 use mocapd_drivers::qtm::{
     Event, FrameComponent, MarkerComponentKind, PacketKind, PacketReader, SampledComponentKind,
     put_text, read_components, read_frame,

@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_acquire::threads::Heartbeat;
 use mocapd_drivers::{
     lsl::StreamDescription,
     natnet::{

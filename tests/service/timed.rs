@@ -2,7 +2,7 @@
 
 use std::{fs, sync::Arc, time::Duration};
 
-use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_acquire::threads::Heartbeat;
 use mocapd_service::{
     control::{Control, RefusalKind, Request, SaveLast, Start},
     engine::Engine,

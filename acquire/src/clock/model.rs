@@ -3,11 +3,11 @@
 use mocapd_take::record::{ClockFit, ClockJitter, ClockLine, ClockPoint, ClockProbe};
 
 use super::{
-    fit::Line,
+    Line,
     observations::{Arrivals, Bursts, lines},
     seconds,
 };
-use crate::latency::LatencyHistogram;
+use crate::host_clock::LatencyHistogram;
 
 /// An item of the clock model for the take to store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

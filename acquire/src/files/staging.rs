@@ -22,7 +22,7 @@ use rustix::{
     process::geteuid,
 };
 
-use super::{folder_of, hidden_path::HiddenPath};
+use super::{folder_of, new_file::HiddenPath};
 
 /// The table of subjects.
 pub(super) const PARTICIPANTS: &str = "participants.tsv";

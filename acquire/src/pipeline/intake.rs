@@ -1,9 +1,7 @@
 //! The intake: the reader puts each frame into every ring, or counts it as lost.
 
 mod clock;
-mod frame_counter;
 mod losses;
-mod poses;
 mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
@@ -18,24 +16,22 @@ use mocapd_take::{
 
 use self::{
     clock::ClockTracker,
-    frame_counter::FrameCounter,
-    losses::{PendingLoss, SilenceMonitor},
-    poses::PoseStep,
+    losses::{FrameCounter, PendingLoss, SilenceMonitor},
+    rows::PoseStep,
 };
 use super::{
     Counts, PipelineConfig, PipelineProgress, SplitAt,
-    commands::{CommandReceiver, TAKE_COMMANDS_MAX, TakeCommand},
-    messages::{Control, FrameTimes, ToWriter},
+    messages::{CommandReceiver, Control, FrameTimes, TAKE_COMMANDS_MAX, TakeCommand, ToWriter},
     plan::Plan,
     pool::Feed,
     publish_tap::{FramePlace, PublishTapSender},
     ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
     sampled::{BatchOutcome, SampledIntake},
-    split::SplitSchedule,
+    writer::splitting::SplitSchedule,
 };
 use crate::{
-    heartbeat::{HeartbeatHandle, ThreadRole},
-    latency::LatencyHistogram,
+    host_clock::LatencyHistogram,
+    threads::{HeartbeatHandle, ThreadRole},
 };
 
 /// No slot: the channel pool was exhausted when the marker appeared.

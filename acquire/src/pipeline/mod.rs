@@ -10,10 +10,8 @@
 //! and the worker sleeps (inside the channel that wakes it). From frames to blocks nothing is allocated after
 //! [`Pipeline::start`], except for new markers. Every queue is bounded; `plan.rs` derives the sizes.
 
-mod commands;
 mod counts;
 mod disk;
-mod group;
 mod intake;
 mod messages;
 pub mod offline;
@@ -23,7 +21,6 @@ mod progress;
 mod publish_tap;
 mod ring;
 mod sampled;
-mod split;
 mod writer;
 
 use std::sync::Arc;
@@ -32,31 +29,30 @@ use anyhow::anyhow;
 use crossbeam_channel::bounded;
 use mocapd_take::record::Header;
 
-pub use commands::{
+pub use counts::{Counts, PendingRows};
+pub use disk::{DiskSpace, RESERVE_MIN_BYTES, check_disk_space};
+pub use intake::Intake;
+pub use messages::{
     CommandSender, FirstRow, NewTake, NothingRecorded, TakeAccount, TakeFailed, TakeHandle,
     TakeResult,
 };
-pub use counts::{Counts, PendingRows};
-pub use disk::{DiskSpace, RESERVE_MIN_BYTES, check_disk_space};
-pub use group::{Visibility, VisibilityCounters};
-pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
+pub use pool::{Visibility, VisibilityCounters};
 pub use progress::{PipelineProgress, TakeProgress, lock};
 pub use publish_tap::{LeftOut, PublishTap, TappedBatch, TappedFrame, TappedMarker};
 pub use ring::{PreviewBody, PreviewFrame, PreviewPoses, PreviewReceiver};
 pub use sampled::{SampleColumn, SampleRange, SampleTapReceiver};
-pub use split::{NextTake, Split, SplitAt, TakeSeries};
+pub use writer::splitting::{NextTake, Split, SplitAt, TakeSeries};
 
 use self::{
-    group::Group,
     intake::ReaderEndpoints,
     plan::Plan,
-    pool::Pool,
+    pool::{Group, Pool},
     sampled::SamplingThreads,
     writer::{LiveTake, SampleQueue, TakePlace, Writer, WriterEndpoints},
 };
 pub use crate::files::TakeOutput;
-use crate::{heartbeat::ThreadRole, threads};
+use crate::threads::{self, ThreadRole};
 
 /// The threads behind an [`Intake`].
 #[derive(Debug)]
@@ -90,7 +86,7 @@ impl Pipeline {
     /// # Errors
     /// When the header cannot be written, a thread cannot be started, or the resampler needs whole takes.
     pub fn start(config: &PipelineConfig, take: NewTake) -> anyhow::Result<(Intake, Self)> {
-        let (reply, handle) = commands::reply_channel();
+        let (reply, handle) = messages::reply_channel();
         let header = take.header.clone();
         let place = TakePlace { base: Counts::default(), rows_before: 0 };
         let groups = sampled::records(config);
@@ -111,7 +107,7 @@ impl Pipeline {
         mut split: Split,
     ) -> anyhow::Result<(Intake, Self)> {
         let NextTake { take, ended, .. } = split.takes.next_take(0)?;
-        let (header, reply) = (take.header.clone(), commands::Reply::of_series(ended));
+        let (header, reply) = (take.header.clone(), messages::Reply::of_series(ended));
         let place = TakePlace { base: Counts::default(), rows_before: 0 };
         let groups = sampled::records(config);
         let begun = LiveTake::begin(take, &reply, place, &groups, config.sync_every);
@@ -167,7 +163,7 @@ impl Pipeline {
         let (samples, sample_returns, sampling, sample_tap) =
             sampled::start(&sampled_groups, config, &parts_in)?;
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
-        let (takes, commands) = commands::command_channel();
+        let (takes, commands) = messages::command_channel();
         let (tap_in, tap) = ring::tap(plan.n_slots, config.recorded_bodies().len());
         let publish_taps =
             (0..config.publish_taps).map(|_| publish_tap::publish_tap(config, plan.n_slots));

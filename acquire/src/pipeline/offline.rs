@@ -435,7 +435,7 @@ mod tests {
         let summary = crate::inspect::Summary::read(&written[0]).unwrap();
         assert_eq!(summary.contradictions(), [] as [String; 0]);
         assert_eq!(Some(&summary.statistics), map.statistics.as_ref());
-        assert_eq!(summary.health(), crate::health::TakeHealth::Complete);
+        assert_eq!(summary.health(), crate::ledger::TakeHealth::Complete);
     }
 
     #[test]

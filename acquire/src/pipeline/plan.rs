@@ -14,7 +14,7 @@ use mocapd_take::{
 };
 
 use super::ring::Sample;
-use crate::heartbeat::Heartbeat;
+use crate::threads::Heartbeat;
 
 /// Default length of a stretch and default time between syncs: their sum is what a power cut may cost.
 const STRETCH: Duration = Duration::from_millis(500);

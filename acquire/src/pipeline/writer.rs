@@ -4,7 +4,7 @@ mod clocks;
 mod live;
 mod pre_roll;
 mod samples;
-mod splitting;
+pub(super) mod splitting;
 
 use std::{
     collections::VecDeque,
@@ -25,16 +25,18 @@ pub(super) use self::{
     samples::SampleQueue,
 };
 use super::{
-    Counts, NewTake, PipelineProgress, Split, TakeFailed,
-    commands::{Reply, TakeCommand},
-    lock,
+    Counts, NewTake, PipelineProgress, Split, TakeFailed, lock,
     messages::{
-        Control, FromReader, Part, PartBuffer, PartReport, StretchEnd, StretchReport, WriterInput,
+        Control, FromReader, Part, PartBuffer, PartReport, Reply, StretchEnd, StretchReport,
+        TakeCommand, WriterInput,
     },
     plan::Plan,
     pool::WakeQueue,
 };
-use crate::{files::FileState, heartbeat::HeartbeatHandle, threads::ResamplerFailed};
+use crate::{
+    files::FileState,
+    threads::{HeartbeatHandle, ResamplerFailed},
+};
 
 /// Shortest polling interval of the writer, even if it is to sync with every stretch.
 const POLL_INTERVAL_MIN: Duration = Duration::from_millis(50);

@@ -1,4 +1,4 @@
-//! One device: open it, identify it, start it, read it, stop it.
+//! Attached devices, and one of them: open it, identify it, start it, read it, stop it.
 
 mod reader;
 mod reconnect;
@@ -12,15 +12,19 @@ use mocapd_drivers::{
         BodyInfo, Command, DeviceEvent, ForcePlateInfo, Hello, LinkBudget, MarkerInfo, Protocol,
         SampledGroupInfo,
     },
-    registry::{self, Candidate, OpenedDevice},
-    transport::{Transport, TransportError},
+    registry::{self, AttachedDevice, Candidate, Claim, OpenedDevice},
+    transport::{
+        Access, Transport, TransportError,
+        lsl::{self, FoundStream},
+    },
     uri::{DeviceUri, Location},
 };
 use mocapd_take::{
     motion::UpAxis,
     record::{Channel, Device, Header, StatedPlate},
 };
-pub use reader::{ReadOptions, ReaderOutcome};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use crate::{
     header,
@@ -29,6 +33,7 @@ use crate::{
     raw_log::RawLogTap,
     setting::{Setting, SettingRefused},
 };
+pub use reader::{ReadOptions, ReaderOutcome};
 
 /// Bytes requested per read: more than a pty or a USB serial driver delivers.
 const READ_BYTES: usize = 64 << 10;
@@ -324,7 +329,7 @@ fn too_slow(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
 }
 
 impl Rig {
-    pub(super) fn identify(
+    fn identify(
         uri: DeviceUri,
         opened: OpenedDevice,
         raw_log: Option<RawLogTap>,
@@ -439,4 +444,82 @@ fn merge_markers(table: &mut Vec<MarkerInfo>, new: &[MarkerInfo]) {
             None => table.push(marker.clone()),
         }
     }
+}
+
+/// An attached device.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct ListedDevice {
+    /// The value for `record --device`.
+    pub device: String,
+    /// Its manufacturer, as the device states it.
+    pub manufacturer: Option<String>,
+    /// Its product name, as the device states it.
+    pub product: Option<String>,
+    /// Its serial number.
+    pub serial: Option<String>,
+    /// The driver for it; null when there is none.
+    pub driver: Option<String>,
+    /// Whether the device identified itself; false for a bare serial port, which may have anything behind it.
+    pub certain: bool,
+    /// Why it cannot be opened, and what to do.
+    pub problem: Option<String>,
+}
+
+impl From<AttachedDevice> for ListedDevice {
+    fn from(listed: AttachedDevice) -> Self {
+        Self {
+            device: listed.candidate.location.to_string(),
+            manufacturer: listed.candidate.manufacturer,
+            product: listed.candidate.product,
+            serial: listed.candidate.serial,
+            driver: listed.family.map(|family| family.0.to_owned()),
+            certain: listed.family.is_some_and(|family| family.1 == Claim::Certain),
+            problem: match listed.access {
+                Access::Accessible => None,
+                Access::Refused(error) => Some(error.to_string()),
+            },
+        }
+    }
+}
+
+/// How long streams have to answer: LSL's own limit for answers by multicast.
+const STREAMS_WAIT: Duration = Duration::from_millis(500);
+
+/// The streams of the Lab Streaming Layer that answer; none where the system gives no network.
+fn streams() -> Vec<ListedDevice> {
+    let found = lsl::streams(STREAMS_WAIT).unwrap_or_default();
+    found.iter().map(|stream| listed_stream(stream, &found)).collect()
+}
+
+fn listed_stream(stream: &FoundStream, all: &[FoundStream]) -> ListedDevice {
+    let of = &stream.description;
+    let uri = stream.uri_among(all);
+    let problem = uri.is_none().then(|| {
+        "another stream has the same name, type and source id: give them different source ids"
+            .to_owned()
+    });
+    ListedDevice {
+        device: uri.unwrap_or_else(|| format!("lsl:{}", of.name)),
+        manufacturer: Some(of.hostname.clone()),
+        product: Some(of.kind.clone()),
+        serial: Some(of.source_id.clone()).filter(|id| !id.is_empty()),
+        driver: Some("lsl".to_owned()),
+        certain: true,
+        problem,
+    }
+}
+
+/// Lists the attached devices. It opens none of them.
+///
+/// # Errors
+/// When the system cannot list its devices.
+pub fn devices() -> Result<Vec<ListedDevice>, TransportError> {
+    Ok(registry::devices()?.into_iter().map(ListedDevice::from).collect())
+}
+
+/// Searches the networks of this machine for servers of motion-capture systems and for streams. It connects to none of them. Where the
+/// network cannot be asked, there are none.
+#[must_use]
+pub fn servers() -> Vec<ListedDevice> {
+    registry::network_devices().into_iter().map(ListedDevice::from).chain(streams()).collect()
 }

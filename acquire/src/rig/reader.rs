@@ -17,8 +17,7 @@ use super::{ANSWER_TIMEOUT, ATTEMPTS_MAX, DeviceChannels, Rig, too_slow};
 use crate::{
     clock::Prober,
     files::FileState,
-    host_clock::monotonic_ns,
-    latency::LatencyHistogram,
+    host_clock::{LatencyHistogram, monotonic_ns},
     pipeline::{Counts, Intake, PipelineProgress},
     setting::Setting,
 };

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     Position, Rows,
-    bound::{squared_distance, widen},
+    block::{squared_distance, widen},
 };
 
 /// Price of the squared distance from the sample, in bits at the radius of the ball, by kind of row: higher where more

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     GROUP_CHANNELS,
-    bound::squared_distance,
+    block::squared_distance,
     coding::isa::{Isa, Kernel},
 };
 

@@ -20,7 +20,7 @@ use super::{
     model::{Model, ModelCoder},
     track::{Steps, Track, magnitude, unpack_magnitude, unpack_sum},
 };
-use crate::{Position, Result, bound::squared_distance, coding::isa::Kernel, ensure};
+use crate::{Position, Result, block::squared_distance, coding::isa::Kernel, ensure};
 
 /// How a first row is coded: the index of its origin among the candidates, and the lattice steps from there.
 #[derive(Debug, Clone, Copy, Default)]

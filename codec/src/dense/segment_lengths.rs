@@ -12,7 +12,7 @@ use super::{
     level_prediction::{DecodedRun, LevelLayout, PADDED_ROWS, PerRow},
     track::Track,
 };
-use crate::{GROUP_CHANNELS, bound::squared_distance};
+use crate::{GROUP_CHANNELS, block::squared_distance};
 
 /// Maximum number of partners of a channel; two instead of three lose 0.3 %.
 pub(super) const PARTNERS: usize = 3;

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     Position, Result,
-    bound::{squared_distance, widen},
+    block::{squared_distance, widen},
 };
 
 /// 1.5 * 2^23. Adding and subtracting it rounds values within 2^22 to the nearest integer, and the bits of the sum

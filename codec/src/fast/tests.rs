@@ -67,7 +67,7 @@ impl Pair {
             let mut worst = 0.0_f64;
             for (sample, back) in track.iter().zip(&rows.positions) {
                 match sample {
-                    Some(sample) => worst = worst.max(crate::bound::distance_mm(*sample, *back)),
+                    Some(sample) => worst = worst.max(crate::block::distance_mm(*sample, *back)),
                     None => assert_eq!(*back, [0.0; 3]),
                 }
             }

@@ -11,7 +11,7 @@ use self::presence::Presence;
 use crate::{
     BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Result, Rows,
     Tolerance,
-    bound::{self, STATED_STEPS},
+    block::{self, STATED_STEPS},
     coding::{Bytes, write_varint},
     ensure,
 };
@@ -251,7 +251,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         })?;
         self.state.payload.encode(channels, false, out, reports, &mut self.kept_rows)?;
         let max_error_mm = reports.iter().map(|report| report.max_error_mm).fold(0.0, f64::max);
-        let step = bound::stated_step(max_error_mm, self.state.tolerance.mm());
+        let step = block::stated_step(max_error_mm, self.state.tolerance.mm());
         debug_assert!(step.is_some() && !(E::EXACT && step != Some(0)), "{max_error_mm} mm");
         out[head_at] |= step.ok_or(CodecError::Corrupt("an error over the tolerance"))?;
         Ok(())
@@ -286,7 +286,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
             };
             debug_assert_eq!(decoded.present, rows.present());
             let worst = (0..rows.len())
-                .filter_map(|row| Some(bound::distance_mm(rows.get(row)?, decoded.positions[row])))
+                .filter_map(|row| Some(block::distance_mm(rows.get(row)?, decoded.positions[row])))
                 .fold(0.0, f64::max);
             debug_assert!(worst == report.max_error_mm, "{worst} decoded, {report:?} reported");
             debug_assert_eq!(decoded.kept.iter().filter(|&&k| k).count(), report.kept as usize);
@@ -348,7 +348,7 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
     ) -> Result<()> {
         let tolerance_mm = self.state.tolerance.mm();
         // The smallest step that states the error: the step of the blocks that it comes from.
-        let states = |&step: &u8| bound::stated_mm(step, tolerance_mm) >= stated_error_mm;
+        let states = |&step: &u8| block::stated_mm(step, tolerance_mm) >= stated_error_mm;
         let step = (0..=STATED_STEPS).find(states).filter(|step| !E::EXACT || *step == 0);
         let step = step.ok_or_else(|| {
             CodecError::InvalidArgument(format!(
@@ -454,7 +454,7 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
         )?;
         let step = head & STATED_STEPS;
         ensure(!D::EXACT || step == 0, "a lossless block that states an error")?;
-        let max_error_mm = bound::stated_mm(step, self.state.tolerance.mm());
+        let max_error_mm = block::stated_mm(step, self.state.tolerance.mm());
         out.iter_mut().for_each(|rows| rows.max_error_mm = max_error_mm);
         self.state.payload.begin(shared, n_rows)?;
         self.state.payload.decode(input.rest(), out)

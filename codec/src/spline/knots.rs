@@ -9,7 +9,7 @@ use std::ops::Range;
 use super::{Knot, Moments, RunFit};
 use crate::{
     CodecError, Position, Result, Rows, Tolerance,
-    bound::{squared_distance, widen},
+    block::{squared_distance, widen},
     coding::{Bytes, write_varint},
     frame,
 };
@@ -385,7 +385,7 @@ mod tests {
         let mut run = vec![[0.0; 3]; 500];
         let ends = [(0, widen(line[0])), (499, widen(line[499]))];
         rebuild(&ends, &mut Moments::default(), &mut run);
-        assert!(run.iter().zip(&line).all(|(a, b)| crate::bound::distance_mm(*a, *b) < 1e-4));
+        assert!(run.iter().zip(&line).all(|(a, b)| crate::block::distance_mm(*a, *b) < 1e-4));
     }
 
     #[test]

@@ -15,8 +15,8 @@ pub use self::knots::SplineVariant;
 pub(crate) use self::knots::plan;
 use self::knots::resample_run;
 use crate::{
-    BlockReport, CodecError, DecodedRows, Position, Result, Rows, Tolerance, block,
-    bound::{self, Vector, widen},
+    BlockReport, CodecError, DecodedRows, Position, Result, Rows, Tolerance,
+    block::{self, Vector, widen},
     coding::{Bytes, write_varint},
     ensure,
     frame::{Payload, PayloadDecoder, PayloadEncoder},
@@ -356,7 +356,7 @@ impl RunFit {
         self.rebuild(samples.len());
         let (mut worst, mut at) = (0.0, 0);
         for (row, (&a, &b)) in self.rebuilt.iter().zip(samples).enumerate() {
-            let error = bound::distance_mm(a, b);
+            let error = block::distance_mm(a, b);
             // Infinity less infinity, after an overflow, counts as the largest error.
             let error = if error.is_nan() { f64::INFINITY } else { error };
             if error > worst {

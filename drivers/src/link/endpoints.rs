@@ -1,12 +1,10 @@
 //! The two ends of a link: [`DeviceLink`] for simulators, [`HostLink`] for the recorder.
 
 use super::{
-    COMMAND_WIRE_BYTES_MAX, ENVELOPE_BYTES, EncodeError, FrameForm, MARKERS_MAX,
-    MARKERS_MESSAGE_BYTES_MAX, SAMPLE_VALUES_MAX, WIRE_BYTES_MAX,
-    envelope::{DecodeOutcome, Deframer, Framer},
+    COMMAND_WIRE_BYTES_MAX, DecodeOutcome, Deframer, ENVELOPE_BYTES, EncodeError, FrameForm,
+    Framer, MARKERS_MAX, MARKERS_MESSAGE_BYTES_MAX, SAMPLE_VALUES_MAX, WIRE_BYTES_MAX,
     frame::{get_frame, put_frame},
     messages::{self, get_hello, get_markers, kind},
-    plates, poses, samples,
 };
 use crate::{
     bytes::WireValue,
@@ -119,7 +117,7 @@ impl DeviceLink {
         group: &SampledGroupInfo,
         out: &mut Vec<u8>,
     ) -> Result<(), EncodeError> {
-        samples::put_group(group, self.framer.open(kind::SAMPLED_GROUP))?;
+        messages::put_group(group, self.framer.open(kind::SAMPLED_GROUP))?;
         self.framer.close(out);
         Ok(())
     }
@@ -133,7 +131,7 @@ impl DeviceLink {
         plate: &ForcePlateInfo,
         out: &mut Vec<u8>,
     ) -> Result<(), EncodeError> {
-        plates::put_plate(plate, self.framer.open(kind::FORCE_PLATE))?;
+        messages::put_plate(plate, self.framer.open(kind::FORCE_PLATE))?;
         self.framer.close(out);
         Ok(())
     }
@@ -147,7 +145,7 @@ impl DeviceLink {
         batch: &SampleBatch<'_>,
         out: &mut Vec<u8>,
     ) -> Result<(), EncodeError> {
-        samples::put_batch(&mut self.framer, batch, out)
+        messages::put_batch(&mut self.framer, batch, out)
     }
 
     /// Encodes the table of rigid bodies, which must be sorted by ascending id.
@@ -155,7 +153,7 @@ impl DeviceLink {
     /// # Errors
     /// `Bodies`, and `Text` for a name that the message cannot hold; nothing is appended then.
     pub fn bodies(&mut self, bodies: &[BodyInfo], out: &mut Vec<u8>) -> Result<(), EncodeError> {
-        poses::put_bodies(bodies, self.framer.open(kind::BODIES))?;
+        messages::put_bodies(bodies, self.framer.open(kind::BODIES))?;
         self.framer.close(out);
         Ok(())
     }
@@ -165,12 +163,12 @@ impl DeviceLink {
     /// # Errors
     /// `Poses` for poses that the message cannot hold; nothing is appended then.
     pub fn poses(&mut self, frame: &PoseFrame<'_>, out: &mut Vec<u8>) -> Result<(), EncodeError> {
-        poses::put_poses(&mut self.framer, frame, out)
+        messages::put_poses(&mut self.framer, frame, out)
     }
 
     /// Encodes the end of the poses of a run.
     pub fn end_of_poses(&mut self, end: EndOfPoses, out: &mut Vec<u8>) {
-        poses::put_end(&mut self.framer, end, out);
+        messages::put_end(&mut self.framer, end, out);
     }
 
     /// Encodes a trigger edge.
@@ -319,16 +317,16 @@ impl Scratch {
             kind::HELLO => get_hello(payload, hello).map(|()| DeviceEvent::Hello(hello)),
             kind::MARKERS => get_markers(payload, markers).map(DeviceEvent::Markers),
             kind::SAMPLED_GROUP => {
-                samples::get_group(payload, group).map(|()| DeviceEvent::SampledGroup(group))
+                messages::get_group(payload, group).map(|()| DeviceEvent::SampledGroup(group))
             }
             kind::FORCE_PLATE => {
-                plates::get_plate(payload, plate).map(|()| DeviceEvent::ForcePlate(plate))
+                messages::get_plate(payload, plate).map(|()| DeviceEvent::ForcePlate(plate))
             }
-            kind::SAMPLES => samples::get_batch(payload, samples).map(DeviceEvent::Samples),
+            kind::SAMPLES => messages::get_batch(payload, samples).map(DeviceEvent::Samples),
             kind::BODIES => {
-                poses::get_bodies(payload, bodies).map(|()| DeviceEvent::Bodies(bodies))
+                messages::get_bodies(payload, bodies).map(|()| DeviceEvent::Bodies(bodies))
             }
-            kind::POSES => poses::get_poses(payload, poses),
+            kind::POSES => messages::get_poses(payload, poses),
             kind::TRIGGER => WireValue::decode(payload).map(DeviceEvent::Trigger),
             kind::STATUS => WireValue::decode(payload).map(DeviceEvent::Status),
             kind::END_OF_STREAM => WireValue::decode(payload).map(DeviceEvent::EndOfStream),

@@ -1,11 +1,11 @@
 //! Decodes the feed of one stream into frames, samples or events.
 
 use super::{
-    axis::{SampleAxis, Stamp},
     description::StreamDescription,
     layout::{GroupLayout, MarkerColumns, StreamRole, TICK_HZ},
     values::{FeedDamage, TEXT_BYTES_MAX, ValueFormat, WireFormat, WireSample},
 };
+use crate::axis::{SampleAxis, Stamp};
 use crate::{
     device::{DeviceEvent, Frame, Mark, MarkerSample, SampleBatch},
     link::SAMPLE_VALUES_MAX,

@@ -1,14 +1,25 @@
 //! The description of a stream: an XML document that its sender answers with, short without and whole with its channels.
+//! Those that are received, and those of streams that we publish.
+//!
+//! Both follow the conventions of the XDF wiki. That for motion capture, "`MoCap` Meta Data"
+//! (<https://github.com/sccn/xdf/wiki/MoCap-Meta-Data>), has three channels of the types `PositionX`, `PositionY` and
+//! `PositionZ` for each marker, in metres by preference.
 
+pub use labstream_core::net::StreamInfo;
+use labstream_core::{
+    net,
+    wire::{Format, IRREGULAR_RATE},
+};
 use roxmltree::{Document, Node, ParsingOptions};
 
 use super::values::ValueFormat;
+use crate::{device::SampledGroupInfo, uri::LengthUnit};
 
 /// Longest description in bytes: 4096 channels with a label, a type, a unit and as much again of what else a program states.
 pub const DESCRIPTION_BYTES_MAX: usize = 1 << 20;
 
 /// Most channels of a stream: 1365 markers. A stream of EEG has some hundred.
-pub(super) const CHANNELS_MAX: usize = 4096;
+const CHANNELS_MAX: usize = 4096;
 
 /// Most nodes of a document, which bounds the memory that it takes while it is read: [`CHANNELS_MAX`] channels with ten
 /// elements, their texts and the white space between them.
@@ -172,6 +183,168 @@ pub(crate) fn clean(text: &str) -> String {
     text.trim().chars().filter(|c| !c.is_control()).take(TEXT_CHARS_MAX).collect()
 }
 
+/// The axis of a channel that holds positions: 0, 1 or 2.
+pub(super) fn position_axis(channel: &ChannelDescription) -> Option<usize> {
+    let axes = ["positionx", "positiony", "positionz"];
+    axes.iter().position(|axis| channel.kind.eq_ignore_ascii_case(axis))
+}
+
+/// The marker to which a channel of positions belongs: as it is stated, or the label without the axis at its end.
+pub(super) fn marker_of(channel: &ChannelDescription, axis: usize) -> &str {
+    if !channel.marker.is_empty() {
+        return &channel.marker;
+    }
+    let label = channel.label.as_str();
+    let letters = [['x', 'X'], ['y', 'Y'], ['z', 'Z']];
+    let stem = letters.get(axis).and_then(|letters| label.strip_suffix(letters));
+    let stem = stem.and_then(|stem| stem.strip_suffix(['.', '_', '-', ':', ' ', '/']));
+    stem.filter(|stem| !stem.is_empty()).unwrap_or(label)
+}
+
+/// The unit that a channel of positions states.
+pub(super) fn length_unit(text: &str) -> Option<LengthUnit> {
+    let one_of = |names: &[&str]| names.iter().any(|name| text.eq_ignore_ascii_case(name));
+    if one_of(&["m", "meter", "meters", "metre", "metres"]) {
+        Some(LengthUnit::Metres)
+    } else if one_of(&["cm", "centimeter", "centimeters", "centimetre", "centimetres"]) {
+        Some(LengthUnit::Centimetres)
+    } else if one_of(&["mm", "millimeter", "millimeters", "millimetre", "millimetres"]) {
+        Some(LengthUnit::Millimetres)
+    } else {
+        None
+    }
+}
+
+/// The name of this machine. `labstream-core` reads it from `/proc/sys`, which the sandbox of our unit hides.
+#[must_use]
+pub fn hostname() -> String {
+    rustix::system::uname().nodename().to_string_lossy().into_owned()
+}
+
+/// Channels of a body in a stream of poses, each with its type and its unit: the quaternion's real part, then its three axial
+/// components.
+const POSE_CHANNELS: [(&str, &str, &str); 7] = [
+    ("x", "PositionX", "meters"),
+    ("y", "PositionY", "meters"),
+    ("z", "PositionZ", "meters"),
+    ("qw", "OrientationA", "normalized"),
+    ("qx", "OrientationB", "normalized"),
+    ("qy", "OrientationC", "normalized"),
+    ("qz", "OrientationD", "normalized"),
+];
+
+/// The program that publishes a stream.
+#[derive(Debug, Clone, Copy)]
+pub struct Publisher<'a> {
+    /// Name of the stream, and the id of its source, which stays the same after a restart.
+    pub name: &'a str,
+    /// The id of its source.
+    pub source_id: &'a str,
+    /// Name and version of the program.
+    pub program: &'a str,
+}
+
+impl Publisher<'_> {
+    fn info(&self, kind: &str, n_channels: usize, format: Format, rate_hz: f64) -> StreamInfo {
+        let mut info = StreamInfo::new(self.name, kind, n_channels as u32, format, rate_hz);
+        self.source_id.clone_into(&mut info.source_id);
+        info.hostname = hostname();
+        info
+    }
+
+    fn acquisition(&self, info: &mut StreamInfo) {
+        let acquisition = info.desc.append_child("acquisition");
+        acquisition.append_child_value("manufacturer", "mocapd");
+        acquisition.append_child_value("model", &plain(self.program));
+    }
+
+    /// A stream of positions: three channels of each marker, in metres.
+    #[must_use]
+    pub fn positions<S: AsRef<str>>(&self, labels: &[S], rate_hz: f64) -> StreamInfo {
+        let labels: Vec<String> = labels.iter().map(|label| plain(label.as_ref())).collect();
+        let mut info = self.info("MoCap", 3 * labels.len(), Format::Float32, rate_hz);
+        let setup = info.desc.append_child("setup");
+        setup.append_child_value("name", &plain(self.name));
+        let listed = setup.append_child("markers");
+        for label in &labels {
+            listed.append_child("marker").append_child_value("label", label);
+        }
+        let channels = info.desc.append_child("channels");
+        for label in &labels {
+            for (suffix, kind, unit) in POSE_CHANNELS.into_iter().take(3) {
+                put_channel(channels, &format!("{label}.{suffix}"), ("marker", label), kind, unit);
+            }
+        }
+        self.acquisition(&mut info);
+        info
+    }
+
+    /// A stream of poses: position in metres and orientation as a quaternion of each body.
+    #[must_use]
+    pub fn poses<S: AsRef<str>>(&self, bodies: &[S], rate_hz: f64) -> StreamInfo {
+        let bodies: Vec<String> = bodies.iter().map(|body| plain(body.as_ref())).collect();
+        let n_channels = POSE_CHANNELS.len() * bodies.len();
+        let mut info = self.info("MoCap", n_channels, Format::Float32, rate_hz);
+        let setup = info.desc.append_child("setup");
+        setup.append_child_value("name", &plain(self.name));
+        let listed = setup.append_child("objects");
+        for body in &bodies {
+            let object = listed.append_child("object");
+            object.append_child_value("class", "Rigid");
+            object.append_child_value("label", body);
+        }
+        let channels = info.desc.append_child("channels");
+        for body in &bodies {
+            for (suffix, kind, unit) in POSE_CHANNELS {
+                put_channel(channels, &format!("{body}.{suffix}"), ("object", body), kind, unit);
+            }
+        }
+        self.acquisition(&mut info);
+        info
+    }
+
+    /// A stream of sampled channels, of this type.
+    #[must_use]
+    pub fn samples(&self, kind: &str, group: &SampledGroupInfo) -> StreamInfo {
+        let rate_hz = f64::from(group.rate_millihertz) / 1000.0;
+        let mut info = self.info(kind, group.channels.len(), Format::Float32, rate_hz);
+        let channels = info.desc.append_child("channels");
+        for stated in &group.channels {
+            let channel = channels.append_child("channel");
+            channel.append_child_value("label", &plain(&stated.name));
+            channel.append_child_value("type", kind);
+            channel.append_child_value("unit", &plain(&stated.unit));
+        }
+        self.acquisition(&mut info);
+        info
+    }
+
+    /// A stream of events: one text at irregular times.
+    #[must_use]
+    pub fn events(&self) -> StreamInfo {
+        let mut info = self.info("Markers", 1, Format::String, IRREGULAR_RATE);
+        let channels = info.desc.append_child("channels");
+        channels.append_child("channel").append_child_value("label", "event");
+        self.acquisition(&mut info);
+        info
+    }
+}
+
+fn put_channel(channels: &mut net::Node, label: &str, of: (&str, &str), kind: &str, unit: &str) {
+    let channel = channels.append_child("channel");
+    channel.append_child_value("label", label);
+    channel.append_child_value(of.0, of.1);
+    channel.append_child_value("type", kind);
+    channel.append_child_value("unit", unit);
+}
+
+/// A text without characters that XML does not allow, and without spaces around it, which readers leave out.
+fn plain(text: &str) -> String {
+    let is_refused = |c: char| c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}');
+    let text: String = text.chars().map(|c| if is_refused(c) { ' ' } else { c }).collect();
+    text.trim().to_owned()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -219,5 +392,34 @@ mod tests {
             let error = StreamDescription::parse(&xml).unwrap_err();
             assert!(error.contains(reason), "{error}");
         }
+    }
+
+    #[test]
+    fn a_marker_is_named_by_its_element_or_by_the_label_without_its_axis() {
+        for (marker, label, axis, expected) in [
+            ("LASI", "LASI.x", 0, "LASI"),
+            ("", "LASI.x", 0, "LASI"),
+            ("", "head top_Y", 1, "head top"),
+            ("", "LASI", 2, "LASI"),
+            ("", "Lx", 0, "Lx"),
+            ("", ".x", 0, ".x"),
+            ("", "A.x", 1, "A.x"),
+        ] {
+            let channel = ChannelDescription {
+                marker: marker.to_owned(),
+                label: label.to_owned(),
+                ..ChannelDescription::default()
+            };
+            assert_eq!(marker_of(&channel, axis), expected, "{marker} {label}");
+        }
+    }
+
+    #[test]
+    fn units_of_length_are_known_by_both_spellings() {
+        for (text, mm) in [("meters", 1000.0), ("Millimetres", 1.0), ("cm", 10.0), ("M", 1000.0)] {
+            assert_eq!(length_unit(text).unwrap().mm(), mm, "{text}");
+        }
+        assert_eq!(length_unit("inch"), None);
+        assert_eq!(length_unit(""), None);
     }
 }

@@ -3,8 +3,7 @@
 use std::collections::HashMap;
 
 use super::{
-    convention::{length_unit, marker_of, position_axis},
-    description::{ChannelDescription, StreamDescription},
+    description::{ChannelDescription, StreamDescription, length_unit, marker_of, position_axis},
     values::ValueFormat,
 };
 use crate::{
@@ -13,7 +12,7 @@ use crate::{
         GROUPS_MAX, LABEL_BYTES_MAX, SAMPLE_VALUES_PER_S_MAX, SAMPLED_CHANNELS_MAX, TEXT_BYTES_MAX,
         UNIT_BYTES_MAX,
     },
-    stream_query::StreamQuery,
+    uri::StreamQuery,
 };
 
 /// Ticks of a device's clock in a second: time stamps are 64-bit floats of seconds, and in nanoseconds none of them loses

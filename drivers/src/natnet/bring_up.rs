@@ -1,25 +1,27 @@
-//! From a socket to a server that is ready: versions, rate, definitions and samples, one request at a time, each repeated
-//! until its reply comes.
+//! From a network to a server that is ready: the search for servers; then versions, rate, definitions and samples, one
+//! request at a time, each repeated until its reply comes.
+
+use std::{io, net::SocketAddrV4, time::Duration};
 
 use super::{
-    COMMAND_PORT, DATA_PORT, GROUP,
+    COMMAND_PORT, DATA_PORT, GROUP, HostPhase, MS, NatNetHost, REPLY_TIMEOUT_NS, SetupStep,
+    assets::MarkerNames,
     frame::FrameOfData,
-    host::{HostPhase, MS, NatNetHost, REPLY_TIMEOUT_NS, SetupStep},
-    message::{Bitstream, Message, MessageKind, ServerInfo, put_message},
+    message::{Bitstream, Message, MessageKind, ServerInfo, put_discovery, put_message},
     model::{AssetKind, Model, ModelError},
-    names::MarkerNames,
     sampled::{DeviceGroups, SAMPLES_PER_FRAME_MAX},
 };
 use crate::{
+    axis::FrameAxis,
     bytes::WireValue,
-    device::{BODIES_MAX, Hello},
-    frame_axis::FrameAxis,
+    device::{BODIES_MAX, Candidate, Hello},
     marker_ids::{LABELS_MAX, UNLABELLED_MAX},
     transport::{
         DatagramSource,
+        network::search,
         polled::{LineCommand, Request},
     },
-    uri::StreamMode,
+    uri::{Location, NetworkAddress, StreamMode},
 };
 
 /// Frame rates that cameras have, in Hz: more than the fastest at a reduced image.
@@ -331,4 +333,39 @@ impl NatNetHost {
         let hz = u128::from(self.clock_hz().unwrap_or(TICK_HZ));
         u64::try_from(u128::from(ticks) * u128::from(TICK_HZ) / hz).unwrap_or(u64::MAX)
     }
+}
+
+/// Time that servers have for a reply: they take milliseconds.
+const WAIT: Duration = Duration::from_millis(300);
+
+/// The servers that answer a search at a port.
+///
+/// # Errors
+/// The system's, when no socket can be opened.
+pub fn find_servers(port: u16) -> io::Result<Vec<(SocketAddrV4, ServerInfo)>> {
+    let mut message = Vec::new();
+    put_discovery("mocapd", [0, 1, 0, 0], Bitstream::NEWEST, &mut message);
+    let replies = search(|_| message.clone(), port, WAIT)?;
+    let server = |(from, bytes): &(SocketAddrV4, Vec<u8>)| {
+        let message = Message::of(bytes)?;
+        let info = (message.kind == Some(MessageKind::ServerInfo))
+            .then(|| ServerInfo::read(message.body))??;
+        Some((*from, info))
+    };
+    Ok(replies.iter().filter_map(server).collect())
+}
+
+/// The servers on the networks of this machine as devices. A machine without a network has none.
+pub(crate) fn candidates() -> Vec<Candidate> {
+    let servers = find_servers(COMMAND_PORT).unwrap_or_default();
+    let candidate = |(from, info): (SocketAddrV4, ServerInfo)| {
+        let host = from.ip().to_string();
+        let address = NetworkAddress::new("natnet", &host, COMMAND_PORT);
+        let (app, version) = (info.app_version_text(), info.bitstream);
+        Candidate {
+            product: Some(format!("{} {app}, NatNet {version}", info.name)),
+            ..Candidate::at(Location::Network(address))
+        }
+    };
+    servers.into_iter().map(candidate).collect()
 }

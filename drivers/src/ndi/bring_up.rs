@@ -1,8 +1,8 @@
 //! Bring-up: from a line in unknown state to a device with enabled tools.
 
 use super::{
+    HostState, MS, NdiHost, Outcome, PortStep, Task,
     frame::{BX_REQUEST, BX2_REQUEST, STRAYS_MAX, TOOLS_MAX},
-    host::{HostState, MS, NdiHost, Outcome, PortStep, Task},
     message::{BAUD_AT_RESET, BAUDS, code, with_crc, without_crc},
     strays,
 };

@@ -50,8 +50,9 @@ pub use self::{
     settings::{AnalogDevice, ForcePlate, ForceUnits, LABELS_MAX, ServedSettings, Settings},
 };
 use crate::{
+    axis,
     device::{Claim, Family},
-    frame_axis as axis, marker_ids as labels,
+    marker_ids as labels,
     transport::polled::line_command_channel,
     uri::{Location, NetworkAddress},
 };

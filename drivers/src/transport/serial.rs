@@ -12,9 +12,7 @@ use rustix::fs::OFlags;
 use serialport::{SerialPort, TTYPort};
 
 use super::{
-    READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT,
-    access::{holder, permission_remedy},
-    tty,
+    READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT, holder, permission_remedy, tty,
 };
 
 /// Baud rate when the URI gives none: the highest that the common USB adapters (FT232R,

@@ -9,7 +9,7 @@ use super::{
 use crate::{
     ReportError,
     phases::Phase,
-    study::{Findings, Method, Piece, paper},
+    study::{self, Findings, Method, Piece},
 };
 
 const SIZE: (u32, u32) = (1280, 600);
@@ -28,7 +28,7 @@ pub fn by_phase(findings: &Findings) -> Result<String, ReportError> {
     if found.iter().all(|(_, points, _)| points.is_empty()) {
         return Err(ReportError::Nothing("no phase was measured: nothing to draw".to_owned()));
     }
-    let published = lines(&paper::TOLERANCES_MM, paper::sr2);
+    let published = lines(&study::TOLERANCES_MM, study::sr2);
     let all = || found.iter().chain(&published).flat_map(|line| &line.1);
     let most = all().map(|point| point.1).fold(1.0, f64::max);
     let widest = all().map(|point| point.0).fold(1.0, f64::max);
@@ -54,7 +54,7 @@ fn lines(tolerances_mm: &[f64], sr2: impl Fn(Piece, f64) -> Option<f64>) -> Vec<
             if piece == Piece::Phase(Phase::Flight) { "flight".to_owned() } else { piece.name() };
         (name, points.collect(), colour)
     };
-    paper::COLUMNS.iter().zip(&COLOURS).map(line).collect()
+    study::COLUMNS.iter().zip(&COLOURS).map(line).collect()
 }
 
 fn draw(area: &Area<'_>, title: &str, lines: &[Line], widest: f64, most: f64) -> DrawResult {

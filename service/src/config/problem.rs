@@ -123,7 +123,7 @@ pub(crate) fn excerpt(text: &str) -> String {
 }
 
 /// A suggestion for a misspelled name, or the list of valid names.
-pub(super) fn suggestion_or_list(
+pub(crate) fn suggestion_or_list(
     word: &str,
     known: impl Iterator<Item = &'static str> + Clone,
 ) -> String {

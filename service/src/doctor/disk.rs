@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::{latency::LatencyHistogram, pipeline::RESERVE_MIN_BYTES};
+use mocapd_acquire::{host_clock::LatencyHistogram, pipeline::RESERVE_MIN_BYTES};
 use rustix::fs::{statfs, statvfs};
 
 use super::Finding;

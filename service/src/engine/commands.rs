@@ -188,7 +188,7 @@ impl Inner {
         let take = OpenTake {
             named: named.clone(),
             changes_reported: session.progress.file_changes(),
-            requested_unix_ms: super::status::unix_ms(),
+            requested_unix_ms: super::session::unix_ms(),
             begun: Instant::now(),
             rate_hz: session.header.rate_hz,
             length,
@@ -462,7 +462,7 @@ impl Inner {
 
 /// Notes the count of a take that has begun. Returns a remark if it is not stored.
 fn note_count(names: &TrialNames, take: &NamedTake) -> Option<String> {
-    let noted = names.note(&take.name, take.path.parent()?, super::status::unix_ms());
+    let noted = names.note(&take.name, take.path.parent()?, super::session::unix_ms());
     noted.err().map(|error| {
         format!("its count is not stored, and may be used again if the take is moved: {error:#}")
     })

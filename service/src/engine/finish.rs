@@ -118,7 +118,7 @@ impl Inner {
         let mut summary = listed.unwrap_or_else(|| TakeSummary {
             name: stopped.name.clone(),
             bytes: written.file_bytes,
-            modified_unix_ms: super::status::unix_ms(),
+            modified_unix_ms: super::session::unix_ms(),
             seconds: stopped.seconds,
             markers: self.core().device.markers,
             take_id: stopped.take_id.clone(),
@@ -276,7 +276,7 @@ mod tests {
     };
     use mocapd_acquire::{
         files::{FileId, TakeFile},
-        heartbeat::Heartbeat,
+        threads::Heartbeat,
     };
 
     /// An engine without a device.

@@ -14,23 +14,19 @@
 //! The state is a value behind a lock that is held only briefly: never while waiting for a disk or a device.
 
 mod commands;
-mod events;
 mod finish;
-mod finished;
 mod folder;
 mod hub;
-mod idempotency;
-mod quality;
-mod recoveries;
 mod scheduled;
 mod session;
-mod status;
 mod supervisor;
 mod trial_names;
 mod uploads;
 mod watcher;
 
 use std::{
+    any::Any,
+    collections::VecDeque,
     path::PathBuf,
     sync::{
         Arc, Condvar, Mutex, MutexGuard, TryLockError,
@@ -42,20 +38,21 @@ use std::{
 
 use anyhow::{Context, anyhow};
 use jiff::Zoned;
-use mocapd_acquire::{files::FileId, heartbeat::Heartbeat, pipeline::lock, threads};
+use mocapd_acquire::{
+    files::FileId,
+    pipeline::lock,
+    threads::{self, Heartbeat},
+};
 use mocapd_drivers::{registry, uri::DeviceUri};
 use mocapd_take::record::{EndingKind, Subject};
 
 pub(crate) use self::folder::summarise;
 use self::{
-    events::EventPublisher,
-    finished::TakeClaims,
-    folder::SummaryCache,
-    hub::{Hub, Viewers},
-    idempotency::IdempotentReplies,
-    quality::MarkerStatistics,
+    folder::{SummaryCache, TakeClaims},
+    hub::{Hub, MarkerStatistics, Viewers},
     session::{Core, Rates},
     uploads::Uploads,
+    watcher::EventPublisher,
 };
 use super::{
     control::{
@@ -142,14 +139,14 @@ impl Engine {
         // Whether or not there is an archive now.
         let directory = inner.core().options.take.directory.clone();
         uploads::restore_set_aside(&inner, &directory);
-        finished::repair(&inner);
-        let cut_off = recoveries::cut_off(&inner);
+        folder::repair(&inner);
+        let cut_off = folder::cut_off(&inner);
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);
         let watched = Arc::clone(&inner);
         if !cut_off.is_empty() {
             let inner = Arc::clone(&inner);
-            let run = move || recoveries::run(&inner, cut_off);
+            let run = move || folder::recover_takes(&inner, cut_off);
             // It ends when it is done, or with the service.
             drop(threads::spawn("mocapd-recover", run)?);
         }
@@ -158,7 +155,7 @@ impl Engine {
         drop(threads::spawn("mocapd-upload", move || uploads::run(&uploading))?);
         let emptying = Arc::clone(&inner);
         // It may wait for a slow disk, but removes what nobody needs.
-        drop(threads::spawn("mocapd-trash", move || finished::run(&emptying))?);
+        drop(threads::spawn("mocapd-trash", move || folder::empty_trash(&emptying))?);
         let scheduling = Arc::clone(&inner);
         let threads = vec![
             threads::spawn("mocapd-hub", move || hub.run())?,
@@ -440,5 +437,98 @@ impl EngineOptions {
     fn name_take(&self, count: u32) -> String {
         let (begin, count) = (Zoned::now().datetime(), u64::from(count));
         self.take.name.fill(&NameParts { begin, rig: &self.rig, count })
+    }
+}
+
+/// Maximum number of replies that are remembered: clients repeat a request within seconds, and none sends hundreds per
+/// second.
+const REPLIES_MAX: usize = 256;
+
+/// Longest request id in bytes.
+const ID_BYTES_MAX: usize = 64;
+
+/// Replies by request id, oldest first.
+#[derive(Debug, Default)]
+struct IdempotentReplies(VecDeque<(String, KnownRequest)>);
+
+/// A request that has been received: its kind and its reply.
+#[derive(Debug, Clone)]
+struct KnownRequest {
+    what: &'static str,
+    /// The take that the request is about, if its path names one.
+    about: String,
+    reply: Reply,
+}
+
+#[derive(Debug, Clone)]
+enum Reply {
+    /// The request is being executed.
+    Pending,
+    Done(Arc<dyn Any + Send + Sync>),
+}
+
+impl Inner {
+    /// Executes a request, unless one with its id was received before.
+    fn once<T: Clone + Send + Sync + 'static>(
+        &self,
+        what: &'static str,
+        id: Option<&str>,
+        execute: impl FnOnce(&Self) -> Result<T, Refusal>,
+    ) -> Result<T, Refusal> {
+        self.once_about((what, ""), id, execute)
+    }
+
+    /// Executes a request about a take, unless one with its id was received before.
+    fn once_about<T: Clone + Send + Sync + 'static>(
+        &self,
+        (what, about): (&'static str, &str),
+        id: Option<&str>,
+        execute: impl FnOnce(&Self) -> Result<T, Refusal>,
+    ) -> Result<T, Refusal> {
+        let Some(id) = id else { return execute(self) };
+        let invalid = |message: &str| Refusal::new(RefusalKind::Invalid, message);
+        if id.is_empty() || id.len() > ID_BYTES_MAX || id.chars().any(char::is_control) {
+            return Err(invalid("a request_id has 1 to 64 bytes and no control characters"));
+        }
+        if let Some(known) = self.claim((what, about), id) {
+            let other = "this request_id was used for a different kind of request";
+            if known.what != what || known.about != about {
+                return Err(invalid(other));
+            }
+            let Reply::Done(answer) = known.reply else {
+                let message = "this request is still being executed: ask again in a moment";
+                return Err(Refusal::unavailable(message));
+            };
+            let answer = answer.downcast_ref::<Result<T, Refusal>>();
+            return answer.cloned().unwrap_or_else(|| Err(invalid(other)));
+        }
+        let answer = execute(self);
+        let mut replies = lock(&self.replies);
+        if let Some(at) = replies.0.iter().rposition(|(known, _)| known == id) {
+            match &answer {
+                // A request that was not executed may be tried again.
+                Err(refusal) if refusal.kind == RefusalKind::Unavailable => {
+                    replies.0.remove(at);
+                }
+                _ => replies.0[at].1.reply = Reply::Done(Arc::new(answer.clone())),
+            }
+        }
+        answer
+    }
+
+    /// The known request with this id; otherwise registers it as being executed.
+    fn claim(&self, (what, about): (&'static str, &str), id: &str) -> Option<KnownRequest> {
+        let mut replies = lock(&self.replies);
+        if let Some((_, known)) = replies.0.iter().find(|(known, _)| known == id) {
+            return Some(known.clone());
+        }
+        if replies.0.len() == REPLIES_MAX {
+            replies.0.pop_front();
+        }
+        replies.0.push_back((
+            id.to_owned(),
+            KnownRequest { what, about: about.to_owned(), reply: Reply::Pending },
+        ));
+        None
     }
 }

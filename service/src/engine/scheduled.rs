@@ -7,7 +7,10 @@ use std::{
 
 use jiff::{SignedDuration, ToSpan, Zoned, civil::Time, tz::AmbiguousOffset};
 
-use super::{Inner, session::ScheduledStart, status::unix_ms};
+use super::{
+    Inner,
+    session::{ScheduledStart, unix_ms},
+};
 use crate::{
     control::{Refusal, RefusalKind, Request, Start},
     status::{PendingStart, ServiceEventKind},

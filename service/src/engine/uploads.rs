@@ -3,8 +3,7 @@
 //! What was uploaded is in a file beside the takes, so that a restart continues. An upload can be repeated at any time: an
 //! object of the same name and content counts as done. Errors are retried, less and less often.
 
-mod journal;
-mod removal;
+mod uploaded;
 
 #[cfg(test)]
 mod tests;
@@ -19,15 +18,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::{files, health::TakeHealth, pipeline::lock};
+use mocapd_acquire::{files, ledger::TakeHealth, pipeline::lock};
 use mocapd_store::{ObjectUrl, Store, StoreError};
 
-pub(super) use self::removal::restore_set_aside;
-use self::{
-    journal::{Journal, JournalEntry},
-    removal::check_apart,
-};
-use super::{Inner, status::unix_ms};
+pub(super) use self::uploaded::restore_set_aside;
+use self::uploaded::{Journal, JournalEntry, check_apart};
+use super::{Inner, session::unix_ms};
 use crate::{
     config::ArchiveConfig,
     status::{ArchiveStatus, ServiceEventKind, TakeSummary, TakeUpload, UploadState},

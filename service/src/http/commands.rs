@@ -8,11 +8,14 @@ use axum::{
     http::{HeaderMap, StatusCode},
     response::{IntoResponse, Response},
 };
-use mocapd_acquire::listing::{self, ListedDevice};
+use mocapd_acquire::rig::{self, ListedDevice};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Shared, Via, body::JsonBody, problem::Problem};
+use super::{
+    Shared, Via,
+    body::{JsonBody, Problem},
+};
 use crate::{
     control::{Control, Mark, Marked, Refusal, Request, SaveLast, Start, Started, Stopped},
     status::{MarkerQuality, PendingStart, State as ServiceState, Status},
@@ -66,7 +69,7 @@ pub(super) async fn healthz(
 #[utoipa::path(get, path = "/v1/devices", tag = "status",
     responses((status = 200, body = Vec<ListedDevice>)))]
 pub(super) async fn devices(State(app): State<Shared>) -> Result<Json<Vec<ListedDevice>>, Problem> {
-    let listed = app.queues.files.run(listing::devices).await?;
+    let listed = app.queues.files.run(rig::devices).await?;
     Ok(Json(listed.map_err(|error| Problem::internal(error.to_string()))?))
 }
 

@@ -31,7 +31,7 @@ use utoipa::ToSchema;
 
 use super::{
     Shared, StreamPermit,
-    problem::{Problem, ProblemKind},
+    body::{Problem, ProblemKind},
     takes::{CancellableReader, answer, disposition, finished, open, take_name, unreadable, value},
 };
 

@@ -17,9 +17,9 @@ use axum::{
 
 use super::{
     Counts, Shared, Via,
-    login::{self, LOGIN_PATH},
-    problem::{PROBLEM_JSON, Problem, ProblemKind},
-    slots::ConnectionSlot,
+    auth::{self, LOGIN_PATH},
+    body::{PROBLEM_JSON, Problem, ProblemKind},
+    connection::ConnectionSlot,
 };
 use crate::page;
 
@@ -80,7 +80,7 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     if is_authorized || is_open(uri.path()) || (app.is_viewer && page::is_file(uri.path())) {
         return Ok(());
     }
-    if request.method() == Method::GET && login::wants_html(headers) {
+    if request.method() == Method::GET && auth::wants_html(headers) {
         return Err(Box::new(Redirect::to(LOGIN_PATH).into_response()));
     }
     let message = "a token is required: send `Authorization: Bearer …`, or log in at /login";
@@ -149,7 +149,7 @@ fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Proble
 pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let is_api = path.starts_with("/v1/");
-    let is_page = !is_api && login::wants_html(request.headers());
+    let is_page = !is_api && auth::wants_html(request.headers());
     Counts::add(&app.counts.requests, 1);
     let mut response = next.run(request).await;
     let status = response.status();
@@ -164,7 +164,7 @@ pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Ne
             }
         }
         if is_page && let Some(problem) = response.extensions().get::<Problem>() {
-            let page = login::refusal(&path, problem).into_response();
+            let page = auth::refusal(&path, problem).into_response();
             let headers = response.headers_mut();
             headers.remove(header::CONTENT_LENGTH);
             headers.extend(page.headers().clone());

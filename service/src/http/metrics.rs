@@ -13,10 +13,7 @@ use axum::{
     http::{HeaderMap, header},
     response::{IntoResponse, Response},
 };
-use mocapd_acquire::{
-    health::TakeHealth,
-    ledger::{LedgerDocument, SampleLedgerDocument},
-};
+use mocapd_acquire::ledger::{LedgerDocument, SampleLedgerDocument, TakeHealth};
 use prometheus_client::{
     collector::Collector,
     encoding::{DescriptorEncoder, EncodeMetric, text::encode},
@@ -24,7 +21,7 @@ use prometheus_client::{
     registry::{Registry, Unit},
 };
 
-use super::{Counts, Shared, problem::Problem};
+use super::{Counts, Shared, body::Problem};
 use crate::status::{ArchiveStatus, PublishStatus, State, Status, TakeStatus, TakeSummary};
 
 const OPEN_METRICS: &str = "application/openmetrics-text";

@@ -25,7 +25,7 @@ use utoipa::IntoParams;
 
 use super::{
     Shared,
-    problem::{Problem, ProblemKind},
+    body::{Problem, ProblemKind},
     takes::{CancellableReader, finished, take_name, unreadable},
 };
 use crate::{

@@ -25,10 +25,9 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
     Shared,
-    auth::COOKIE,
-    commands, download, finished, guard, login, metrics, playback,
-    problem::{PROBLEM_JSON, Problem},
-    streams, takes,
+    auth::{self, COOKIE},
+    body::{PROBLEM_JSON, Problem},
+    broadcast, commands, download, guard, metrics, playback, takes,
 };
 use crate::page::{PLAYER, WEB};
 
@@ -57,18 +56,18 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(playback::bodies))
         .routes(routes!(playback::poses))
         .routes(routes!(playback::difference))
-        .routes(routes!(finished::notes_file, finished::edit_notes))
-        .routes(routes!(finished::rename))
-        .routes(routes!(finished::trash))
-        .routes(routes!(finished::trashed))
-        .routes(routes!(finished::restore))
-        .routes(routes!(streams::events))
-        .routes(routes!(streams::live))
+        .routes(routes!(takes::notes_file, takes::edit_notes))
+        .routes(routes!(takes::rename))
+        .routes(routes!(takes::trash))
+        .routes(routes!(takes::trashed))
+        .routes(routes!(takes::restore))
+        .routes(routes!(broadcast::events))
+        .routes(routes!(broadcast::live))
         .routes(routes!(commands::healthz))
         .routes(routes!(metrics::metrics))
         .routes(routes!(document))
-        .routes(routes!(login::page, login::login))
-        .routes(routes!(login::logout))
+        .routes(routes!(auth::page, auth::login))
+        .routes(routes!(auth::logout))
 }
 
 /// The API as `OpenAPI` 3.1, in JSON.

@@ -22,13 +22,11 @@ use tokio::{
 };
 
 use super::{
-    App, Counts,
+    App, Counts, HttpOptions, UNIX_EXTRA,
     auth::Auth,
     broadcast::{EventBroadcast, LiveBroadcast},
-    connection::Acceptor,
-    options::{HttpOptions, UNIX_EXTRA},
+    connection::{Acceptor, ConnectionSlots},
     routes,
-    slots::ConnectionSlots,
     work_queues::{self, WorkQueues},
 };
 use crate::control::Control;

@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-use super::problem::Problem;
+use super::body::Problem;
 
 /// Commands executed at once: a start, a stop, a mark and one more.
 const COMMANDS: Size = Size { running: 4, waiting: 16 };

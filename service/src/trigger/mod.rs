@@ -5,7 +5,6 @@
 //! [`TriggerError`] comes out.
 
 mod datagram;
-mod listener;
 mod queue;
 pub mod socket;
 
@@ -18,10 +17,9 @@ pub use self::{
     datagram::{
         Announcer, DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, TakeName, first_packet_id, parse,
     },
-    listener::{IDS_MAX, Incoming, Listener, Network, REMEMBERED, SENDERS_MAX},
     queue::{
-        DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, PendingTriggers, ReceivedTrigger,
-        TriggerQueue,
+        DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, IDS_MAX, Incoming, Listener,
+        Network, PendingTriggers, REMEMBERED, ReceivedTrigger, SENDERS_MAX, TriggerQueue,
     },
     socket::RateLimit,
 };

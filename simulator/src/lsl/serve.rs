@@ -9,7 +9,7 @@ use std::{
 };
 
 use labstream_core::net::Outlet;
-use mocapd_drivers::stream_query::StreamQuery;
+use mocapd_drivers::uri::StreamQuery;
 
 use super::{LslDevice, Push};
 use crate::NetworkOptions;

@@ -8,7 +8,7 @@ use std::{path::PathBuf, sync::atomic::Ordering, time::Duration};
 
 use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::{files::FileState, listing::ListedDevice};
+use mocapd_acquire::{files::FileState, rig::ListedDevice};
 use mocapd_service::{
     control::{Marked, Start, Started, Stopped},
     finished::{MovedTake, TakeNotes, TrashedTake},

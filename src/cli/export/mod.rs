@@ -1,6 +1,5 @@
 //! `export`: converts takes to formats of other tools.
 
-mod crop;
 mod format;
 mod page;
 
@@ -29,8 +28,7 @@ use mocapd_take::{
 use serde::Serialize;
 
 use self::{
-    crop::CroppedFrames,
-    format::{EscapedLabels, FormatArgs, FormatName},
+    format::{CroppedFrames, EscapedLabels, FormatArgs, FormatName},
     page::PageAccuracy,
 };
 use super::{
@@ -226,7 +224,7 @@ impl ExportPlan<'_> {
         let again = BufReader::new(remote::open(&job.input.path)?);
         frames.open_recording(again, args.format.resample).with_context(reading)?;
         let n_sampled_rows = frames.map().n_sampled_rows.unwrap_or_default();
-        let range = crop::range(frames.info(), n_sampled_rows, args.from, self.end)
+        let range = format::range(frames.info(), n_sampled_rows, args.from, self.end)
             .with_context(|| name.to_string())?;
         if args.up.is_some() && frames.info().up == UpAxis::Unknown {
             bail!(UsageError(format!(

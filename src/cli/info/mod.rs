@@ -13,9 +13,8 @@ use anyhow::Context;
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
     files::CountingFile,
-    health::TakeHealth,
     inspect::{Summary, size_ratio},
-    ledger::{LedgerDocument, SampleLedgerDocument},
+    ledger::{LedgerDocument, SampleLedgerDocument, TakeHealth},
 };
 use mocapd_store::{ObjectUrl, Store, StoredTake};
 use mocapd_take::{
@@ -39,10 +38,7 @@ use super::{
     paths::{InputFormat, InputFormatName},
     remote,
 };
-use crate::cli::{
-    clock::ClockReport,
-    ledger::{DamageReport, OutagesReport},
-};
+use crate::cli::ledger::{ClockReport, DamageReport, OutagesReport};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {

@@ -7,8 +7,7 @@ use mocapd_take::record::CODEC_VERSION;
 
 use super::{ForeignReport, InfoReport, contents};
 use crate::cli::{
-    clock::ClockReport,
-    ledger,
+    ledger::{self, ClockReport},
     output::{plain, plain_path},
     values::{LABEL_COLUMNS_MAX, bytes, count, frames_of, length_of_time, rate, thousands},
 };

@@ -13,9 +13,8 @@ use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     clock::LineDeviation,
     files::CountingFile,
-    health::TakeHealth,
-    inspect::Summary,
-    verdict::{Finding, Verdict},
+    inspect::{Finding, Summary, Verdict},
+    ledger::TakeHealth,
 };
 use mocapd_service::units;
 use mocapd_take::{interchange::Format, record::Ledger};

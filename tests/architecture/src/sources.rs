@@ -26,9 +26,8 @@ const RULES: &[Rule] = &[
             "cli/src/stop.rs",
             // Looking up a name cannot be cancelled, and may take longer than a reader can wait.
             "drivers/src/transport/network/connect.rs",
-            "drivers/src/transport/lsl/discovery.rs",
             // A stream that does not answer must not keep the samples of others waiting.
-            "drivers/src/transport/lsl/returning.rs",
+            "drivers/src/transport/lsl/discovery.rs",
             "simulator/src/cli/generate.rs",
             "store/src/cloud/connect.rs",
         ],
@@ -76,14 +75,14 @@ const RULES: &[Rule] = &[
         // plane share a lock in one place only: the writer takes it once per stretch.
         // The commands of the program that read and write files are on no sample path.
         allowed: &[
-            "acquire/src/files/hidden_path.rs",
+            "acquire/src/files/new_file.rs",
             "acquire/src/pipeline/progress.rs",
             "src/cli/",
             "take/src/foreign/content.rs",
             "take/src/sampled/recording.rs",
             "service/src/engine/",
             "service/src/http/",
-            "service/src/log/rate_limit.rs",
+            "service/src/log.rs",
             // What a publisher reports, five times a second.
             "service/src/publish/mod.rs",
             "service/src/trigger/queue.rs",
@@ -113,7 +112,7 @@ const RULES: &[Rule] = &[
             "simulator/src/gadget/",
             "drivers/src/transport/",
             // The crate of LSL calls so what has its descriptions.
-            "drivers/src/lsl/described.rs",
+            "drivers/src/lsl/description.rs",
             "drivers/src/lsl/outlet/",
             "simulator/src/lsl/",
             "simulator/src/natnet/serve.rs",

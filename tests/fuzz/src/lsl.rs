@@ -8,9 +8,8 @@ use mocapd_drivers::{
     lsl::{
         Layout, LslHost, OutletServer, Publisher, StreamDescription, StreamMessage, put_message,
     },
-    stream_query::StreamQuery,
     transport::network::server::StreamServer,
-    uri::DeviceUri,
+    uri::{DeviceUri, StreamQuery},
 };
 
 use crate::Input;

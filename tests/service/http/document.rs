@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use mocapd_acquire::{
     files::FileState,
     ledger::{GroupLedgerDocument, LedgerDocument, SampleLedgerDocument},
-    listing::ListedDevice,
+    rig::ListedDevice,
 };
 use mocapd_service::{
     control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},

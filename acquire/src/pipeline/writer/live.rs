@@ -23,10 +23,9 @@ use crate::{
     pipeline::{
         Counts, FirstRow, NewTake, NothingRecorded, PipelineProgress, TakeAccount, TakeFailed,
         TakeOutput, TakeResult,
-        commands::Reply,
         disk::DiskReserve,
         lock,
-        messages::{FrameTimes, PartReport, SamplePart, StretchReport},
+        messages::{FrameTimes, PartReport, Reply, SamplePart, StretchReport},
     },
 };
 

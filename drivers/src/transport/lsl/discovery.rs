@@ -1,10 +1,13 @@
 //! Finds streams on the network: a question by UDP, to groups and to machines that LSL's configuration names, and answers
 //! with short descriptions.
+//!
+//! Streams that are over while others are read are found, compared and opened again on a thread of their own, so that no
+//! sample of the others waits for somebody who does not answer.
 
 use std::{
     io::{self, ErrorKind},
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket},
-    sync::mpsc::sync_channel,
+    sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
     thread::Builder,
     time::{Duration, Instant},
 };
@@ -14,7 +17,12 @@ use labstream_core::{
     proto::discovery::{build_query, parse_answer},
 };
 
-use crate::{lsl::StreamDescription, stream_query::StreamQuery, transport::TransportError};
+use super::sockets::{Feed, whole_description};
+use crate::{
+    lsl::StreamDescription,
+    transport::TransportError,
+    uri::{STREAMS_MAX, StreamQuery},
+};
 
 /// How long to wait for a stream: several waves, of which each can be lost.
 const FIND_TIMEOUT: Duration = Duration::from_millis(2500);
@@ -354,6 +362,106 @@ fn peers(names: &[String]) -> Vec<IpAddr> {
 /// Whether a call is to be repeated.
 pub(super) fn is_retry(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted)
+}
+
+/// Time between two searches.
+const INTERVAL: Duration = Duration::from_secs(1);
+
+/// How long streams have to answer in each.
+const ANSWERS: Duration = Duration::from_millis(500);
+
+/// Time in which one has to be described and its feed to be open.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// What became of a stream that was over.
+#[derive(Debug)]
+pub(super) enum Return {
+    /// It is read again.
+    Back {
+        /// Its number.
+        number: usize,
+        /// What it states now; boxed, as is the feed, to keep the report small.
+        found: Box<FoundStream>,
+        /// Its open feed.
+        feed: Box<Feed>,
+    },
+    /// It is back with another description, under which its samples must not be stored.
+    Changed {
+        /// Its number.
+        number: usize,
+    },
+}
+
+/// The thread, until it is dropped.
+#[derive(Debug)]
+pub(super) struct ReturnWatch {
+    lost: SyncSender<(usize, StreamDescription)>,
+    returns: Receiver<Return>,
+}
+
+impl ReturnWatch {
+    /// Starts the thread; `None` if the system has none left.
+    pub(super) fn start() -> Option<Self> {
+        // Each stream is lost once before it returns.
+        let (lost, to_find) = sync_channel(STREAMS_MAX);
+        let (found, returns) = sync_channel(STREAMS_MAX);
+        let watch = move || watch(&to_find, &found);
+        Builder::new().name("mocapd-lsl".to_owned()).spawn(watch).ok()?;
+        Some(Self { lost, returns })
+    }
+
+    /// Looks for a stream with this description.
+    pub(super) fn look_for(&self, number: usize, description: StreamDescription) {
+        // There is room for all of them.
+        self.lost.try_send((number, description)).ok();
+    }
+
+    /// The next one that is back.
+    pub(super) fn next_return(&self) -> Option<Return> {
+        self.returns.try_recv().ok()
+    }
+}
+
+fn watch(to_find: &Receiver<(usize, StreamDescription)>, found: &SyncSender<Return>) {
+    let mut lost: Vec<(usize, StreamDescription)> = Vec::new();
+    loop {
+        let next = if lost.is_empty() {
+            to_find.recv().map_err(|_| RecvTimeoutError::Disconnected)
+        } else {
+            to_find.recv_timeout(INTERVAL)
+        };
+        match next {
+            Ok(stream) => lost.push(stream),
+            Err(RecvTimeoutError::Timeout) => {}
+            // The line is closed.
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
+        let names: Vec<String> = lost.iter().map(|(_, of)| of.name.clone()).collect();
+        let all = named(&names, ANSWERS);
+        lost.retain(|(number, of)| match attempt(*number, of, &all) {
+            Some(report) => found.try_send(report).is_err(),
+            None => true,
+        });
+    }
+}
+
+/// Opens a stream, if it is there and is the only one.
+fn attempt(number: usize, lost: &StreamDescription, all: &[FoundStream]) -> Option<Return> {
+    let is_same = |found: &&FoundStream| {
+        let of = &found.description;
+        (&of.name, &of.source_id, &of.kind, &of.hostname)
+            == (&lost.name, &lost.source_id, &lost.kind, &lost.hostname)
+    };
+    let mut same = all.iter().filter(is_same);
+    let (Some(found), None) = (same.next(), same.next()) else { return None };
+    let (address, until) = (found.data_address()?, Instant::now() + OPEN_TIMEOUT);
+    let now = StreamDescription::parse(&whole_description(address, until).ok()?).ok()?;
+    if !now.is_recorded_as(lost) {
+        return Some(Return::Changed { number });
+    }
+    let feed = Box::new(Feed::open(&now, address, until).ok()?);
+    let found = Box::new(FoundStream { description: now, ..found.clone() });
+    Some(Return::Back { number, found, feed })
 }
 
 #[cfg(test)]

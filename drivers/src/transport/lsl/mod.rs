@@ -1,9 +1,7 @@
 //! The line to streams of the Lab Streaming Layer: finds and describes them, opens their feeds, and merges what arrives into one stream of bytes.
 
 mod discovery;
-mod feed;
-mod outlets;
-mod returning;
+mod sockets;
 
 use std::{
     collections::VecDeque,
@@ -16,12 +14,11 @@ use labstream_core::proto::timesync::{build_probe, parse_answer};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use self::{
-    discovery::is_retry,
-    feed::{Feed, monotonic_ns, whole_description},
-    returning::{Return, ReturnWatch},
+    discovery::{Return, ReturnWatch, is_retry},
+    sockets::{Feed, monotonic_ns, whole_description},
 };
 pub use discovery::{FoundStream, streams};
-pub use outlets::OutletSockets;
+pub use sockets::OutletSockets;
 
 use super::{Arrival, READ_TIMEOUT, Transport, TransportError};
 use crate::{
@@ -29,7 +26,7 @@ use crate::{
         DATA_HEADER_BYTES, Layout, LineRequest, StreamDescription, StreamMessage, data_header,
         put_message,
     },
-    stream_query::StreamQuery,
+    uri::StreamQuery,
 };
 
 /// Probes whose reply may still come: as many as the recorder sends at once.

@@ -2,9 +2,9 @@
 
 use std::{fs, os::unix::fs::symlink};
 
-use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_acquire::threads::Heartbeat;
 
-use super::{journal::JOURNAL, *};
+use super::{uploaded::JOURNAL, *};
 use crate::{
     config::{Config, Environment, Overrides},
     control::Control,

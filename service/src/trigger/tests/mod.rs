@@ -164,7 +164,7 @@ fn repeats_do_nothing() {
 
 #[test]
 fn memory_of_repeats_is_bounded() {
-    let mut seen = listener::RecentTriggers::default();
+    let mut seen = queue::RecentTriggers::default();
     let mut repeat = |from: u32, id: u64, at_s| {
         let from = IpAddr::V4(from.into());
         let trigger = parse(packet(id).as_bytes()).unwrap();

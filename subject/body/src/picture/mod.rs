@@ -5,7 +5,6 @@
 //! too.
 
 mod charts;
-mod shade;
 mod views;
 
 use std::fmt::Write as _;

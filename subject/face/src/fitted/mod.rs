@@ -3,8 +3,7 @@
 //! `docs/subject-face-format.md` describes `face.json`. It contains no picture of a person: positions, names and the
 //! photograph's hash.
 
-mod overlay;
-mod views;
+mod pictures;
 
 use std::{collections::BTreeMap, ops::Range};
 
@@ -16,7 +15,7 @@ use crate::{
     model::FeatureId,
     shortened,
 };
-pub use overlay::Overlay;
+pub use pictures::Overlay;
 
 /// The chain that located the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,11 +2,11 @@
 //! function of terms such as how clearly the features are visible at these places.
 
 use super::crop::Maps;
+use super::features::Ray;
 use super::features::SearchResult;
-use super::outline::Ray;
+use super::regressor::{LANDMARKS, PosedModel, Target};
 use super::regressor::{LandmarkPoints, REGRESSED};
-use super::shape::{LANDMARKS, PosedModel, Target};
-use super::{BROWS, EYES, MOUTH, NOSE, features, outline};
+use super::{BROWS, EYES, MOUTH, NOSE, features};
 use crate::plane::{Plane, Point, distance, middle};
 use crate::pose::{EyeLine, YawRule};
 use crate::table::f64s;
@@ -97,7 +97,7 @@ fn trace(maps: &Maps, unlike: &Plane, p: &[Point; LANDMARKS], sd: f64) -> Vec<Ra
     hull.extend([across(0.15, temple), across(0.85, temple), across(0.4, top), across(0.6, top)]);
     hull.extend([p[17], p[26], p[36], p[45], p[33], p[30]]);
     let centre = middle(p[27], p[33]);
-    outline::trace(maps, unlike, centre, &outline::hull_radii(&hull, centre), sd)
+    features::trace(maps, unlike, centre, &features::hull_radii(&hull, centre), sd)
 }
 
 /// Traces the outline. Returns targets for the landmarks of the jaw, and the rays of the outline.
@@ -112,7 +112,7 @@ pub(super) fn locate_outline(
     let centre = middle(p[27], p[33]);
     let target = |landmark: usize| {
         let at = p.get(landmark)?;
-        let (ray, place) = outline::towards(&line, centre, *at)?;
+        let (ray, place) = features::towards(&line, centre, *at)?;
         Some(Target { landmark, at: place, sd: OUTLINE_SD / clearness(&ray) })
     };
     let targets = (0..17).filter_map(target).collect();

@@ -9,10 +9,8 @@
 mod crop;
 mod evidence;
 mod features;
-mod outline;
 pub mod paper;
 pub mod regressor;
-mod shape;
 #[cfg(test)]
 mod tests;
 
@@ -23,9 +21,9 @@ use crate::plane::{Point, middle};
 use crop::{Crop, Maps};
 pub use evidence::{Evidence, FAINT};
 use evidence::{LocatedFeatures, clearness};
-use outline::{Heights, Ray};
+use features::{Heights, Ray};
 use regressor::{LandmarkPoints, LandmarkRegressor, REGRESSED, mean};
-use shape::{Landmarks, PosedModel, Target};
+use regressor::{Landmarks, PosedModel, Target};
 
 /// Approximate position of a face (pixels of the photograph); an error of a tenth of the eye distance is harmless.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -204,8 +202,8 @@ fn collect(attempt: Attempt<'_>) -> FacePoints {
         Heights { brows: mean(19, 24), eyes: mean(36, 45), nose: p[33][1], mouth: mean(48, 54) };
     let polygon: Vec<Point> = line.iter().map(|ray| ray.at).collect();
     let centre = middle(p[27], p[33]);
-    for (index, at) in outline::twelve(&polygon, centre[0], &heights) {
-        let clear = outline::towards(&line, centre, at).map_or(FAINT, |(ray, _)| clearness(&ray));
+    for (index, at) in features::twelve(&polygon, centre[0], &heights) {
+        let clear = features::towards(&line, centre, at).map_or(FAINT, |(ray, _)| clearness(&ray));
         points.set(index, crop.to_photo(at), clear);
     }
     points.outline = polygon.into_iter().map(|p| crop.to_photo(p)).collect();

@@ -3,8 +3,8 @@
 use mocapd_testkit::photograph::Scene;
 use mocapd_testkit::random::Random;
 
-use super::shape::{Landmarks, PosedModel};
-use super::{Evidence, FacePoints, Point, RoughFace, find, outline, paper};
+use super::regressor::{Landmarks, PosedModel};
+use super::{Evidence, FacePoints, Point, RoughFace, features, find, paper};
 use crate::model::{FeatureId, Model};
 use crate::photo::Photo;
 use crate::plane::mean;
@@ -228,8 +228,8 @@ fn an_outline_gives_points_at_six_heights() {
         .map(|k| f64::from(k) / 90.0 * std::f64::consts::TAU)
         .map(|t| [100.0 + 50.0 * t.cos(), 100.0 + 50.0 * t.sin()])
         .collect();
-    let heights = outline::Heights { brows: 85.0, eyes: 92.0, nose: 112.0, mouth: 122.0 };
-    let twelve = outline::twelve(&circle, 100.0, &heights);
+    let heights = features::Heights { brows: 85.0, eyes: 92.0, nose: 112.0, mouth: 122.0 };
+    let twelve = features::twelve(&circle, 100.0, &heights);
     assert_eq!(twelve.len(), 12);
     for (index, p) in twelve {
         assert_eq!(index < 6, p[0] < 100.0);

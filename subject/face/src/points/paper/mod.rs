@@ -8,7 +8,7 @@
 mod features;
 
 use super::crop::{Crop, EYE_DISTANCE, HEIGHT, Maps, WIDTH};
-use super::outline::{Heights, twelve};
+use super::features::{Heights, twelve};
 use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, RoughFace};
 use crate::photo::Photo;
 use crate::plane;
