@@ -2,7 +2,6 @@
 //! after it.
 
 mod chunks;
-mod damage;
 
 use std::{
     io::{BufReader, Cursor, Read, Seek, SeekFrom},
@@ -11,11 +10,7 @@ use std::{
 
 use serde::Serialize;
 
-use self::{chunks::LongChunk, damage::Damage};
-pub(crate) use self::{
-    chunks::{order, record},
-    damage::repair_head,
-};
+use self::chunks::{Damage, LongChunk};
 use crate::{
     ChannelOrder, NotATake, TakeError,
     chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, WINDOW_BYTES, types},
@@ -27,6 +22,8 @@ use crate::{
     sampled::{SampleTimes, SamplesChunk},
     stretch::{Stretch, StretchChain},
 };
+
+pub(crate) use self::chunks::{order, record, repair_head};
 
 /// One element of a take.
 #[derive(Debug)]
