@@ -16,9 +16,8 @@ use std::{
 };
 
 use crate::{
-    ambiguity::Notes,
     foreign::{self, content::MemoryScratch, force_plates::Baseline},
-    motion::{FrameSource, GAP, Motion, MotionInfo, Position, UpAxis, is_gap},
+    motion::{FrameSource, GAP, Motion, MotionInfo, Notes, Position, UpAxis, is_gap},
 };
 
 pub mod bids;

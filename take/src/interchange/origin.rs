@@ -1,9 +1,6 @@
 //! Samples exactly at the origin: some software writes `0 0 0` for an occluded marker.
 
-use crate::{
-    ambiguity::{Ambiguity, Notes},
-    motion::{Position, is_gap},
-};
+use crate::motion::{Ambiguity, Notes, Position, is_gap};
 
 /// The origin.
 pub(super) const ORIGIN: Position = [0.0; 3];

@@ -177,7 +177,7 @@ impl Suspect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ambiguity::{Ambiguity, Notes};
+    use crate::motion::{Ambiguity, Notes};
 
     /// Marker 0 moves; marker 1 is `second`.
     fn with(second: &[Position]) -> Vec<Position> {

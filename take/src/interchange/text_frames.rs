@@ -12,9 +12,8 @@ use super::{
     units::{FileUnit, MotionExtent},
 };
 use crate::{
-    ambiguity::{Ambiguity, Notes},
     foreign::content::{Content, ContentCursor, ContentWriter, NewScratch},
-    motion::{GAP, Position, is_gap},
+    motion::{Ambiguity, GAP, Notes, Position, is_gap},
 };
 
 /// Bytes of a stored position.

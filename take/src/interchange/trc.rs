@@ -19,9 +19,8 @@ use super::{
     write_frames,
 };
 use crate::{
-    ambiguity::Notes,
     foreign::content::NewScratch,
-    motion::{Foreign, FrameSource, MotionInfo, UpAxis},
+    motion::{Foreign, FrameSource, MotionInfo, Notes, UpAxis},
 };
 
 /// Kind of the foreign part with the header lines: the lines above the labels, unchanged.

@@ -20,9 +20,8 @@ use super::{
     write_frames,
 };
 use crate::{
-    ambiguity::Notes,
     foreign::content::NewScratch,
-    motion::{Foreign, FrameSource, MotionEvent, MotionInfo, UpAxis},
+    motion::{Foreign, FrameSource, MotionEvent, MotionInfo, Notes, UpAxis},
     record::EventKind,
 };
 

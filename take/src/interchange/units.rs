@@ -3,10 +3,7 @@
 use std::{cell::Cell, fmt, str::FromStr};
 
 use super::{counted, rotation::Rotation};
-use crate::{
-    ambiguity::{Ambiguity, Notes},
-    motion::{GAP, Position, Source, is_gap},
-};
+use crate::motion::{Ambiguity, GAP, Notes, Position, Source, is_gap};
 
 /// A unit of length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

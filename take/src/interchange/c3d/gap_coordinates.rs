@@ -11,11 +11,12 @@ use super::{
     columns::{self, ColumnReader, ColumnWriter, ordered},
 };
 use crate::{
-    ambiguity::{Ambiguity, Notes},
-    foreign::DATA_BYTES_MAX,
-    foreign::content::{Content, ContentSlice},
+    foreign::{
+        DATA_BYTES_MAX,
+        content::{Content, ContentSlice},
+    },
     interchange::rotation::Rotation,
-    motion::{Foreign, Position},
+    motion::{Ambiguity, Foreign, Notes, Position},
     stretch::CHANNELS_MAX,
 };
 

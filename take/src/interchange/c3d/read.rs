@@ -16,7 +16,6 @@ use super::{
     parameters::Parameters,
 };
 use crate::{
-    ambiguity::{Ambiguity, Notes},
     foreign::content::{Content, PartStore},
     interchange::{
         ReadOptions, Result, counted,
@@ -25,7 +24,7 @@ use crate::{
         source_file::SourceFile,
         units::{FileUnit, MotionExtent, ToMillimetres},
     },
-    motion::{Foreign, GAP, MotionInfo, Position, is_gap},
+    motion::{Ambiguity, Foreign, GAP, MotionInfo, Notes, Position, is_gap},
 };
 
 /// Reads everything but the samples, and prepares to read those.

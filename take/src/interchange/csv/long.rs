@@ -8,7 +8,6 @@ use super::{
     rectangle::{PlacedSample, Rectangle},
 };
 use crate::{
-    ambiguity::Notes,
     escape::from_cell,
     foreign::content::{Content, ContentWriter, NewScratch},
     interchange::{
@@ -21,7 +20,7 @@ use crate::{
         units::{FileUnit, ToMillimetres},
         write_frames,
     },
-    motion::{FrameSource, Marker, MotionInfo, UpAxis, is_gap},
+    motion::{FrameSource, Marker, MotionInfo, Notes, UpAxis, is_gap},
     stretch::CHANNELS_MAX,
 };
 

@@ -13,7 +13,6 @@ use std::collections::HashSet;
 
 use super::{HEADER, LineCells, malformed};
 use crate::{
-    ambiguity::Notes,
     foreign::content::NewScratch,
     interchange::{
         ReadOptions, Result, counted,
@@ -23,7 +22,7 @@ use crate::{
         text_frames::{AtOrigin, TextFrames},
         units::{FileUnit, ToMillimetres},
     },
-    motion::{Foreign, Marker, MotionInfo, UpAxis},
+    motion::{Foreign, Marker, MotionInfo, Notes, UpAxis},
 };
 
 /// The header must end within this many lines, more than any version has.

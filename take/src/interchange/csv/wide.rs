@@ -5,7 +5,6 @@ use std::io::Write;
 
 use super::{HEADER, LineCells, malformed, quote};
 use crate::{
-    ambiguity::Notes,
     escape::from_cell,
     foreign::content::NewScratch,
     interchange::{
@@ -17,7 +16,7 @@ use crate::{
         units::{FileUnit, ToMillimetres},
         write_frames,
     },
-    motion::{Foreign, FrameSource, MotionInfo, UpAxis},
+    motion::{Foreign, FrameSource, MotionInfo, Notes, UpAxis},
 };
 
 /// Reads everything but the frames, and prepares to deliver those.
