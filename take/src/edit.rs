@@ -12,30 +12,29 @@ mod foreign;
 mod poses;
 mod recorded;
 mod repack;
-mod seam;
+
 #[cfg(test)]
 mod tests;
 
 use std::{
     io::{self, Read, Seek},
+    ops::Range,
     sync::Arc,
-};
-
-use crate::{
-    TakeError, TakeEvent, TakeMap, TakeTraversal,
-    chunk::types,
-    damage::Problem,
-    foreign::content::ScratchFile,
-    record::{Clock, SeriesPlace},
-    timeline::RowTime,
-    traversal::{Decode, LocatedEvent, Progress},
 };
 
 pub use self::{
     concat::{ConcatReport, Mismatch, check_joinable, concat},
     cut::{CutReport, cut},
     repack::{REPACK, RepackReport, RepackSettings, check_repacked, repack},
-    seam::Seam,
+};
+use crate::{
+    TakeError, TakeEvent, TakeMap, TakeTraversal,
+    chunk::types,
+    damage::Problem,
+    foreign::content::ScratchFile,
+    record::{Clock, Device, Header, SeriesPlace},
+    timeline::RowTime,
+    traversal::{Decode, LocatedEvent, Progress},
 };
 
 /// The key in the settings of HEADER that marks a take cut from another.
@@ -173,8 +172,8 @@ impl SourceTake {
     pub fn whole_stretches(
         &self,
         input: impl Read + Seek,
-        rows: &std::ops::Range<u64>,
-    ) -> Result<std::ops::Range<u64>, TakeError> {
+        rows: &Range<u64>,
+    ) -> Result<Range<u64>, TakeError> {
         let keys = self.map.keys.iter().map(|key| key.first_row);
         let start = keys.take_while(|row| *row <= rows.start).last().unwrap_or(0);
         let mut traversal = TakeTraversal::from_map(input, &self.map, Decode::Groups(Vec::new()))?;
@@ -187,5 +186,146 @@ impl SourceTake {
             }
         }
         Ok(start..rows.end)
+    }
+}
+
+/// The longest time between two takes that counts as an outage within one recording, in seconds: the service waits for
+/// its device as long (`take.reconnect`). After a longer time it begins another take, which is a recording of its own.
+const OUTAGE_S_MAX: f64 = 60.0;
+
+/// Most that the two clocks of a recording may differ over an outage, in seconds. A queue holds frames back for a
+/// fraction of that, and crystals differ by a few milliseconds a minute.
+const CLOCKS_APART_S_MAX: f64 = 1.0;
+
+/// What lies between one take and the next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Seam {
+    /// Nothing: the second continues the first.
+    Continuous,
+    /// Both are of one recording, and this many frames between them are in neither: by the clocks of both, or by their
+    /// places in a divided recording.
+    Missing(u64),
+    /// Unknown: the two are not known to be of one recording.
+    Unknown,
+}
+
+impl Seam {
+    /// Rows of the joined take that lie in neither of the two.
+    fn rows(self) -> u64 {
+        if let Self::Missing(rows) = self { rows } else { 0 }
+    }
+
+    /// The seam between `before` and `after`.
+    fn between(before: &SourceTake, after: &SourceTake) -> Self {
+        let (one, other) = (&before.map().header, &after.map().header);
+        let origins = CutOrigin::of(one).zip(CutOrigin::of(other));
+        if origins.is_some_and(|(one, other)| other.follows(&one)) {
+            return Self::Continuous;
+        }
+        let in_series = SeriesPlace::rows_between(before.place(), after.place());
+        let missing = match (&one.device, &other.device) {
+            (Some(_), Some(_)) if in_series.is_some() => in_series,
+            (Some(a), Some(b)) if is_one_device(a, b) => missing_by_clocks(before, after),
+            (None, None) => {
+                let next_frame = before.first_frame().checked_add(before.map().n_rows);
+                let continues = next_frame == Some(after.first_frame());
+                (is_one_file(one, other) && continues).then_some(0)
+            }
+            _ => None,
+        };
+        match missing {
+            Some(0) => Self::Continuous,
+            Some(rows) => Self::Missing(rows),
+            None => Self::Unknown,
+        }
+    }
+}
+
+fn is_one_device(a: &Device, b: &Device) -> bool {
+    let identity = |device: &Device| {
+        (device.driver.clone(), device.model.clone(), device.serial.clone(), device.tick_hz)
+    };
+    identity(a) == identity(b)
+}
+
+fn is_one_file(one: &Header, other: &Header) -> bool {
+    let files = one.source.as_ref().zip(other.source.as_ref());
+    files.is_some_and(|(a, b)| (&a.format, &a.file) == (&b.format, &b.file))
+}
+
+/// Rows between two recordings of one device, by its clock and the host's; `None` unless they show that both belong to
+/// one recording.
+fn missing_by_clocks(before: &SourceTake, after: &SourceTake) -> Option<u64> {
+    let ([first, last], [next, _]) = before.ends.zip(after.ends)?;
+    let header = &before.map().header;
+    let tick_hz = header.device.as_ref()?.tick_hz;
+    let until_end = before.map().n_rows.checked_sub(last.0)?;
+    let clock = DeviceClock::new(tick_hz, header.rate_hz, first, last);
+    clock.missing(last.1, next.1, until_end.checked_add(next.0)?)
+}
+
+/// The take and the rows that a part was cut from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct CutOrigin {
+    take_id: String,
+    rows: Range<u64>,
+}
+
+impl CutOrigin {
+    /// The origin that the header of a part states in its settings.
+    fn of(header: &Header) -> Option<Self> {
+        let (_, text) = header.settings.iter().rfind(|(key, _)| key == CUT)?;
+        let (take_id, rest) = text.split_once(": frames ")?;
+        let (rows, _) = rest.split_once(" of ")?;
+        let (start, end) = rows.split_once("..")?;
+        let rows = start.parse().ok()?..end.parse().ok()?;
+        Some(Self { take_id: take_id.to_owned(), rows })
+    }
+
+    /// The setting, for a part of a take of `n_rows` rows.
+    fn to_setting(&self, n_rows: u64, software: &str) -> String {
+        let Self { take_id, rows: Range { start, end } } = self;
+        format!("{take_id}: frames {start}..{end} of {n_rows}, by {software}")
+    }
+
+    /// Whether these rows follow `before` in the same take.
+    fn follows(&self, before: &Self) -> bool {
+        self.take_id == before.take_id && self.rows.start == before.rows.end
+    }
+}
+
+/// The clock of a device, measured over a take.
+struct DeviceClock {
+    tick_hz: f64,
+    rate_hz: f64,
+    ticks_per_row: f64,
+}
+
+impl DeviceClock {
+    /// Measures the period between the first and the last recorded row.
+    fn new(tick_hz: u64, rate_hz: f64, first: (u64, RowTime), last: (u64, RowTime)) -> Self {
+        let tick_hz = tick_hz.max(1) as f64;
+        let (rows, ticks) = (
+            last.0.saturating_sub(first.0) as f64,
+            last.1.device_ticks.wrapping_sub(first.1.device_ticks).cast_signed() as f64,
+        );
+        let nominal = tick_hz / rate_hz;
+        let measured = ticks / rows;
+        // A clock that jumped during the take does not measure it.
+        let is_plausible = (measured / nominal - 1.0).abs() < 0.01;
+        let ticks_per_row = if is_plausible { measured } else { nominal };
+        Self { tick_hz, rate_hz, ticks_per_row }
+    }
+
+    /// Rows that are missing between the rows recorded at `last` and `next`, if `rows` lie between them when none is.
+    /// `None` unless both clocks show that the second follows the first within an outage.
+    fn missing(&self, last: RowTime, next: RowTime, rows: u64) -> Option<u64> {
+        let ticks = next.device_ticks.wrapping_sub(last.device_ticks).cast_signed() as f64;
+        let arrivals = next.arrival_10us.wrapping_sub(last.arrival_10us).cast_signed() as f64;
+        let apart_s = arrivals * 1e-5 - ticks / self.tick_hz;
+        let found = (ticks / self.ticks_per_row).round();
+        let missing = found - rows as f64;
+        let is_possible = missing >= 0.0 && missing <= OUTAGE_S_MAX * self.rate_hz;
+        (is_possible && apart_s.abs() <= CLOCKS_APART_S_MAX).then_some(missing as u64)
     }
 }

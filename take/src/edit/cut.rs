@@ -10,7 +10,7 @@ use mocapd_codec::{
     BlockEncoder, BlockReport, DecodedRows, GROUP_CHANNELS, Position, ResamplerKind, Rows, Settings,
 };
 
-use super::{CUT, EditContext, SourceTake, damaged, foreign, recorded, seam::CutOrigin};
+use super::{CUT, CutOrigin, EditContext, SourceTake, damaged, foreign, recorded};
 use crate::{
     TakeError, TakeEvent, TakeTraversal, TakeWriter,
     record::{EndingKind, Event, Header, Ledger, SeriesPlace, TakeEnding},
