@@ -13,10 +13,8 @@ use mocapd_codec::{
     BlockEncoder, BlockReport, DecodedRows, Effort, GROUP_CHANNELS, Position, Rows, Settings,
 };
 
-pub use self::check::check_repacked;
-
 use self::joining::{StretchJoiner, Waiting, stated};
-use super::{EditContext, SourceTake, damaged, foreign, recorded};
+use super::{EditContext, SourceTake, damaged, recorded};
 use crate::{
     ChannelOrder, TakeError, TakeEvent, TakeTraversal, TakeWriter,
     frames::TakeFrames,
@@ -28,6 +26,8 @@ use crate::{
     timeline::Timeline,
     traversal::Decode,
 };
+
+pub use self::check::check_repacked;
 
 /// The key in the settings of HEADER that marks a take encoded again with other settings.
 pub const REPACK: &str = "repack";
@@ -98,7 +98,7 @@ pub fn repack<W: Write>(
     take.order(&map.order)?;
     recorded::write_groups(map, &mut take)?;
     for part in map.foreign.iter().filter(|part| !is_recorded(&part.kind)) {
-        let whole = foreign::read_whole(part, &mut input, context)?;
+        let whole = super::read_whole_part(part, &mut input, context)?;
         take.foreign_with_lost(&whole.part, &whole.lost)?;
     }
     for event in &map.events {

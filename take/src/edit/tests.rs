@@ -1,5 +1,6 @@
 //! Parts of generated takes, and takes joined of parts, compared row by row with the whole.
 
+mod foreign;
 mod repacking;
 mod seam;
 
