@@ -8,7 +8,6 @@
 
 mod concat;
 mod cut;
-mod poses;
 mod recorded;
 mod repack;
 
