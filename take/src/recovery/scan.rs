@@ -1,7 +1,7 @@
 //! The first pass over the file: which chunks can be kept, and what is lost.
 
 use super::{
-    ChunkKind, ChunkKindCount, KINDS, OutputChunk, ledger_tally::LedgerTally, samples::KeptSamples,
+    ChunkKind, ChunkKindCount, KINDS, KeptSamples, OutputChunk, ledger_tally::LedgerTally,
 };
 use crate::{
     ChannelOrder, NotATake, TakeError, TakeEvent,
