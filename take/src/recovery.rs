@@ -4,7 +4,6 @@
 //! [`RecoveryScan::read`] reads and decodes the file once; [`RecoveryScan::write`] then copies its valid chunks. No stretch is
 //! encoded again, so every error bound that its encoder proved still holds.
 
-mod ledger_tally;
 mod scan;
 
 use std::{
@@ -12,7 +11,7 @@ use std::{
     io::{self, Read, Seek, SeekFrom, Write},
 };
 
-pub(crate) use self::ledger_tally::LedgerTally;
+pub(crate) use self::scan::LedgerTally;
 pub use self::scan::{ChannelCount, RecoveryScan};
 use crate::{
     TakeError, TakeMap,
