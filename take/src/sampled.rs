@@ -6,7 +6,6 @@ mod encoder;
 mod part;
 mod recording;
 mod resample;
-mod row_clock;
 #[cfg(test)]
 mod tests;
 mod time_line;
@@ -20,8 +19,7 @@ pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},
     recording::{ReadSeek, RecordedPoses, RecordedSamples, Recording, SampleBlock},
-    row_clock::RowClock,
-    time_line::{PlaceIndex, RecordingClock, SampleTimeLine},
+    time_line::{PlaceIndex, RecordingClock, RowClock, SampleTimeLine},
     times::{SampleAnchor, SampleClock, SampleTime, SampleTimes},
 };
 
