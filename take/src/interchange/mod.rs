@@ -41,7 +41,6 @@ mod parquet;
 mod recorded_rows;
 mod rotated;
 mod rotation;
-mod row_timing;
 mod sampled_table;
 mod source_file;
 mod table;

@@ -12,8 +12,9 @@ use crate::{
     foreign::content::{Content, ContentWriter, NewScratch},
     interchange::{
         ReadOptions, Result, counted, put_position,
-        row_timing::{Rounding, rate_of},
-        table::{self, CUT_OFF, MAX_POSITIONS_PER_BYTE, SampleCells, parse_sample},
+        table::{
+            self, CUT_OFF, MAX_POSITIONS_PER_BYTE, Rounding, SampleCells, parse_sample, rate_of,
+        },
         text::{self, Separator, column_labels},
         text_file::{Line, TextFile},
         text_frames::{AtOrigin, TextFrames},
