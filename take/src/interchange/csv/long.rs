@@ -12,11 +12,11 @@ use crate::{
     foreign::content::{Content, ContentWriter, NewScratch},
     interchange::{
         ReadOptions, Result, counted, put_position,
+        source_file::{Line, TextFile},
         table::{
             self, CUT_OFF, MAX_POSITIONS_PER_BYTE, Rounding, SampleCells, parse_sample, rate_of,
         },
         text::{self, Separator, column_labels},
-        text_file::{Line, TextFile},
         text_frames::{AtOrigin, TextFrames},
         units::{FileUnit, ToMillimetres},
         write_frames,

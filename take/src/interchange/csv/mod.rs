@@ -9,8 +9,9 @@ pub(super) mod wide;
 use std::borrow::Cow;
 
 use super::{
-    InterchangeError, ReadOptions, Result, text,
-    text_file::{Conversion, Line, TextFile},
+    InterchangeError, ReadOptions, Result,
+    source_file::{Conversion, Line, TextFile},
+    text,
     text_frames::TextFrames,
 };
 use crate::{escape::to_cell, foreign::content::NewScratch, motion::MotionInfo};

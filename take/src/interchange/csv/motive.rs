@@ -16,9 +16,9 @@ use crate::{
     foreign::content::NewScratch,
     interchange::{
         ReadOptions, Result, counted,
+        source_file::{Line, TextFile},
         table::{CUT_OFF, Table},
         text::{self, Separator},
-        text_file::{Line, TextFile},
         text_frames::{AtOrigin, TextFrames},
         units::{FileUnit, ToMillimetres},
     },

@@ -9,9 +9,9 @@ use crate::{
     foreign::content::NewScratch,
     interchange::{
         ReadOptions, Result, counted, put_position,
+        source_file::{Line, TextFile},
         table::{CUT_OFF, Table},
         text::{self, Separator, column_labels},
-        text_file::{Line, TextFile},
         text_frames::{AtOrigin, TextFrames},
         units::{FileUnit, ToMillimetres},
         write_frames,
