@@ -45,7 +45,6 @@ mod sampled_table;
 mod source_file;
 mod table;
 mod text;
-mod text_frames;
 mod trc;
 mod tsv;
 mod units;

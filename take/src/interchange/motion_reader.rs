@@ -9,7 +9,7 @@ use std::{
 use super::{
     Format, InterchangeError, ReadOptions, Result, c3d, csv,
     source_file::{SourceFile, TextFile},
-    text_frames::TextFrames,
+    text::TextFrames,
     trc, tsv, unsupported,
 };
 use crate::{

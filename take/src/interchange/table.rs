@@ -10,8 +10,8 @@
 use std::io;
 
 use super::{
-    InterchangeError, Result, counted, text,
-    text_frames::{RowWriter, TextFrames},
+    InterchangeError, Result, counted,
+    text::{self, RowWriter, TextFrames},
     units::ToMillimetres,
 };
 use crate::{

@@ -13,8 +13,7 @@ use super::{
     put_position,
     source_file::{Line, TextFile},
     table::{CUT_OFF, Table},
-    text::{self, Separator, column_labels, without_tabs},
-    text_frames::{AtOrigin, TextFrames},
+    text::{self, AtOrigin, Separator, TextFrames, column_labels, without_tabs},
     units::{FileUnit, ToMillimetres},
     write_frames,
 };

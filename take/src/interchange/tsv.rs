@@ -14,8 +14,9 @@ use super::{
     put_position,
     source_file::{Line, TextFile},
     table::Table,
-    text::{self, Separator, column_labels, kept_header, value_of, without_tabs},
-    text_frames::{AtOrigin, TextFrames},
+    text::{
+        self, AtOrigin, Separator, TextFrames, column_labels, kept_header, value_of, without_tabs,
+    },
     units::{FileUnit, ToMillimetres},
     write_frames,
 };

@@ -16,8 +16,7 @@ use crate::{
         table::{
             self, CUT_OFF, MAX_POSITIONS_PER_BYTE, Rounding, SampleCells, parse_sample, rate_of,
         },
-        text::{self, Separator, column_labels},
-        text_frames::{AtOrigin, TextFrames},
+        text::{self, AtOrigin, Separator, TextFrames, column_labels},
         units::{FileUnit, ToMillimetres},
         write_frames,
     },

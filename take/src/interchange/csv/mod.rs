@@ -11,8 +11,7 @@ use std::borrow::Cow;
 use super::{
     InterchangeError, ReadOptions, Result,
     source_file::{Conversion, Line, TextFile},
-    text,
-    text_frames::TextFrames,
+    text::{self, TextFrames},
 };
 use crate::{escape::to_cell, foreign::content::NewScratch, motion::MotionInfo};
 

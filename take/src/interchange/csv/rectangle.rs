@@ -4,7 +4,7 @@ use std::io::{self, Read};
 
 use crate::{
     foreign::content::{Content, ContentCursor, NewScratch, Spool},
-    interchange::text_frames::{POSITION_BYTES, stored},
+    interchange::text::{POSITION_BYTES, stored},
     motion::Position,
 };
 
