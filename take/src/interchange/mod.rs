@@ -369,7 +369,7 @@ impl Format {
             Self::C3d => write_c3d(frames, out).map(drop),
             Self::Trc => trc::write(frames, out),
             Self::Tsv => tsv::write(frames, out),
-            Self::Csv => csv::wide::write(frames, out),
+            Self::Csv => csv::write(frames, out),
             Self::CsvLong => csv::long::write(frames, out),
             #[cfg(feature = "full")]
             Self::Parquet => parquet::write_long(frames, out),
