@@ -3,7 +3,6 @@
 
 pub(super) mod long;
 mod motive;
-mod rectangle;
 
 use std::{borrow::Cow, io::Write};
 
