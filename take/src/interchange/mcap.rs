@@ -16,7 +16,7 @@ use super::{
     InterchangeError, Result,
     foxglove::{self, Message, PlacedBody, descriptor_set, field_names},
     frame_poses::{FramePoses, body_names},
-    metadata::metadata,
+    parquet::metadata,
     sampled_table::{SampledColumn, SampledTable},
     text::column_labels,
 };

@@ -28,8 +28,6 @@ pub mod foxglove;
 mod frame_poses;
 #[cfg(feature = "full")]
 mod mcap;
-#[cfg(feature = "full")]
-mod metadata;
 pub mod mot;
 mod motion_reader;
 pub mod npz;
