@@ -1,6 +1,6 @@
 //! The ANALOG group: labels, units and scaling of the stored samples of each channel.
 
-use super::parameters::{Parameter, Parameters};
+use super::parameters::{Parameter, Parameters, is_unsigned};
 use crate::interchange::counted;
 
 /// Name of the group.
@@ -27,11 +27,6 @@ impl AnalogChannel {
     pub fn value(&self, stored: f64) -> f64 {
         (stored - self.offset) * self.scale
     }
-}
-
-/// Whether analog samples are unsigned integers.
-pub(crate) fn is_unsigned(parameters: &Parameters) -> bool {
-    parameters.text(ANALOG, "FORMAT").is_some_and(|text| text.eq_ignore_ascii_case("UNSIGNED"))
 }
 
 /// The stored offsets of the channels, fewer if the file states fewer: OFFSET with its continuations, or OFFSETS, as

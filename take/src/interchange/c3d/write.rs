@@ -3,13 +3,13 @@
 use std::io::{self, Write};
 
 use super::{
-    analog::{self, ANALOG, is_unsigned},
+    analog::{self, ANALOG},
     columns, events,
     foreign::{PartSamples, kept_parameters},
     frames::is_missing,
     gap_coordinates::PartCoordinates,
     header::{BLOCK, C3dHeader, is_counted_by_length},
-    parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records},
+    parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records, is_unsigned},
     recorded::RecordedAnalog,
     rotations::{ROTATION, Rotations},
 };
