@@ -7,7 +7,6 @@
 mod analog;
 pub(crate) mod columns;
 mod events;
-mod force_platform;
 mod foreign;
 mod frames;
 mod gap_coordinates;
@@ -19,18 +18,19 @@ mod read;
 mod recorded;
 mod rotations;
 pub(crate) mod sample_parts;
-mod sampled_channels;
 mod stride;
 mod write;
 
 use super::InterchangeError;
 
 pub use analog::AnalogChannel;
-pub(crate) use analog::channels as analog_channels;
+pub(crate) use analog::{
+    channels as analog_channels, describe as describe_sampled, factor_of_unit,
+    plates as force_plates,
+};
 pub(super) use columns::MODEL_OUTPUTS;
 pub(crate) use columns::{ANALOG, value as sample_value};
 pub(super) use events::EVENTS_MAX;
-pub(crate) use force_platform::{factor_of_unit, plates as force_plates};
 pub(super) use foreign::rotate;
 pub(crate) use foreign::{PARAMETERS, PartSamples, kept_parameters};
 pub(crate) use marker_order::{is_by_marker, reordered};
@@ -38,7 +38,6 @@ pub use parameters::{C3dParameter, C3dValues};
 pub(crate) use parameters::{Parameters, is_unsigned as is_analog_unsigned, parameter_values};
 pub(super) use read::{C3dFrames, open};
 pub(super) use recorded::{RecordedPlan, name_of, warnings_of};
-pub(crate) use sampled_channels::describe as describe_sampled;
 pub(crate) use stride::ANALOG_MAX;
 pub(super) use write::write;
 

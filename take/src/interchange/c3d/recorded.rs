@@ -7,8 +7,7 @@
 use std::io;
 
 use super::{
-    analog::ANALOG,
-    force_platform::{FORCE_PLATFORM, factor_of_unit},
+    analog::{ANALOG, FORCE_PLATFORM, factor_of_unit},
     parameters::Parameters,
     rotations::Rotations,
     stride::ANALOG_MAX,
