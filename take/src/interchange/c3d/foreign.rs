@@ -12,11 +12,10 @@
 use std::io;
 
 use super::{
-    VERSION,
+    Frames, Points, VERSION,
     columns::{
         ANALOG, ColumnReader, ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered,
     },
-    frames::{Frames, Points},
     gap_coordinates,
     header::{ByteOrder, C3dHeader, HeaderEvent, MAX_EVENTS},
     layout::Layout,
