@@ -32,7 +32,6 @@ pub mod mot;
 mod motion_reader;
 pub mod npz;
 mod origin;
-mod origin_gaps;
 pub mod page_motion;
 #[cfg(feature = "full")]
 mod parquet;

@@ -12,8 +12,7 @@ use std::{
 
 use super::{
     Result,
-    origin::OriginScan,
-    origin_gaps::OriginGaps,
+    origin::{OriginGaps, OriginScan},
     units::{FileUnit, MotionExtent},
 };
 use crate::{
