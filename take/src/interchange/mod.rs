@@ -37,7 +37,6 @@ pub mod page_motion;
 mod parquet;
 mod recorded_rows;
 mod rotated;
-mod rotation;
 mod sampled_table;
 mod source_file;
 mod table;
@@ -48,17 +47,17 @@ mod units;
 mod xdf;
 mod zip;
 
+pub use crate::up_axis::Direction;
 pub use csv::quote as csv_cell;
 pub use frame_poses::output_names;
 pub use motion_reader::{MotionReader, ReaderSettings};
 pub use recorded_rows::{plates_of_group, recorded_plates};
 pub use rotated::RotatedFrames;
-pub use rotation::Direction;
 pub use sampled_table::{SampledColumn, SampledKind, SampledTable, TableRowTime, plate_columns};
 pub use text::column_labels;
 pub use units::LengthUnit;
 
-pub(crate) use rotation::Rotation;
+pub(crate) use crate::up_axis::Rotation;
 
 /// A file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,9 +1,10 @@
 //! A frame source rotated so that another axis is up.
 
-use super::{c3d, rotation::Rotation};
+use super::c3d;
 use crate::{
     map::TakeMap,
     motion::{FrameSource, MotionInfo, Position, UpAxis},
+    up_axis::Rotation,
 };
 
 /// A frame source rotated by a quarter turn: its positions, and of the data kept from a C3D file the force plate

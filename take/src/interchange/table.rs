@@ -483,7 +483,7 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::interchange::rotation::Rotation;
+    use crate::up_axis::Rotation;
 
     #[test]
     fn one_wide_row_among_many_short_ones_does_not_claim_memory() {

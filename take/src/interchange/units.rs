@@ -2,8 +2,11 @@
 
 use std::{cell::Cell, fmt, str::FromStr};
 
-use super::{counted, rotation::Rotation};
-use crate::motion::{Ambiguity, GAP, Notes, Position, Source, is_gap};
+use super::counted;
+use crate::{
+    motion::{Ambiguity, GAP, Notes, Position, Source, is_gap},
+    up_axis::Rotation,
+};
 
 /// A unit of length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -15,9 +15,9 @@ use crate::{
         DATA_BYTES_MAX,
         content::{Content, ContentSlice},
     },
-    interchange::rotation::Rotation,
     motion::{Ambiguity, Foreign, Notes, Position},
     stretch::CHANNELS_MAX,
+    up_axis::Rotation,
 };
 
 /// Kind of the part.

@@ -33,7 +33,6 @@ use self::{
 use super::{
     InterchangeError, ReadOptions, Result, counted,
     origin::OriginScan,
-    rotation::Rotation,
     source_file::SourceFile,
     units::{FileUnit, MotionExtent, ToMillimetres},
 };
@@ -41,7 +40,9 @@ use crate::{
     foreign::content::{Content, PartStore},
     motion::{Ambiguity, Foreign, GAP, Marker, MotionInfo, Notes, Position, is_gap},
     record::Channel,
+    up_axis::Rotation,
 };
+
 pub use analog::AnalogChannel;
 pub(crate) use analog::{
     channels as analog_channels, describe as describe_sampled, factor_of_unit,

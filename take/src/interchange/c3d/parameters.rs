@@ -3,12 +3,9 @@
 
 use super::header::ByteOrder;
 use crate::{
-    interchange::{
-        counted,
-        rotation::{Direction, Rotation},
-        text::decode,
-    },
+    interchange::{counted, text::decode},
     motion::UpAxis,
+    up_axis::{Direction, Rotation},
 };
 
 /// A group of parameters.
