@@ -9,14 +9,13 @@
 
 mod analog;
 pub(crate) mod columns;
-mod events;
 mod foreign;
 mod gap_coordinates;
+mod groups;
 mod header;
 mod layout;
 mod parameters;
 mod recorded;
-mod rotations;
 pub(crate) mod sample_parts;
 mod stride;
 mod write;
@@ -50,9 +49,9 @@ pub(crate) use analog::{
 };
 pub(super) use columns::MODEL_OUTPUTS;
 pub(crate) use columns::{ANALOG, value as sample_value};
-pub(super) use events::EVENTS_MAX;
 pub(super) use foreign::rotate;
 pub(crate) use foreign::{PARAMETERS, PartSamples, kept_parameters};
+pub(super) use groups::EVENTS_MAX;
 pub use parameters::{C3dParameter, C3dValues};
 pub(crate) use parameters::{Parameters, is_unsigned as is_analog_unsigned, parameter_values};
 pub(super) use recorded::{RecordedPlan, name_of, warnings_of};
@@ -106,7 +105,7 @@ pub(super) fn open(
         source: unit.into_source("c3d", first_frame, frames_missing, notes),
         subject: None,
         foreign,
-        events: events::read(&parameters, rate_hz, first_frame, n_frames as u64),
+        events: groups::read(&parameters, rate_hz, first_frame, n_frames as u64),
         recording: None,
     };
     Ok((info, samples))

@@ -8,8 +8,8 @@ use std::io;
 
 use super::{
     analog::{ANALOG, FORCE_PLATFORM, factor_of_unit},
+    groups::Rotations,
     parameters::Parameters,
-    rotations::Rotations,
     stride::ANALOG_MAX,
 };
 use crate::{

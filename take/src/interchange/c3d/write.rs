@@ -4,14 +4,14 @@ use std::io::{self, Write};
 
 use super::{
     analog::{self, ANALOG},
-    columns, events,
+    columns,
     foreign::{PartSamples, kept_parameters},
     gap_coordinates::PartCoordinates,
+    groups::{self, ROTATION, Rotations},
     header::{BLOCK, C3dHeader, is_counted_by_length},
     is_missing,
     parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records, is_unsigned},
     recorded::RecordedAnalog,
-    rotations::{ROTATION, Rotations},
 };
 use crate::{
     interchange::{InterchangeError, Result, check_frame_count, write_frames},
@@ -116,7 +116,7 @@ fn fill_parameters(
     set_screen(parameters, info.up);
     set_manufacturer(parameters);
     fill_subjects(parameters, &info.markers);
-    events::fill(parameters, info, whole);
+    groups::fill(parameters, info, whole);
     if let (Some(recorded), Some(recording)) = (&body.recorded, &info.recording)
         && recorded.n_channels() > 0
     {
