@@ -45,7 +45,6 @@ mod trc;
 mod tsv;
 mod units;
 mod xdf;
-mod zip;
 
 pub use crate::up_axis::Direction;
 pub use csv::quote as csv_cell;
