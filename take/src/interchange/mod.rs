@@ -25,7 +25,6 @@ pub(crate) mod c3d;
 mod csv;
 #[cfg(feature = "full")]
 pub mod foxglove;
-mod frame_poses;
 #[cfg(feature = "full")]
 mod mcap;
 pub mod mot;
@@ -48,9 +47,8 @@ mod xdf;
 
 pub use crate::up_axis::Direction;
 pub use csv::quote as csv_cell;
-pub use frame_poses::output_names;
 pub use motion_reader::{MotionReader, ReaderSettings};
-pub use recorded_rows::{plates_of_group, recorded_plates};
+pub use recorded_rows::{output_names, plates_of_group, recorded_plates};
 pub use rotated::RotatedFrames;
 pub use sampled_table::{SampledColumn, SampledKind, SampledTable, TableRowTime, plate_columns};
 pub use text::column_labels;

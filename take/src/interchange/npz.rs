@@ -29,7 +29,7 @@ use crc32fast::Hasher;
 
 use super::{
     InterchangeError, Result, check_frame_count,
-    frame_poses::FramePoses,
+    recorded_rows::FramePoses,
     sampled_table::{SampledColumn, SampledKind, SampledTable},
     write_frames,
 };

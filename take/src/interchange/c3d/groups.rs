@@ -18,7 +18,7 @@ use super::{
 use crate::{
     interchange::{
         InterchangeError, Result,
-        frame_poses::{FramePoses, body_names},
+        recorded_rows::{FramePoses, body_names},
     },
     motion::{MotionEvent, MotionInfo},
     poses::{Pose, matrix},
