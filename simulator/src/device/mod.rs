@@ -16,25 +16,26 @@ mod tests;
 
 use std::sync::Arc;
 
-use mocapd_drivers::device::{Command, Frame, Hello, MarkerInfo, MarkerSample, Pose, Status};
-use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max};
-use mocapd_take::motion::{Marker, Motion, Position, is_gap};
-
 use clock::DeviceClock;
+use mocapd_drivers::{
+    device::{Command, Frame, Hello, MarkerInfo, MarkerSample, Pose, Status},
+    link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max},
+};
+use mocapd_take::motion::{Marker, Motion, Position, is_gap};
+use samples::GroupState;
+
+use crate::{faults::SourceFaults, source::Replay};
+
 pub use log::{
     BatchFate, Fate, FaultCounts, FaultTotals, FrameFate, Sent, SentBatch, SentCounters, SentFate,
     SentFrame, SentLog,
 };
 pub(crate) use outbox::{Outbox, Queued};
 pub use poses::POSES_GROUP;
-use samples::GroupState;
 pub use settings::{DeviceError, DeviceSettings, RATE_MILLIHERTZ, TICK_HZ};
 pub(crate) use settings::{Rates, frame_after_ns};
 
 pub use crate::line::LineDevice;
-
-use crate::faults::SourceFaults;
-use crate::replay::Replay;
 
 const SECOND_NS: u64 = 1_000_000_000;
 

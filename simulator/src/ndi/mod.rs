@@ -13,7 +13,7 @@ use mocapd_take::motion::{Marker, Motion};
 use setup::Ports;
 
 use crate::device::{DeviceError, LineDevice, Outbox, Queued, Rates, SentFrame, SentLog};
-use crate::replay::Replay;
+use crate::source::Replay;
 
 mod frames;
 mod report;

@@ -12,9 +12,8 @@ use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
 use mocapd_simulator::generator::{ForcePlates, JumpSpec, Occlusion, RigidBodies};
 use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
-use mocapd_simulator::recorded::{self, RecordedSignals};
 use mocapd_simulator::sampled::SampledSource;
-use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
+use mocapd_simulator::source::{self, Generated, RecordedSignals, SourceError, is_motion};
 use mocapd_take::motion::Motion;
 
 use super::{DeviceProtocol, ServeArgs};
@@ -113,7 +112,7 @@ fn recorded(args: &ServeArgs) -> Result<RecordedSignals, Failure> {
         return Ok(RecordedSignals::default());
     };
     let seconds = args.seconds.map(|seconds| seconds.as_secs_f64());
-    let mut found = recorded::read(path, seconds).map_err(|error| match error {
+    let mut found = source::read_signals(path, seconds).map_err(|error| match error {
         SourceError::Read { path, source } => files::cannot_read(&path, source).into(),
         error => Failure::from(error),
     })?;

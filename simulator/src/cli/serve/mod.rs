@@ -13,9 +13,8 @@ use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice, 
 use mocapd_simulator::faults::{FaultyDevice, Script};
 use mocapd_simulator::line::{ServeOptions, serve};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
-use mocapd_simulator::recorded::RecordedSignals;
 use mocapd_simulator::sampled::Electrodes;
-use mocapd_simulator::source::Generated;
+use mocapd_simulator::source::{Generated, RecordedSignals};
 use mocapd_take::motion::Motion;
 use mocapd_take::quantity::{duration, duration_above_zero, length_mm, rate_hz};
 

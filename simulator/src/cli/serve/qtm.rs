@@ -2,7 +2,7 @@
 
 use mocapd_cli::stop::stop_on_signal;
 use mocapd_simulator::qtm::{QtmDevice, QtmError, QtmListener, QtmSettings, ServeError};
-use mocapd_simulator::recorded::RecordedSignals;
+use mocapd_simulator::source::RecordedSignals;
 
 use super::{DeviceProtocol, ServeArgs, input, refused, serve_at};
 use crate::cli::Failure;
