@@ -55,7 +55,7 @@ const RULES: &[Rule] = &[
             "simulator/src/gadget/",
             "simulator/src/lsl/serve.rs",
             "cli/src/stop.rs",
-            "simulator/src/cli/output.rs",
+            "simulator/src/cli/mod.rs",
             "drivers/src/transport/",
         ],
     },
@@ -135,7 +135,7 @@ const RULES: &[Rule] = &[
         allowed: &[
             "acquire/src/files",
             "cli/src/manual.rs",
-            "simulator/src/cli/files.rs",
+            "simulator/src/cli/mod.rs",
             "store/src/backend.rs",
         ],
     },

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use mocapd_cli::{numbers::count, stop::stop_on_signal};
+use line::LineArgs;
+use mocapd_cli::numbers::count;
+use mocapd_cli::stop::stop_on_signal;
 use mocapd_drivers::link::FrameForm;
 use mocapd_simulator::NetworkOptions;
 use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice, SentLog};
@@ -17,12 +19,10 @@ use mocapd_simulator::sampled::Electrodes;
 use mocapd_simulator::source::{Generated, RecordedSignals};
 use mocapd_take::motion::Motion;
 use mocapd_take::quantity::{duration, duration_above_zero, length_mm, rate_hz};
-
-use super::output::{notify, print, print_json_line};
-use super::{Failure, files};
-use line::LineArgs;
 use natnet::NatNetArgs;
 use report::{LineReport, SentReport};
+
+use super::{Failure, notify, print, print_json_line};
 
 mod input;
 mod line;
@@ -238,7 +238,7 @@ where
     let mut options = NetworkOptions { once: args.once, log: None };
     if let Some(path) = &args.log {
         // Recordings are checked against a log: never overwrite one.
-        options.log = Some(Box::new(BufWriter::new(files::create(path)?)));
+        options.log = Some(Box::new(BufWriter::new(super::create_file(path)?)));
     }
     let hz = f64::from(rate_millihertz) / 1000.0;
     notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
@@ -286,11 +286,11 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     let mut frames: Option<Box<dyn Write + Send>> = None;
     if let Some(path) = &args.log {
         // Recordings are checked against a log: never overwrite one.
-        frames = Some(Box::new(BufWriter::new(files::create(path)?)));
+        frames = Some(Box::new(BufWriter::new(super::create_file(path)?)));
     }
     let mut batches: Option<Box<dyn Write + Send>> = None;
     if let Some(path) = &args.batch_log {
-        batches = Some(Box::new(BufWriter::new(files::create(path)?)));
+        batches = Some(Box::new(BufWriter::new(super::create_file(path)?)));
     }
     notify(&description);
     if args.json {

@@ -5,8 +5,7 @@ use mocapd_simulator::qtm::{QtmDevice, QtmError, QtmListener, QtmSettings, Serve
 use mocapd_simulator::source::RecordedSignals;
 
 use super::{DeviceProtocol, ServeArgs, input, refused, serve_at};
-use crate::cli::Failure;
-use crate::cli::output::notify;
+use crate::cli::{Failure, notify};
 
 /// Serves a QTM until it is stopped.
 pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
