@@ -19,16 +19,14 @@ use mocapd_simulator::sampled::Electrodes;
 use mocapd_simulator::source::{Generated, RecordedSignals};
 use mocapd_take::motion::Motion;
 use mocapd_take::quantity::{duration, duration_above_zero, length_mm, rate_hz};
-use natnet::NatNetArgs;
+use network::NatNetArgs;
 use report::{LineReport, SentReport};
 
 use super::{Failure, notify, print, print_json_line};
 
 mod input;
 mod line;
-mod lsl;
-mod natnet;
-mod qtm;
+mod network;
 mod report;
 
 pub(super) const EXAMPLES: &str = "\
@@ -260,15 +258,15 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     args.find_take()?;
     args.check_generated()?;
     let args = &args;
-    natnet::check_unused(args)?;
+    network::check_natnet_options(args)?;
     if args.protocol == DeviceProtocol::Natnet {
-        return natnet::run(args);
+        return network::run_natnet(args);
     }
     if args.protocol == DeviceProtocol::Lsl {
-        return lsl::run(args);
+        return network::run_lsl(args);
     }
     if args.protocol == DeviceProtocol::Qtm || args.line.tcp.is_some() {
-        return qtm::run(args);
+        return network::run_qtm(args);
     }
     if !args.line.is_chosen() {
         let message = "the device needs a line: give --pty, --usb-gadget or --usb-serial";
