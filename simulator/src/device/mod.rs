@@ -4,11 +4,8 @@
 //! Times are nanoseconds of one monotonic clock of the caller's choice.
 
 mod clock;
-mod commands;
 mod log;
-mod outbox;
-mod poses;
-mod samples;
+mod output;
 mod settings;
 
 #[cfg(test)]
@@ -22,7 +19,7 @@ use mocapd_drivers::{
     link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max},
 };
 use mocapd_take::motion::{Marker, Motion, Position, is_gap};
-use samples::GroupState;
+use output::GroupState;
 
 use crate::{faults::SourceFaults, source::Replay};
 
@@ -30,8 +27,8 @@ pub use log::{
     BatchFate, Fate, FaultCounts, FaultTotals, FrameFate, Sent, SentBatch, SentCounters, SentFate,
     SentFrame, SentLog,
 };
-pub(crate) use outbox::{Outbox, Queued};
-pub use poses::POSES_GROUP;
+pub use output::POSES_GROUP;
+pub(crate) use output::{Outbox, Queued};
 pub use settings::{DeviceError, DeviceSettings, RATE_MILLIHERTZ, TICK_HZ};
 pub(crate) use settings::{Rates, frame_after_ns};
 
