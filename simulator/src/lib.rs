@@ -8,7 +8,6 @@
 //! with a USB device controller. None of them starts a thread, and only a line reads a clock.
 
 pub mod device;
-mod fate_log;
 pub mod faults;
 #[cfg(target_os = "linux")]
 pub mod gadget;
@@ -23,4 +22,4 @@ pub mod qtm;
 pub mod sampled;
 pub mod source;
 
-pub use fate_log::NetworkOptions;
+pub use device::NetworkOptions;

@@ -23,9 +23,10 @@ use output::GroupState;
 
 use crate::{faults::SourceFaults, source::Replay};
 
+pub(crate) use log::FateLog;
 pub use log::{
-    BatchFate, Fate, FaultCounts, FaultTotals, FrameFate, Sent, SentBatch, SentCounters, SentFate,
-    SentFrame, SentLog,
+    BatchFate, Fate, FaultCounts, FaultTotals, FrameFate, NetworkOptions, Sent, SentBatch,
+    SentCounters, SentFate, SentFrame, SentLog,
 };
 pub use output::POSES_GROUP;
 pub(crate) use output::{Outbox, Queued};
