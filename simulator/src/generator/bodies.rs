@@ -2,9 +2,8 @@
 
 use mocapd_drivers::device::{BODIES_MAX, BodyInfo, Pose, PoseStatus};
 
+use super::arithmetic::{Rng, V3, add, cross, dot, norm, offset, scale, sub, unit};
 use super::body::SEGMENTS;
-use super::geometry::{V3, add, cross, dot, norm, offset, scale, sub, unit};
-use super::rng::Rng;
 use super::spec::noise;
 use super::subject::{Subject, SubjectState};
 use super::{GenerateError, JumpSpec};

@@ -3,7 +3,7 @@
 //! The force is that of Newton's second law for a point mass at the pelvis. It acts at the feet: each bears a part of
 //! it, by where the pelvis is between them, and a plate feels the feet that stand on it. In flight it is exactly 0.
 
-use super::geometry::V3;
+use super::arithmetic::V3;
 use super::plan::GRAVITY_M_S2;
 use super::subject::{Subject, Support};
 use super::{GenerateError, JumpSpec, RETURN_M};

@@ -3,9 +3,8 @@
 //! Keyframes carry value, velocity and acceleration, so that the ground phases meet the flight parabola with two
 //! continuous derivatives.
 
+use super::arithmetic::{Curve, Keyframe, Rng, sin_cos};
 use super::body::Body;
-use super::geometry::{Curve, Keyframe, sin_cos};
-use super::rng::Rng;
 
 /// Start of each phase, seconds from the start of the trial.
 #[derive(Debug, Clone, Copy)]

@@ -2,10 +2,9 @@
 
 use std::f64::consts::TAU;
 
+use super::arithmetic::{Rng, V3, sin_cos};
 use super::body::{Body, SITES};
-use super::geometry::{V3, sin_cos};
 use super::plan::Style;
-use super::rng::Rng;
 use super::{Phase, Trial};
 
 /// Shift of the drifts from one first trial to the next, seconds: not a multiple of their periods.
