@@ -5,9 +5,8 @@
 //! each jump, so a take of any length stays in a volume of about 6 m. A seed gives the same bits on every machine.
 
 mod arithmetic;
-mod bodies;
 mod body;
-mod forces;
+mod measured;
 mod plan;
 mod spec;
 mod subject;
@@ -23,9 +22,10 @@ use plan::{JointCurves, PhaseTimes, Style};
 pub use mocapd_take::phase::Phase;
 
 pub use arithmetic::Rng;
-pub use bodies::{GeneratedBodies, RecordedPoses, RigidBodies};
 pub use body::{BONES, SITES};
-pub use forces::{ForcePlates, PLATE_COMPONENTS, plate_corners_mm};
+pub use measured::{
+    ForcePlates, GeneratedBodies, PLATE_COMPONENTS, RecordedPoses, RigidBodies, plate_corners_mm,
+};
 pub use spec::{
     GenerateError, JumpSet, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, SUBJECTS_MAX,
     SetJump, TRIALS_MAX,
