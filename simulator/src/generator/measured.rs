@@ -5,9 +5,8 @@ use mocapd_drivers::device::{BODIES_MAX, BodyInfo, Pose, PoseStatus};
 
 use super::arithmetic::{Rng, V3, add, cross, dot, norm, offset, scale, sub, unit};
 use super::body::SEGMENTS;
-use super::plan::GRAVITY_M_S2;
+use super::plan::{GRAVITY_M_S2, Subject, SubjectState, Support};
 use super::spec::noise;
-use super::subject::{Subject, SubjectState, Support};
 use super::{GenerateError, JumpSpec, RETURN_M};
 
 /// How long a body stays lost, in seconds: the time that a limb takes to pass in front of it.

@@ -9,7 +9,6 @@ mod body;
 mod measured;
 mod plan;
 mod spec;
-mod subject;
 
 #[cfg(test)]
 mod tests;
