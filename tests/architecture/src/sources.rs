@@ -51,7 +51,7 @@ const RULES: &[Rule] = &[
             "acquire/src/",
             "service/src/",
             "src/",
-            "simulator/src/line/",
+            "simulator/src/line.rs",
             "simulator/src/gadget.rs",
             "simulator/src/lsl/serve.rs",
             "cli/src/stop.rs",
