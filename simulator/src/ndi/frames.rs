@@ -4,8 +4,7 @@ use mocapd_drivers::ndi::{code, put_binary, put_text};
 use mocapd_take::motion::{Position, is_gap};
 
 use super::report::{Bx2Options, FrameReport, bx2};
-use super::setup::mode;
-use super::{Answer, NdiDevice};
+use super::{Answer, NdiDevice, mode};
 use crate::device::{Queued, SentCounters, SentFrame, frame_after_ns};
 
 const SECOND_NS: u64 = 1_000_000_000;

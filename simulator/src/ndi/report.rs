@@ -2,7 +2,7 @@
 
 use mocapd_take::motion::{Position, is_gap};
 
-use super::setup::Ports;
+use super::Ports;
 
 /// Reply options of `TX` and `BX`.
 const TRANSFORMS: u16 = 0x0001;
