@@ -6,7 +6,6 @@
 //! fetched, the system leaves tracking mode and refuses requests for frames, which tells the host of the end.
 
 mod frames;
-mod report;
 
 #[cfg(test)]
 mod tests;
