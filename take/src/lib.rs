@@ -3,7 +3,6 @@
 //! `docs/take-format.md` specifies the format byte by byte. This crate opens no file, reads no clock and starts no
 //! thread: it writes to a [`std::io::Write`] and reads bytes that the caller provides.
 
-mod ambiguity;
 pub mod chunk;
 pub mod compare;
 pub mod damage;

@@ -1,14 +1,13 @@
 //! The map of a take: everything but the samples, and the positions from which decoding can start.
 
 mod open;
-mod tail;
 
 use std::{
     io::{Read, Seek},
     ops::Range,
 };
 
-pub use self::tail::TakeTail;
+pub use self::open::TakeTail;
 
 use crate::{
     ChannelOrder, TakeError, TakeEvent,

@@ -5,7 +5,6 @@
 //! stretches continue those before them, and one encoder has them all, in order. One stretch is read at a time, except
 //! for a resampler that needs the whole take.
 
-mod order_search;
 pub mod ordering;
 mod parts;
 
@@ -17,7 +16,7 @@ use mocapd_codec::{
 
 use self::parts::StillSpans;
 pub use self::{
-    order_search::GroupOrder,
+    ordering::GroupOrder,
     parts::{EncodePart, EncodeParts},
 };
 

@@ -1,23 +1,19 @@
 //! A sans-io reader of takes: the caller pushes bytes in and takes events out. Damage is an event; reading continues
 //! after it.
 
-mod buffer;
 mod chunks;
-mod damage;
 
-use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
+use std::{
+    io::{BufReader, Cursor, Read, Seek, SeekFrom},
+    ops::{Deref, DerefMut},
+};
 
 use serde::Serialize;
 
-pub(crate) use self::{
-    chunks::{order, record},
-    damage::repair_head,
-};
-
-use self::{buffer::ReadBuffer, chunks::LongChunk, damage::Damage};
+use self::chunks::{Damage, LongChunk};
 use crate::{
     ChannelOrder, NotATake, TakeError,
-    chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, types},
+    chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, WINDOW_BYTES, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
     record::{
@@ -26,6 +22,8 @@ use crate::{
     sampled::{SampleTimes, SamplesChunk},
     stretch::{Stretch, StretchChain},
 };
+
+pub(crate) use self::chunks::{order, record, repair_head};
 
 /// One element of a take.
 #[derive(Debug)]
@@ -102,7 +100,7 @@ pub enum TakeEvent<'a> {
     },
 }
 
-/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`](chunk::WINDOW_BYTES) after
+/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`] after
 /// damage, for any lengths that the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held
 /// only if it is a stretch, and only once its CRC is known to match.
 ///
@@ -471,4 +469,61 @@ pub fn read_events(
         }
     }
     Ok(())
+}
+
+/// Largest buffer in ordinary use: a search window, and a read that arrives while the window lacks a byte.
+const ORDINARY_BYTES_MAX: usize = WINDOW_BYTES + READ_BYTES;
+
+/// Bytes with initialised space after them, into which files are read without another copy.
+#[derive(Debug, Default)]
+struct ReadBuffer {
+    /// The bytes and the space.
+    storage: Vec<u8>,
+    /// Number of bytes.
+    len: usize,
+}
+
+impl ReadBuffer {
+    /// Space for the next `n` bytes.
+    fn space(&mut self, n: usize) -> &mut [u8] {
+        let (capacity, needed) = (self.storage.len(), self.len + n);
+        if needed > capacity {
+            // Twice the bytes that are held, as a vector would; near the window size less is enough.
+            let grown = if self.len < WINDOW_BYTES { 2 * self.len } else { self.len / 4 * 5 };
+            let is_ordinary = needed <= ORDINARY_BYTES_MAX;
+            let grown = if is_ordinary { grown.min(ORDINARY_BYTES_MAX) } else { grown }.max(needed);
+            self.storage.reserve_exact(grown - capacity);
+            self.storage.resize(grown, 0);
+        }
+        &mut self.storage[self.len..needed]
+    }
+
+    /// Adds the first `n` bytes of the last [`space`](Self::space), which were written.
+    fn fill(&mut self, n: usize) {
+        self.len = (self.len + n).min(self.storage.len());
+    }
+
+    /// Removes the first `n` bytes.
+    fn remove_front(&mut self, n: usize) {
+        self.storage.copy_within(n..self.len, 0);
+        self.len -= n;
+    }
+
+    fn clear(&mut self) {
+        self.len = 0;
+    }
+}
+
+impl Deref for ReadBuffer {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.storage[..self.len]
+    }
+}
+
+impl DerefMut for ReadBuffer {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        &mut self.storage[..self.len]
+    }
 }

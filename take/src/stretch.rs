@@ -1,16 +1,12 @@
 //! STRETCH: all channels over a range of rows, with the times of the rows. It is checksummed, written and lost as a
 //! unit.
 
-mod chain;
 mod header;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use self::header::{CopiedStretch, Placement, StretchChain, is_alone, may_begin_with};
 pub use self::header::{StretchHeaderWriter, put_renumbered};
-pub(crate) use self::{
-    chain::{Placement, StretchChain},
-    header::{CopiedStretch, is_alone, may_begin_with},
-};
 
 use std::iter;
 

@@ -4,9 +4,8 @@ use std::{fs::File, io::BufReader, path::Path, sync::Arc};
 
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
-    recorded,
     sampled::SampledSource,
-    source,
+    source::{self, read_signals},
 };
 use mocapd_take::{
     TakeMap,
@@ -75,7 +74,7 @@ fn a_take_that_is_played_is_recorded_again_bit_for_bit() {
     };
     record(&folder, Device::new(jump(1, RATE_HZ, 2.0), settings).unwrap(), "first.take");
 
-    let signals = recorded::read(&folder.path("first.take"), None).unwrap();
+    let signals = read_signals(&folder.path("first.take"), None).unwrap();
     assert!(signals.left_out.is_empty(), "{:?}", signals.left_out);
     assert!(!signals.sampled.iter().any(SampledSource::has_losses));
     assert_eq!(signals.sampled[0].force_plates(), sources()[0].force_plates());
@@ -124,7 +123,7 @@ fn the_first_seconds_of_a_take_are_played_with_their_samples() {
         ..DeviceSettings::default()
     };
     record(&folder, Device::new(jump(1, RATE_HZ, 2.0), settings).unwrap(), "first.take");
-    let signals = recorded::read(&folder.path("first.take"), Some(0.5)).unwrap();
+    let signals = read_signals(&folder.path("first.take"), Some(0.5)).unwrap();
     let mut values = Vec::new();
     signals.sampled[0].samples(0, 10_000, &mut values);
     assert_eq!(values.len(), 500 * 12);

@@ -18,9 +18,7 @@ use mocapd_take::motion::MotionFrames;
 use mocapd_take::quantity::{length_mm, rate_hz};
 use serde::Serialize;
 
-use super::Failure;
-use super::files::NewFolder;
-use super::output::{ProgressDisplay, print, print_json};
+use super::{Failure, NewFolder, ProgressDisplay, print, print_json};
 
 #[derive(Debug, Args)]
 pub(super) struct GenerateArgs {

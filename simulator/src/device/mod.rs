@@ -1,14 +1,10 @@
-//! A simulated device of the link protocol that plays a motion. Sans-io: the host's bytes and the time go in, the
-//! device's bytes come out.
+//! A simulated device of the link protocol that plays a motion, with a clock of its own, which starts at 0 and drifts.
+//! Sans-io: the host's bytes and the time go in, the device's bytes come out.
 //!
 //! Times are nanoseconds of one monotonic clock of the caller's choice.
 
-mod clock;
-mod commands;
 mod log;
-mod outbox;
-mod poses;
-mod samples;
+mod output;
 mod settings;
 
 #[cfg(test)]
@@ -16,25 +12,24 @@ mod tests;
 
 use std::sync::Arc;
 
-use mocapd_drivers::device::{Command, Frame, Hello, MarkerInfo, MarkerSample, Pose, Status};
-use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max};
-use mocapd_take::motion::{Marker, Motion, Position, is_gap};
-
-use clock::DeviceClock;
-pub use log::{
-    BatchFate, Fate, FaultCounts, FaultTotals, FrameFate, Sent, SentBatch, SentCounters, SentFate,
-    SentFrame, SentLog,
+use mocapd_drivers::{
+    device::{Command, Frame, Hello, MarkerInfo, MarkerSample, Pose, Status},
+    link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max},
 };
-pub(crate) use outbox::{Outbox, Queued};
-pub use poses::POSES_GROUP;
-use samples::GroupState;
-pub use settings::{DeviceError, DeviceSettings, RATE_MILLIHERTZ, TICK_HZ};
-pub(crate) use settings::{Rates, frame_after_ns};
+use mocapd_take::motion::{Marker, Motion, Position, is_gap};
+use output::GroupState;
 
 pub use crate::line::LineDevice;
-
-use crate::faults::SourceFaults;
-use crate::replay::Replay;
+use crate::{faults::SourceFaults, source::Replay};
+pub(crate) use log::FateLog;
+pub use log::{
+    BatchFate, Fate, FaultCounts, FaultTotals, FrameFate, NetworkOptions, Sent, SentBatch,
+    SentCounters, SentFate, SentFrame, SentLog,
+};
+pub use output::POSES_GROUP;
+pub(crate) use output::{Outbox, Queued};
+pub use settings::{DeviceError, DeviceSettings, RATE_MILLIHERTZ, TICK_HZ};
+pub(crate) use settings::{Rates, frame_after_ns};
 
 const SECOND_NS: u64 = 1_000_000_000;
 
@@ -424,4 +419,49 @@ fn fill_samples(table: &[MarkerInfo], row: &[Position], samples: &mut Vec<Marker
         }
     }
     present
+}
+
+/// Largest drift, parts per million: a tenth.
+const DRIFT_MAX_PPM: f64 = 100_000.0;
+
+/// A drifting clock in integer arithmetic: rounding errors do not accumulate over time.
+#[derive(Debug)]
+struct DeviceClock {
+    /// Nanoseconds of the caller's clock per 10^9 of the device's.
+    scale: u64,
+    /// The caller's clock when the device's clock was 0.
+    epoch_ns: Option<u64>,
+}
+
+impl DeviceClock {
+    fn new(drift_ppm: f64) -> Result<Self, DeviceError> {
+        if !(-DRIFT_MAX_PPM..=DRIFT_MAX_PPM).contains(&drift_ppm) {
+            return Err(DeviceError::Drift { found_ppm: drift_ppm });
+        }
+        let scale = SECOND_NS.saturating_add_signed((drift_ppm * 1e3).round() as i64);
+        Ok(Self { scale, epoch_ns: None })
+    }
+
+    /// Starts the clock, unless it is running.
+    fn begin(&mut self, now_ns: u64) {
+        self.epoch_ns.get_or_insert(now_ns);
+    }
+
+    /// Stops the clock until the next [`begin`](Self::begin), which starts it from 0.
+    fn reset(&mut self) {
+        self.epoch_ns = None;
+    }
+
+    /// The device's time at the caller's time `at_ns`, in ticks.
+    fn ticks(&self, at_ns: u64) -> u64 {
+        let since_ns = at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns));
+        let ticks = u128::from(since_ns) * u128::from(TICK_HZ) / u128::from(self.scale);
+        u64::try_from(ticks).unwrap_or(u64::MAX)
+    }
+
+    /// The duration on the caller's clock of `device_ns` on the device's.
+    fn caller_ns(&self, device_ns: u64) -> u64 {
+        let ns = u128::from(device_ns) * u128::from(self.scale) / u128::from(SECOND_NS);
+        u64::try_from(ns).unwrap_or(u64::MAX)
+    }
 }

@@ -8,8 +8,8 @@ use mocapd_take::motion::Motion;
 use super::SECOND_NS;
 use crate::faults::Script;
 use crate::generator::RigidBodies;
-use crate::replay::Replay;
 use crate::sampled::SampledSource;
+use crate::source::Replay;
 
 /// Frame rates of a simulated device, in millihertz: 1 Hz to 10 kHz.
 pub const RATE_MILLIHERTZ: std::ops::RangeInclusive<u32> = 1_000..=10_000_000;

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use super::kinds::{Fault, Kind};
 use super::script::{ScheduledFault, Script, nanoseconds};
 use super::wire::WireFaults;
+use super::{Fault, Kind};
 use crate::device::{BatchFate, Device, FaultCounts, FrameFate, LineDevice, SentFrame, SentLog};
 use crate::line::LatencyTimer;
 

@@ -8,7 +8,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use mocapd_drivers::link::WIRE_BYTES_MAX;
 
-use super::kinds::{Kind, Kinds};
+use super::{Kind, Kinds};
 use crate::device::{Fate, FaultTotals, Sent, SentFate};
 
 /// Maximum number of entries for frames whose fate is open: 18 minutes at 240 Hz, 25 MB. Only a device that stalls for

@@ -4,7 +4,7 @@ use serde::Deserialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::kinds::{Fault, KINDS, KeySpec, Kind, KindSpec, WINDOW};
+use super::{Fault, KINDS, KeySpec, Kind, KindSpec, WINDOW};
 
 /// Maximum number of bytes in a script; the longest that ships has 2 kB.
 pub const SCRIPT_BYTES_MAX: usize = 256 << 10;

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use mocapd_drivers::device::{MarkerInfo, MarkerSample, Pose, PoseStatus};
 use mocapd_take::motion::{GAP, Position, is_gap};
 
-use super::kinds::{Fault, Kind};
 use super::script::{Script, nanoseconds};
+use super::{Fault, Kind};
 use crate::device::FaultCounts;
 use crate::generator::Rng;
 

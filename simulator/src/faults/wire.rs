@@ -10,9 +10,9 @@ use mocapd_drivers::device::{DeviceEvent, Protocol};
 use mocapd_drivers::link::HostLink;
 
 use super::fates::FateTracker;
-use super::kinds::{Fault, Kind, Kinds};
 use super::script::Script;
 use super::source::stream;
+use super::{Fault, Kind, Kinds};
 use crate::device::{FaultCounts, Sent, SentBatch, SentFrame};
 
 /// With this many damaged bytes waiting for the line, no more are taken from the device: as many as a kernel pty holds.

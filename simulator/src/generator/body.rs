@@ -1,7 +1,6 @@
 //! A body of rigid segments: computes the 15 sites of a pose, and further markers in rigid clusters on the segments.
 
-use super::geometry::{V3, add, cross, dot, norm, offset, scale, sin_cos, sub, unit};
-use super::rng::Rng;
+use super::arithmetic::{Rng, V3, add, cross, dot, norm, offset, scale, sin_cos, sub, unit};
 
 /// The marker sites of Shi et al. 2012, in the order of the first 15 columns.
 pub const SITES: [&str; 15] = [

@@ -4,30 +4,27 @@
 //! inverse kinematics place the legs on planted feet (`body`), and flight is a parabola. The subject walks back after
 //! each jump, so a take of any length stays in a volume of about 6 m. A seed gives the same bits on every machine.
 
-mod bodies;
+mod arithmetic;
 mod body;
-mod forces;
-mod geometry;
+mod measured;
 mod plan;
-mod rng;
 mod spec;
-mod subject;
 
 #[cfg(test)]
 mod tests;
 
-use mocapd_take::motion::Motion;
-
+use arithmetic::{V3, sin_cos, smooth_step};
 use body::{Arm, Body, Pose};
-use geometry::{V3, sin_cos, smooth_step};
+use mocapd_take::motion::Motion;
 use plan::{JointCurves, PhaseTimes, Style};
 
 pub use mocapd_take::phase::Phase;
 
-pub use bodies::{GeneratedBodies, RecordedPoses, RigidBodies};
+pub use arithmetic::Rng;
 pub use body::{BONES, SITES};
-pub use forces::{ForcePlates, PLATE_COMPONENTS, plate_corners_mm};
-pub use rng::Rng;
+pub use measured::{
+    ForcePlates, GeneratedBodies, PLATE_COMPONENTS, RecordedPoses, RigidBodies, plate_corners_mm,
+};
 pub use spec::{
     GenerateError, JumpSet, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, SUBJECTS_MAX,
     SetJump, TRIALS_MAX,

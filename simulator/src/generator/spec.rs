@@ -2,11 +2,10 @@
 
 use mocapd_take::motion::{GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis};
 
-use super::body::SITES;
-use super::geometry::{V3, add, scale, sin_cos};
-use super::rng::Rng;
-use super::subject::Subject;
-use super::{Jump, body};
+use super::Jump;
+use super::arithmetic::{Rng, V3, add, scale, sin_cos};
+use super::body::{self, SITES};
+use super::plan::Subject;
 
 /// Frame rates that can be generated, Hz.
 pub const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;

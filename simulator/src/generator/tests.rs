@@ -1,6 +1,6 @@
 use mocapd_take::motion::is_gap;
 
-use super::geometry::{V3, add, scale};
+use super::arithmetic::{V3, add, scale};
 use super::*;
 
 fn site(name: &str) -> usize {
@@ -12,7 +12,7 @@ fn at(jump: &Jump, frame: usize, name: &str) -> V3 {
 }
 
 fn distance(a: V3, b: V3) -> f64 {
-    geometry::norm(geometry::sub(a, b))
+    arithmetic::norm(arithmetic::sub(a, b))
 }
 
 fn span(jump: &Jump, phase: Phase) -> std::ops::Range<usize> {

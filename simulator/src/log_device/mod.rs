@@ -1,21 +1,16 @@
 //! Replays a raw log as the device that it was recorded from. Sans-io: it sends the logged bytes at the logged times,
 //! to a host that repeats the logged exchange of commands.
+//!
+//! The bytes are passed on unchanged, except for Pongs: a Pong echoes the time of its Ping, and the pings of the replay
+//! carry other times than the logged ones.
 
-mod pongs;
-mod steps;
+use std::collections::{HashMap, VecDeque};
 
-#[cfg(test)]
-mod tests;
-
-use std::collections::VecDeque;
-
-use mocapd_drivers::device::Command;
-use mocapd_drivers::link::DeviceLink;
-use mocapd_drivers::raw_log::RawLogError;
+use mocapd_drivers::device::{Command, DeviceEvent, Pong, Protocol};
+use mocapd_drivers::link::{DeviceLink, HostLink};
+use mocapd_drivers::raw_log::{Entry, RawLogError, Record, records};
 
 use crate::device::{LineDevice, SentFrame, SentLog};
-use pongs::PongRewriter;
-use steps::{Action, Barrier, Steps};
 
 /// Maximum number of commands that a host may send ahead of the log. A host repeats a command five times at most.
 const RECEIVED_MAX: usize = 16;
@@ -196,7 +191,7 @@ impl LogDevice {
 
     /// Restarts the log from its first Identify, for a new host.
     fn rewind(&mut self) {
-        let is_first = |step: &steps::Step| step.action == Action::Await(Barrier::Identify);
+        let is_first = |step: &Step| step.action == Action::Await(Barrier::Identify);
         self.next = self.steps.steps.iter().position(is_first).unwrap_or(0);
         (self.offset, self.anchor) = (0, None);
         self.received.clear();
@@ -335,3 +330,272 @@ impl LineDevice for LogDevice {
         Vec::new()
     }
 }
+
+/// A command that the host must send before the replay continues. Ping and Stop may come at any time: no step waits for
+/// them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Barrier {
+    Identify,
+    SetRate,
+    Start,
+}
+
+impl Barrier {
+    fn of(command: Command) -> Option<Self> {
+        match command {
+            Command::Identify => Some(Self::Identify),
+            Command::SetRate(_) => Some(Self::SetRate),
+            Command::Start { .. } => Some(Self::Start),
+            Command::Stop | Command::Ping { .. } => None,
+        }
+    }
+}
+
+/// What a step does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Action {
+    /// Sends this range of [`Steps::bytes`].
+    Send { start: usize, end: usize },
+    /// Waits for a command of the host.
+    Await(Barrier),
+    /// Pulls the cable.
+    Unplug,
+    /// Plugs the cable in again.
+    PlugIn,
+    /// Ends a log whose stream had not ended: what the device sent afterwards is unknown.
+    Disappear,
+}
+
+/// A step and its time in the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Step {
+    at_ns: u64,
+    action: Action,
+}
+
+/// The steps of a log.
+#[derive(Debug, Default)]
+struct Steps {
+    steps: Vec<Step>,
+    /// All bytes from the device.
+    bytes: Vec<u8>,
+    /// Time of each Ping in the log, by the host time that it carries.
+    pings: HashMap<u64, u64>,
+    driver: String,
+    missing_bytes: u64,
+    /// Why reading stopped before the log's end.
+    problem: Option<RawLogError>,
+}
+
+impl Steps {
+    /// Reads a log. Needs at most as much memory again as the log itself.
+    fn read(log: &[u8]) -> Result<Self, RawLogError> {
+        let mut found = Self::default();
+        let mut host = DeviceLink::new();
+        let mut stream = StreamState::default();
+        let mut is_open = false;
+        let mut was_opened = false;
+        let mut end_ns = 0;
+        for record in records(log)? {
+            let Record { time_ns: at_ns, entry } = match record {
+                Ok(record) => record,
+                Err(problem) => {
+                    found.problem = Some(problem);
+                    break;
+                }
+            };
+            end_ns = at_ns;
+            let steps = &mut found.steps;
+            let mut step = |action| steps.push(Step { at_ns, action });
+            match entry {
+                Entry::FromDevice(bytes) => {
+                    let start = found.bytes.len();
+                    found.bytes.extend_from_slice(bytes);
+                    stream.push(bytes);
+                    step(Action::Send { start, end: start + bytes.len() });
+                }
+                Entry::ToDevice(bytes) => host.push(bytes, &mut |command| {
+                    if let Command::Ping { host_ns } = command {
+                        found.pings.insert(host_ns, at_ns);
+                    }
+                    if let Some(barrier) = Barrier::of(command) {
+                        step(Action::Await(barrier));
+                    }
+                }),
+                Entry::Opened(text) => {
+                    let driver = text.split(' ').next().unwrap_or_default();
+                    if !was_opened {
+                        driver.clone_into(&mut found.driver);
+                    } else if !is_open {
+                        step(Action::PlugIn);
+                    }
+                    (is_open, was_opened) = (true, true);
+                }
+                Entry::Closed => {
+                    if is_open {
+                        step(Action::Unplug);
+                    }
+                    is_open = false;
+                }
+                Entry::Missing(bytes) => found.missing_bytes += bytes,
+                Entry::Break | Entry::Baud(_) | Entry::End => {}
+            }
+        }
+        // Every log ends with the line closed, which is not a pulled cable.
+        if let Some(closed) = found.steps.pop_if(|step| step.action == Action::Unplug) {
+            end_ns = closed.at_ns;
+        }
+        if !stream.has_ended {
+            found.steps.push(Step { at_ns: end_ns, action: Action::Disappear });
+        }
+        Ok(found)
+    }
+
+    /// Whether the cable is pulled in the log.
+    fn unplugs(&self) -> bool {
+        self.steps.iter().any(|step| step.action == Action::Unplug)
+    }
+}
+
+/// Follows the device's messages to tell whether its stream has ended.
+#[derive(Debug, Default)]
+struct StreamState {
+    reader: HostLink,
+    runs: bool,
+    has_ended: bool,
+}
+
+impl StreamState {
+    fn push(&mut self, bytes: &[u8]) {
+        let Self { reader, runs, has_ended } = self;
+        reader.push(bytes, &mut |event| match event {
+            DeviceEvent::Started(_) => (*runs, *has_ended) = (true, false),
+            // An end before the first Start answers a host that sends Stop to be safe.
+            DeviceEvent::EndOfStream(_) if *runs => (*runs, *has_ended) = (false, true),
+            _ => {}
+        });
+    }
+}
+
+/// Length of a Pong on the wire. A longer message without its 0x00 is something else and need not be held back.
+const PONG_BYTES_MAX: usize = 24;
+
+/// Maximum number of pings that wait for a Pong. A host sends eight in a row.
+const PINGS_MAX: usize = 16;
+
+/// A ping older than this is not answered: such a round trip says nothing about the clocks.
+const PING_NS_MAX: u64 = 200_000_000;
+
+/// A ping and its time of arrival.
+#[derive(Debug, Clone, Copy)]
+struct Ping {
+    host_ns: u64,
+    came_ns: u64,
+}
+
+/// Finds Pongs in a byte stream, and makes them answer the host's pings.
+#[derive(Debug)]
+struct PongRewriter {
+    pings: VecDeque<Ping>,
+    /// Bytes since the last 0x00 that are held back.
+    open: Vec<u8>,
+    /// Whether the message since the last 0x00 is longer than a Pong.
+    is_long: bool,
+    reader: HostLink,
+    link: DeviceLink,
+    message: Vec<u8>,
+}
+
+impl PongRewriter {
+    fn new() -> Self {
+        Self {
+            pings: VecDeque::with_capacity(PINGS_MAX),
+            open: Vec::new(),
+            is_long: false,
+            reader: HostLink::new(),
+            link: DeviceLink::new(),
+            message: Vec::new(),
+        }
+    }
+
+    fn ping(&mut self, host_ns: u64, came_ns: u64) {
+        if self.pings.len() == PINGS_MAX {
+            self.pings.pop_front();
+        }
+        self.pings.push_back(Ping { host_ns, came_ns });
+    }
+
+    /// Passes logged bytes on and returns how many. With `waits` it stops at a Pong that has no Ping to answer;
+    /// otherwise it passes all.
+    ///
+    /// `ping_ns` gives the time of the Ping of a logged Pong, by the caller's clock. Without `waits`, only a Ping that
+    /// came before it is answered: a Pong whose ticks are older than its Ping would spoil the clock fit.
+    fn pass(
+        &mut self,
+        bytes: &[u8],
+        now_ns: u64,
+        waits: bool,
+        ping_ns: impl Fn(u64) -> Option<u64>,
+        out: &mut Vec<u8>,
+    ) -> usize {
+        for (taken, &byte) in bytes.iter().enumerate() {
+            self.open.push(byte);
+            if byte != 0 || self.is_long {
+                self.is_long |= self.open.len() > PONG_BYTES_MAX;
+                if self.is_long {
+                    self.flush(out);
+                    self.is_long = byte != 0;
+                }
+                continue;
+            }
+            let Some(pong) = self.pong() else {
+                self.flush(out);
+                continue;
+            };
+            let is_old = |ping: &mut Ping| now_ns.saturating_sub(ping.came_ns) > PING_NS_MAX;
+            while !waits && self.pings.pop_front_if(is_old).is_some() {}
+            let by_ns = if waits { Some(u64::MAX) } else { ping_ns(pong.host_ns) };
+            let ping = self.pings.front().copied();
+            match ping.filter(|ping| by_ns.is_some_and(|by_ns| ping.came_ns <= by_ns)) {
+                Some(Ping { host_ns, .. }) => {
+                    self.pings.pop_front();
+                    self.message.clear();
+                    self.link.pong(Pong { host_ns, ..pong }, &mut self.message);
+                    out.extend_from_slice(&self.message);
+                    self.open.clear();
+                }
+                None if waits => {
+                    self.open.pop();
+                    return taken;
+                }
+                None => self.flush(out),
+            }
+        }
+        bytes.len()
+    }
+
+    /// Passes the held-back bytes on unchanged.
+    fn flush(&mut self, out: &mut Vec<u8>) {
+        out.append(&mut self.open);
+    }
+
+    fn clear(&mut self) {
+        self.open.clear();
+        self.is_long = false;
+        self.pings.clear();
+    }
+
+    /// Decodes the held-back message, if it is a Pong.
+    fn pong(&mut self) -> Option<Pong> {
+        let mut found = None;
+        self.reader.push(&self.open, &mut |event| {
+            if let DeviceEvent::Pong(pong) = event {
+                found = Some(pong);
+            }
+        });
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -9,10 +9,8 @@ mod streams;
 
 use std::sync::Arc;
 
-use labstream_core::{
-    net::StreamInfo,
-    wire::{Sample, Value},
-};
+use labstream_core::net::StreamInfo;
+use labstream_core::wire::{Sample, Value};
 use mocapd_take::motion::{Motion, MotionEvent, Position, is_gap};
 
 use crate::device::{
@@ -22,8 +20,9 @@ use crate::device::{
 use crate::faults::{
     ConnectionFaults, ConnectionState, Fault, Kind, Kinds, Script, SourceFaults, stream,
 };
-use crate::replay::Replay;
 use crate::sampled::SampledSource;
+use crate::source::Replay;
+
 pub use serve::{LslOutlets, LslServeError};
 
 /// Most markers: three channels each, and at most 4096 channels.

@@ -1,20 +1,18 @@
 //! The streams on the network: outlets of the crate `labstream-core`, and one thread that sleeps until the next sample.
 
-use std::{
-    io,
-    num::NonZeroU64,
-    sync::atomic::{AtomicBool, Ordering},
-    thread::sleep,
-    time::Duration,
-};
+use std::io;
+use std::num::NonZeroU64;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::sleep;
+use std::time::Duration;
 
 use labstream_core::net::Outlet;
 use mocapd_drivers::uri::StreamQuery;
 
 use super::{LslDevice, Push};
 use crate::NetworkOptions;
+use crate::device::FateLog;
 use crate::device::SentLog;
-use crate::fate_log::FateLog;
 use crate::line::host_ns;
 
 /// The longest sleep, which bounds the reaction time to a stop and to a reader.

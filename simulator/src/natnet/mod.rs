@@ -23,7 +23,6 @@ use mocapd_drivers::{
 use mocapd_take::motion::{Motion, Position, is_gap};
 
 use self::content::Content;
-pub use self::serve::{NatNetListener, NatNetServeError};
 use crate::{
     device::{
         DeviceError, FaultCounts, FrameFate, Rates, SentCounters, SentFrame, SentLog,
@@ -31,9 +30,11 @@ use crate::{
     },
     faults::{ConnectionFaults, ConnectionState, Fault, Kind, Kinds, Script, SourceFaults, stream},
     qtm::{fates::DeliveryLog, happens},
-    replay::Replay,
     sampled::SampledSource,
+    source::Replay,
 };
+
+pub use self::serve::{NatNetListener, NatNetServeError};
 
 /// Ticks of the clock per second: those of Windows' performance counter.
 pub const CLOCK_HZ: u64 = 10_000_000;

@@ -12,7 +12,11 @@ use mocapd_drivers::transport::network::multicast_sender;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::NatNetDevice;
-use crate::{NetworkOptions, device::SentLog, fate_log::FateLog, line::host_ns};
+use crate::{
+    NetworkOptions,
+    device::{FateLog, SentLog},
+    line::host_ns,
+};
 
 /// The longest sleep, which bounds the reaction time to a stop.
 const SLEEP_MAX: Duration = Duration::from_millis(20);

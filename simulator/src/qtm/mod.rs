@@ -9,14 +9,18 @@ pub(crate) mod fates;
 mod samples;
 mod serve;
 
-use std::{net::SocketAddr, sync::Arc};
+use std::net::SocketAddr;
+use std::sync::Arc;
 
+use changes::Changes;
+use fates::DeliveryLog;
 use mocapd_drivers::device::{MarkerSample, Pose};
 use mocapd_drivers::qtm::{
     BodySettings, ClientId, Datagram, Delivery, FrameHeader, LABELS_MAX, MISSING, QtmServer,
     ServedBody, ServedFrame, ServedSettings, WireMarker,
 };
 use mocapd_take::motion::{Motion, Position, UpAxis, is_gap};
+use samples::FileSamples;
 
 use crate::device::{
     DeviceError, FaultCounts, FrameFate, Rates, SentCounters, SentFrame, SentLog, frame_after_ns,
@@ -25,11 +29,9 @@ use crate::faults::{
     ConnectionFaults, ConnectionState, Fault, Kind, Kinds, Script, SourceFaults, stream,
 };
 use crate::generator::RigidBodies;
-use crate::replay::Replay;
 use crate::sampled::SampledSource;
-use changes::Changes;
-use fates::DeliveryLog;
-use samples::FileSamples;
+use crate::source::Replay;
+
 pub use samples::force_of;
 pub use serve::{QtmListener, ServeError};
 

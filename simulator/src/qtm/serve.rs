@@ -14,8 +14,8 @@ use mocapd_drivers::transport::network::server::{StreamServer, TcpServer};
 
 use super::{QtmDevice, VERSION};
 use crate::NetworkOptions;
+use crate::device::FateLog;
 use crate::device::SentLog;
-use crate::fate_log::FateLog;
 use crate::line::host_ns;
 
 /// The longest sleep, which bounds the reaction time to a stop.

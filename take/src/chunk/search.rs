@@ -9,9 +9,8 @@
 use std::{cmp::Reverse, collections::BinaryHeap};
 
 use super::{
-    CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, ChunkParse, HEAD_BYTES_MAX, crc_matches, head,
-    prefix_crcs::{PrefixCrcs, extend_crc, shifted_crc},
-    split, types,
+    CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, ChunkParse, HEAD_BYTES_MAX, PrefixCrcs, crc_matches,
+    extend_crc, head, shifted_crc, split, types,
 };
 use crate::{foreign, stretch};
 

@@ -6,9 +6,7 @@ use std::{
     iter,
 };
 
-use super::{
-    CONCAT, CUT, EditContext, Seam, SourceTake, damaged, foreign, recorded::JoinedSamples,
-};
+use super::{CONCAT, CUT, EditContext, Seam, SourceTake, damaged, recorded::JoinedSamples};
 use crate::{
     TakeError, TakeEvent, TakeMap, TakeTraversal, TakeWriter,
     record::{Channel, Clock, Event, EventKind, Header, Ledger, SeriesPlace},
@@ -144,7 +142,7 @@ pub fn concat<R: Read + Seek, W: Write>(
     let (mut samples, not_joined) = JoinedSamples::begin(sources, &mut take)?;
     left_out.extend(not_joined);
     let frames_continue = plan.seams.iter().all(|seam| *seam == Seam::Continuous);
-    let parts = foreign::join(sources, &mut open, frames_continue, context)?;
+    let parts = super::join_parts(sources, &mut open, frames_continue, context)?;
     parts.parts.iter().try_for_each(|found| take.foreign_with_lost(&found.part, &found.lost))?;
     left_out.extend(parts.left_out);
     for event in plan.events(sources) {

@@ -10,7 +10,7 @@ use mocapd_codec::{
     BlockEncoder, BlockReport, DecodedRows, GROUP_CHANNELS, Position, ResamplerKind, Rows, Settings,
 };
 
-use super::{CUT, EditContext, SourceTake, damaged, foreign, recorded, seam::CutOrigin};
+use super::{CUT, CutOrigin, EditContext, SourceTake, damaged, recorded};
 use crate::{
     TakeError, TakeEvent, TakeTraversal, TakeWriter,
     record::{EndingKind, Event, Header, Ledger, SeriesPlace, TakeEnding},
@@ -71,7 +71,7 @@ pub fn cut<W: Write>(
     let first_frame = source.first_frame();
     let frames = first_frame.saturating_add(rows.start)..first_frame.saturating_add(rows.end);
     for part in source.map().foreign.iter().filter(|part| !is_recorded(&part.kind)) {
-        match foreign::cut(part, &mut input, &frames, context)? {
+        match super::cut_part(part, &mut input, &frames, context)? {
             Some(found) => take.foreign_with_lost(&found.part, &found.lost)?,
             None => left_out.push(part.kind.clone()),
         }

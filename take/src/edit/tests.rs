@@ -1,6 +1,8 @@
 //! Parts of generated takes, and takes joined of parts, compared row by row with the whole.
 
+mod foreign;
 mod repacking;
+mod seam;
 
 use std::{
     io::{self, Cursor},
@@ -10,10 +12,10 @@ use std::{
 use mocapd_codec::{BlockReport, Effort, GROUP_CHANNELS, Rows, Settings, Tolerance};
 use mocapd_testkit::random::Random;
 
-use super::{seam::CutOrigin, *};
+use super::{CutOrigin, *};
 use crate::{
-    TakeEvent, TakeFrames, TakeTraversal, TakeWriter, chunk,
-    chunk::{ChunkParse, types},
+    TakeEvent, TakeFrames, TakeTraversal, TakeWriter,
+    chunk::{self, ChunkParse, types},
     foreign::content::Content,
     interchange::c3d::columns::{ANALOG, ColumnWriter, SampleHeader},
     motion::{

@@ -23,9 +23,8 @@ use serde::Serializer;
 use serde_json::{Value, json};
 
 use super::{
-    InterchangeError, Result, check_frame_count,
-    frame_poses::{FramePoses, body_names},
-    put_position,
+    InterchangeError, Result, check_frame_count, put_position,
+    recorded_rows::{FramePoses, body_names},
     sampled_table::{SampledKind, SampledTable, TIME_COLUMN},
     text::{column_labels, unique_names, without_tabs},
     unsupported, write_frames,

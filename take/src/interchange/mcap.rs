@@ -15,8 +15,8 @@ use mcap::{
 use super::{
     InterchangeError, Result,
     foxglove::{self, Message, PlacedBody, descriptor_set, field_names},
-    frame_poses::{FramePoses, body_names},
-    metadata::metadata,
+    parquet::metadata,
+    recorded_rows::{FramePoses, body_names},
     sampled_table::{SampledColumn, SampledTable},
     text::column_labels,
 };

@@ -10,62 +10,48 @@
 //! (`docs/foreign.md`).
 //! An exporter streams: it writes each frame as the source delivers it.
 
-use std::{
-    io::{self, Cursor, Write},
-    sync::Arc,
-};
-
-use crate::{
-    ambiguity::Notes,
-    foreign::{self, content::MemoryScratch, force_plates::Baseline},
-    motion::{FrameSource, GAP, Motion, MotionInfo, Position, UpAxis, is_gap},
-};
-
 pub mod bids;
 pub(crate) mod c3d;
 mod csv;
 #[cfg(feature = "full")]
 pub mod foxglove;
-mod frame_poses;
 #[cfg(feature = "full")]
 mod mcap;
-#[cfg(feature = "full")]
-mod metadata;
 pub mod mot;
 mod motion_reader;
 pub mod npz;
 mod origin;
-mod origin_gaps;
 pub mod page_motion;
 #[cfg(feature = "full")]
 mod parquet;
 mod recorded_rows;
-mod rotated;
-mod rotation;
-mod row_timing;
 mod sampled_table;
 mod source_file;
 mod table;
 mod text;
-mod text_file;
-mod text_frames;
 mod trc;
 mod tsv;
 mod units;
 mod xdf;
-mod zip;
 
+use std::{
+    io::{self, Cursor, Write},
+    sync::Arc,
+};
+
+pub use crate::up_axis::Direction;
+pub(crate) use crate::up_axis::Rotation;
+use crate::{
+    foreign::{self, content::MemoryScratch, force_plates::Baseline},
+    map::TakeMap,
+    motion::{FrameSource, GAP, Motion, MotionInfo, Notes, Position, UpAxis, is_gap},
+};
 pub use csv::quote as csv_cell;
-pub use frame_poses::output_names;
 pub use motion_reader::{MotionReader, ReaderSettings};
-pub use recorded_rows::{plates_of_group, recorded_plates};
-pub use rotated::RotatedFrames;
-pub use rotation::Direction;
+pub use recorded_rows::{output_names, plates_of_group, recorded_plates};
 pub use sampled_table::{SampledColumn, SampledKind, SampledTable, TableRowTime, plate_columns};
 pub use text::column_labels;
 pub use units::LengthUnit;
-
-pub(crate) use rotation::Rotation;
 
 /// A file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -373,7 +359,7 @@ impl Format {
             Self::C3d => write_c3d(frames, out).map(drop),
             Self::Trc => trc::write(frames, out),
             Self::Tsv => tsv::write(frames, out),
-            Self::Csv => csv::wide::write(frames, out),
+            Self::Csv => csv::write(frames, out),
             Self::CsvLong => csv::long::write(frames, out),
             #[cfg(feature = "full")]
             Self::Parquet => parquet::write_long(frames, out),
@@ -512,4 +498,73 @@ fn put_position(out: &mut Vec<u8>, at: Position, separator: u8, missing: &str) -
         }
     }
     Ok(())
+}
+
+/// A frame source rotated by a quarter turn: its positions, and of the data kept from a C3D file the force plate
+/// corners and the coordinates under gaps.
+pub struct RotatedFrames<'a> {
+    frames: &'a mut dyn FrameSource,
+    info: MotionInfo,
+    rotation: Rotation,
+}
+
+impl std::fmt::Debug for RotatedFrames<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RotatedFrames").field("rotation", &self.rotation).finish_non_exhaustive()
+    }
+}
+
+impl<'a> RotatedFrames<'a> {
+    /// Rotates `frames` so that the axis `up` points up; `None` if the source does not state its up axis.
+    ///
+    /// # Errors
+    /// Those of reading and rewriting the data kept from a C3D file.
+    pub fn new(frames: &'a mut dyn FrameSource, up: UpAxis) -> io::Result<Option<Self>> {
+        let mut info = frames.info().clone();
+        let Some(rotation) = Rotation::between(info.up, up) else { return Ok(None) };
+        info.up = up;
+        if !rotation.is_identity() {
+            c3d::rotate(&mut info.foreign, info.markers.len(), rotation)?;
+            info.recording = info
+                .recording
+                .map(|recording| recording.turned(|vector| rotation.apply_f64(vector)));
+        }
+        Ok(Some(Self { frames, info, rotation }))
+    }
+
+    /// Kinds of the foreign parts that keep their old axes although they may hold vectors in space: model outputs.
+    #[must_use]
+    pub fn not_rotated(&self) -> Vec<String> {
+        let kept = self.info.foreign.iter().filter(|part| part.kind == c3d::MODEL_OUTPUTS);
+        let kept = kept.filter(|_| !self.rotation.is_identity());
+        kept.map(|part| part.kind.clone()).collect()
+    }
+}
+
+impl FrameSource for RotatedFrames<'_> {
+    fn info(&self) -> &MotionInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self, row: &mut [Position]) -> io::Result<bool> {
+        let is_there = self.frames.next_frame(row)?;
+        row.iter_mut().for_each(|at| *at = self.rotation.apply(*at));
+        Ok(is_there)
+    }
+
+    fn stated_error_mm(&self, column: usize) -> Option<f64> {
+        self.frames.stated_error_mm(column)
+    }
+
+    fn take(&self) -> Option<&TakeMap> {
+        self.frames.take()
+    }
+
+    fn is_lost(&self) -> bool {
+        self.frames.is_lost()
+    }
+
+    fn count_sampled(&self, n_frames: u64) {
+        self.frames.count_sampled(n_frames);
+    }
 }

@@ -7,8 +7,10 @@ use std::{
 };
 
 use super::{
-    Format, InterchangeError, ReadOptions, Result, c3d, csv, source_file::SourceFile,
-    text_file::TextFile, text_frames::TextFrames, trc, tsv, unsupported,
+    Format, InterchangeError, ReadOptions, Result, c3d, csv,
+    source_file::{SourceFile, TextFile},
+    text::TextFrames,
+    trc, tsv, unsupported,
 };
 use crate::{
     chunk::MAGIC,

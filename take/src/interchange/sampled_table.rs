@@ -8,8 +8,9 @@ use std::io::{self, Write};
 use super::{
     Result, c3d,
     csv::quote,
-    frame_poses::{ABOUT_STATE, FramePoses, STATE, body_names},
-    recorded_rows::{RecordedRows, as_analog, recorded_plates},
+    recorded_rows::{
+        ABOUT_STATE, FramePoses, RecordedRows, STATE, as_analog, body_names, recorded_plates,
+    },
     text::{unique_names, without_tabs},
 };
 use crate::{

@@ -1,12 +1,17 @@
 //! Tables of trajectories in text files: one row per frame with three cells for each marker. TRC, TSV and CSV share
 //! this code; they differ in the header, the separator, and the mark for a missing sample.
+//!
+//! The frame numbers and times in the rows assign the rows to frames, and determine the rate. A missing row becomes a
+//! frame without samples; closing the gap would shift all later rows in time. Times are rounded (a spreadsheet shows
+//! 0.008, 0.017, 0.025 for 120 Hz), so no single interval gives the rate. All of them together do: the rate is the number
+//! of frames from the first time to the last, divided by that time span, and its relative uncertainty is the rounding
+//! divided by the span.
 
 use std::io;
 
 use super::{
     InterchangeError, Result, counted,
-    row_timing::RowTiming,
-    text_frames::{RowWriter, TextFrames},
+    text::{self, RowWriter, TextFrames},
     units::ToMillimetres,
 };
 use crate::{
@@ -55,7 +60,7 @@ pub(super) fn parse_sample(cells: &mut dyn Iterator<Item = &[u8]>) -> SampleCell
     for value in &mut position {
         match cells.next().map(<[u8]>::trim_ascii) {
             None | Some([]) => n_empty += 1,
-            Some(cell) => match super::text::number(cell) {
+            Some(cell) => match text::number(cell) {
                 Some(number) => *value = number,
                 None => is_damaged = true,
             },
@@ -249,10 +254,236 @@ impl<'a> Table<'a> {
     }
 }
 
+/// Largest deviation of an interval from the period, as a share of it and beyond the rounding, that counts as even.
+const EVEN_SHARE: f64 = 0.01;
+/// An interval longer than this many periods, beyond the rounding, contains lost frames; a shorter one is a late frame.
+const GAP_PERIODS: f64 = 1.5;
+/// Largest relative difference between the stated rate and the rate from the times that needs no warning.
+const RATE_MISMATCH_MAX: f64 = 0.01;
+/// Largest relative uncertainty of the rate that needs no warning.
+const RATE_UNCERTAINTY_MAX: f64 = 1e-3;
+/// With at least this many steps, a common step of several frame numbers means a decimated file; with fewer, gaps.
+const DECIMATED_MIN: usize = 3;
+/// Maximum number of decimals of a rate: 59.94006.
+const RATE_DIGITS_MAX: i32 = 6;
+
+/// The frame numbers and times of the rows read so far: 16 bytes per row, and 64 with the data that
+/// [`place`](RowTiming::place) derives. An hour at 240 Hz has 864 000 rows.
+#[derive(Debug, Default)]
+pub(super) struct RowTiming {
+    n_rows: usize,
+    numbers: Vec<u64>,
+    times: Vec<f64>,
+    rounding: Rounding,
+}
+
+/// The rounding of times: one unit in the last digit of the longest one.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Rounding {
+    digits: usize,
+    has_exponents: bool,
+}
+
+impl Rounding {
+    /// Accounts for one more time.
+    pub(super) fn add(&mut self, cell: &[u8]) {
+        self.has_exponents |= cell.iter().any(|b| b.eq_ignore_ascii_case(&b'e'));
+        self.digits = self.digits.max(text::decimals(cell.trim_ascii()));
+    }
+
+    /// The largest error of a difference of two times: one unit, half from each time. 0 if the rounding is unknown.
+    fn seconds(self) -> f64 {
+        if self.has_exponents { 0.0 } else { 10f64.powi(-(self.digits.min(300) as i32)) }
+    }
+}
+
+/// The rate of `steps` frames in `span_s` seconds, with the fewest digits that agree with it within the rounding of the
+/// times; `None` if it is not a positive number.
+pub(super) fn rate_of(steps: f64, span_s: f64, rounding: Rounding) -> Option<f64> {
+    let rate = steps / span_s;
+    if !(rate.is_finite() && rate > 0.0) {
+        return None;
+    }
+    let slack = rate * (rounding.seconds() / span_s).max(1e-9);
+    let rounded = (0..=RATE_DIGITS_MAX).map(|digits| {
+        let scale = 10f64.powi(digits);
+        (rate * scale).round() / scale
+    });
+    let mut fitting = rounded.filter(|rounded| (rounded - rate).abs() <= slack && *rounded > 0.0);
+    Some(fitting.next().unwrap_or(rate))
+}
+
+/// The rate, and the frames that have no row.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct RowPlacement {
+    /// Frames a second; `None` if it is neither stated nor follows from times.
+    pub(super) rate_hz: Option<f64>,
+    /// For each row the number of frames without a row just before it. Empty if no frame lacks a row.
+    pub(super) missing_before: Vec<u64>,
+}
+
+impl RowTiming {
+    /// Adds a row by its cells for frame number and time; either may be empty.
+    pub(super) fn push(&mut self, number: &[u8], time: &[u8]) {
+        self.n_rows += 1;
+        self.numbers.extend(text::whole_number(number));
+        if let Some(seconds) = text::number(time).filter(|seconds| seconds.is_finite()) {
+            self.times.push(seconds);
+            self.rounding.add(time);
+        }
+    }
+
+    /// The number of the first frame.
+    pub(super) fn first(&self) -> Option<u64> {
+        self.numbers.first().copied()
+    }
+
+    /// Assigns rows to frames, and determines the rate if the file states none. Falls back to successive frames if
+    /// there would be more than `frames_max`.
+    pub(super) fn place(
+        &self,
+        stated_hz: Option<f64>,
+        frames_max: usize,
+        warnings: &mut Vec<String>,
+    ) -> RowPlacement {
+        let by_number = self.steps_by_number(warnings);
+        let by_time = self.steps_by_time(stated_hz, by_number.as_deref(), warnings);
+        let rate_hz = stated_hz.or_else(|| {
+            let steps = by_time.as_deref().map(|steps| steps.iter().map(|&step| step as f64).sum());
+            let steps = steps.unwrap_or(self.times.len().saturating_sub(1) as f64);
+            rate_of(steps, self.times.last()? - self.times.first()?, self.rounding)
+        });
+        let without_gaps = RowPlacement { rate_hz, ..RowPlacement::default() };
+        let Some(steps) = by_time.or(by_number) else { return without_gaps };
+        let missing: u64 = steps.iter().map(|step| step - 1).fold(0, u64::saturating_add);
+        if missing == 0 {
+            return without_gaps;
+        }
+        if missing.saturating_add(self.n_rows as u64) > frames_max as u64 {
+            warnings.push(format!(
+                "Frame numbers and times skip {}, too many for a file of this size; they were ignored.",
+                counted(missing, "frame")
+            ));
+            return without_gaps;
+        }
+        warnings.push(format!("Without a row, read as gaps: {}.", counted(missing, "frame")));
+        let missing_before = std::iter::once(0).chain(steps.iter().map(|step| step - 1)).collect();
+        RowPlacement { rate_hz, missing_before }
+    }
+
+    /// Steps in frames from each row to the next, from the frame numbers; `None` if they do not rise. In a file with
+    /// every n-th frame only, those are the frames.
+    fn steps_by_number(&self, warnings: &mut Vec<String>) -> Option<Vec<u64>> {
+        if self.numbers.len() != self.n_rows || self.n_rows < 2 {
+            return None;
+        }
+        let falls = self.numbers.array_windows().filter(|[a, b]| b <= a).count();
+        if falls > 0 {
+            warnings.push(format!(
+                "Frame numbers do not increase in {}; rows were read as successive frames.",
+                counted(falls as u64, "place")
+            ));
+            return None;
+        }
+        let steps: Vec<u64> = self.numbers.array_windows().map(|[a, b]| b - a).collect();
+        let common = steps.iter().copied().fold(0, greatest_common_divisor).max(1);
+        let every = if steps.len() < DECIMATED_MIN { 1 } else { common };
+        if every > 1 {
+            warnings.push(format!(
+                "Only one in {every} frame numbers is present; those were read as successive frames."
+            ));
+        }
+        Some(steps.into_iter().map(|step| step / every).collect())
+    }
+
+    /// Steps in frames from each row to the next, from the times, or from the frame numbers if the times agree with
+    /// them; `None` if the times do not rise.
+    fn steps_by_time(
+        &self,
+        stated_hz: Option<f64>,
+        by_number: Option<&[u64]>,
+        warnings: &mut Vec<String>,
+    ) -> Option<Vec<u64>> {
+        if self.times.len() != self.n_rows || self.n_rows < 2 {
+            return None;
+        }
+        let intervals: Vec<f64> = self.times.array_windows().map(|[a, b]| b - a).collect();
+        let typical = typical_interval(&intervals)?;
+        let rounding_s = self.rounding.seconds().min(typical.spread_s);
+        let measured_hz = 1.0 / typical.mean_s;
+        if let Some(stated_hz) = stated_hz
+            && (typical.mean_s * stated_hz - 1.0).abs() > RATE_MISMATCH_MAX + rounding_s * stated_hz
+        {
+            warnings.push(format!(
+                "The file states {stated_hz} Hz, but its times give {measured_hz:.3} Hz; {stated_hz} Hz was used."
+            ));
+        }
+        let step = |&interval_s: &f64| {
+            let is_gap = interval_s > GAP_PERIODS * typical.mean_s + rounding_s;
+            if is_gap { (interval_s / typical.mean_s).round().max(1.0) as u64 } else { 1 }
+        };
+        let by_time: Vec<u64> = intervals.iter().map(step).collect();
+        let n_off = |steps: &[u64], slack_s: f64| {
+            let steps = steps.iter().zip(&intervals);
+            steps.filter(|&(&step, &s)| (s - step as f64 * typical.mean_s).abs() > slack_s).count()
+        };
+        if let Some(by_number) = by_number {
+            let disagree = n_off(by_number, 0.5 * typical.mean_s + rounding_s);
+            if disagree == 0 {
+                return Some(by_number.to_vec());
+            }
+            warnings.push(format!(
+                "Frame numbers and times disagree in {}; the times were used.",
+                counted(disagree as u64, "place")
+            ));
+        }
+        let uneven = n_off(&by_time, EVEN_SHARE * typical.mean_s + rounding_s + 2e-6);
+        if uneven > 0 {
+            warnings.push(format!(
+                "{uneven} of {} intervals differ from the typical {:.6} s; frames were read as evenly spaced.",
+                intervals.len(),
+                typical.mean_s
+            ));
+        }
+        let span_s = self.times.last()? - self.times.first()?;
+        if stated_hz.is_none() && rounding_s / span_s > RATE_UNCERTAINTY_MAX {
+            warnings.push(format!(
+                "Times are rounded to {rounding_s} s, so the rate is only known to within {:.2} Hz.",
+                measured_hz * rounding_s / span_s
+            ));
+        }
+        Some(by_time)
+    }
+}
+
+/// The intervals between rows of successive frames.
+struct TypicalInterval {
+    mean_s: f64,
+    /// The longest minus the shortest.
+    spread_s: f64,
+}
+
+/// `None` if times do not rise.
+fn typical_interval(intervals: &[f64]) -> Option<TypicalInterval> {
+    let mut sorted = intervals.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let median = *sorted.get(sorted.len().checked_sub(1)? / 2)?;
+    if !(median > 0.0 && *sorted.first()? >= 0.0) {
+        return None;
+    }
+    let typical = sorted.get(..sorted.partition_point(|&s| s <= GAP_PERIODS * median))?;
+    let mean_s = typical.iter().sum::<f64>() / typical.len() as f64;
+    Some(TypicalInterval { mean_s, spread_s: typical.last()? - typical.first()? })
+}
+
+fn greatest_common_divisor(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::interchange::rotation::Rotation;
+    use crate::up_axis::Rotation;
 
     #[test]
     fn one_wide_row_among_many_short_ones_does_not_claim_memory() {
@@ -266,5 +497,64 @@ mod tests {
         table.end_row().unwrap();
         table.end(8000);
         assert!(table.into_frames(100_000).is_err());
+    }
+
+    /// The rows of these frames, with times of `digits` decimals.
+    fn rows(frames: &[u64], rate_hz: f64, digits: usize) -> RowTiming {
+        let mut rows = RowTiming::default();
+        for frame in frames {
+            rows.push(b"", format!("{:.digits$}", *frame as f64 / rate_hz).as_bytes());
+        }
+        rows
+    }
+
+    #[test]
+    fn rounded_times_together_give_the_exact_rate() {
+        for (rate_hz, digits, n) in
+            [(120.0, 3, 50), (120.0, 2, 500), (59.94, 4, 2000), (10.0, 1, 20), (100.0, 9, 4)]
+        {
+            let frames: Vec<u64> = (0..n).collect();
+            let placed = rows(&frames, rate_hz, digits).place(None, 10_000, &mut Vec::new());
+            assert_eq!(placed.rate_hz, Some(rate_hz), "{rate_hz} Hz to {digits} digits");
+            assert_eq!(placed.missing_before, [0; 0], "{rate_hz} Hz to {digits} digits");
+        }
+    }
+
+    #[test]
+    fn a_missing_row_is_a_frame() {
+        for (rate_hz, digits) in [(120.0, 3), (100.0, 2), (10.0, 1), (240.0, 6)] {
+            let frames: Vec<u64> =
+                (0..60).filter(|frame| ![7, 20, 21, 22].contains(frame)).collect();
+            let mut warnings = Vec::new();
+            let placed = rows(&frames, rate_hz, digits).place(None, 1000, &mut warnings);
+            assert_eq!(placed.rate_hz, Some(rate_hz), "{warnings:?}");
+            let missing: Vec<_> =
+                placed.missing_before.iter().enumerate().filter(|(_, n)| **n > 0).collect();
+            assert_eq!(missing, [(7, &1), (19, &3)], "{rate_hz} Hz: {warnings:?}");
+            assert!(warnings.iter().any(|warning| warning.contains("4 frames")), "{warnings:?}");
+        }
+    }
+
+    #[test]
+    fn numbers_count_unless_times_contradict_them() {
+        let of = |cells: &[(&str, &str)]| {
+            let mut rows = RowTiming::default();
+            cells.iter().for_each(|(number, time)| rows.push(number.as_bytes(), time.as_bytes()));
+            let mut warnings = Vec::new();
+            (rows.place(None, 100, &mut warnings), warnings)
+        };
+        // Without times, and every second frame.
+        let (placed, _) = of(&[("1", ""), ("3", ""), ("7", ""), ("9", "")]);
+        assert_eq!((placed.rate_hz, placed.missing_before), (None, vec![0, 0, 1, 0]));
+        // Renumbered after a gap.
+        let (placed, warnings) = of(&[("1", "0"), ("2", "0.1"), ("3", "0.2"), ("4", "0.5")]);
+        assert_eq!((placed.rate_hz, placed.missing_before), (Some(10.0), vec![0, 0, 0, 2]));
+        assert_eq!(warnings.len(), 2, "{warnings:?}");
+        // Nothing that rises.
+        let (placed, warnings) = of(&[("2", "0.1"), ("1", "0.1"), ("2", "0.1")]);
+        assert_eq!((placed, warnings.len()), (RowPlacement::default(), 1));
+        // A typing error is not a day without frames.
+        let (placed, warnings) = of(&[("1", "0.1"), ("2", "0.2"), ("9000000", "900000.0")]);
+        assert_eq!((placed.missing_before.len(), warnings.len()), (0, 1), "{warnings:?}");
     }
 }

@@ -11,17 +11,15 @@ use super::{
     InterchangeError, ReadOptions, Result, check_frame_count, counted,
     origin::off_origin,
     put_position,
+    source_file::{Line, TextFile},
     table::{CUT_OFF, Table},
-    text::{self, Separator, column_labels, without_tabs},
-    text_file::{Line, TextFile},
-    text_frames::{AtOrigin, TextFrames},
+    text::{self, AtOrigin, Separator, TextFrames, column_labels, without_tabs},
     units::{FileUnit, ToMillimetres},
     write_frames,
 };
 use crate::{
-    ambiguity::Notes,
     foreign::content::NewScratch,
-    motion::{Foreign, FrameSource, MotionInfo, UpAxis},
+    motion::{Foreign, FrameSource, MotionInfo, Notes, UpAxis},
 };
 
 /// Kind of the foreign part with the header lines: the lines above the labels, unchanged.

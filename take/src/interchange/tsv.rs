@@ -12,17 +12,17 @@ use super::{
     InterchangeError, ReadOptions, Result, check_frame_count,
     origin::off_origin,
     put_position,
+    source_file::{Line, TextFile},
     table::Table,
-    text::{self, Separator, column_labels, kept_header, value_of, without_tabs},
-    text_file::{Line, TextFile},
-    text_frames::{AtOrigin, TextFrames},
+    text::{
+        self, AtOrigin, Separator, TextFrames, column_labels, kept_header, value_of, without_tabs,
+    },
     units::{FileUnit, ToMillimetres},
     write_frames,
 };
 use crate::{
-    ambiguity::Notes,
     foreign::content::NewScratch,
-    motion::{Foreign, FrameSource, MotionEvent, MotionInfo, UpAxis},
+    motion::{Foreign, FrameSource, MotionEvent, MotionInfo, Notes, UpAxis},
     record::EventKind,
 };
 

@@ -2,10 +2,10 @@
 
 use std::{cell::Cell, fmt, str::FromStr};
 
-use super::{counted, rotation::Rotation};
+use super::counted;
 use crate::{
-    ambiguity::{Ambiguity, Notes},
-    motion::{GAP, Position, Source, is_gap},
+    motion::{Ambiguity, GAP, Notes, Position, Source, is_gap},
+    up_axis::Rotation,
 };
 
 /// A unit of length.

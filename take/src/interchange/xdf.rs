@@ -7,7 +7,7 @@ use std::io::{self, Write};
 
 use super::{
     Result, check_frame_count,
-    frame_poses::BODY_COLUMNS,
+    recorded_rows::BODY_COLUMNS,
     sampled_table::{SampledColumn, SampledKind, SampledTable},
     text::column_labels,
 };

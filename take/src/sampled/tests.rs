@@ -1,5 +1,7 @@
 //! Parts with samples in takes: whole, damaged, cut off and recovered.
 
+mod times;
+
 use std::{
     io::{self, Cursor},
     sync::Arc,

@@ -50,11 +50,11 @@ const RULES: &[Rule] = &[
             "acquire/src/",
             "service/src/",
             "src/",
-            "simulator/src/line/",
-            "simulator/src/gadget/",
+            "simulator/src/line.rs",
+            "simulator/src/gadget.rs",
             "simulator/src/lsl/serve.rs",
             "cli/src/stop.rs",
-            "simulator/src/cli/output.rs",
+            "simulator/src/cli/mod.rs",
             "drivers/src/transport/",
         ],
     },
@@ -109,7 +109,7 @@ const RULES: &[Rule] = &[
             "cli/src/stop.rs",
             "simulator/src/cli/",
             "simulator/src/pty/",
-            "simulator/src/gadget/",
+            "simulator/src/gadget.rs",
             "drivers/src/transport/",
             // The crate of LSL calls so what has its descriptions.
             "drivers/src/lsl/description.rs",
@@ -134,7 +134,7 @@ const RULES: &[Rule] = &[
         allowed: &[
             "acquire/src/files",
             "cli/src/manual.rs",
-            "simulator/src/cli/files.rs",
+            "simulator/src/cli/mod.rs",
             "store/src/backend.rs",
         ],
     },
@@ -161,7 +161,7 @@ const RULES: &[Rule] = &[
     Rule {
         invariant: "only one module of the simulator creates USB devices",
         words: &["usb_gadget::"],
-        allowed: &["simulator/src/gadget/"],
+        allowed: &["simulator/src/gadget.rs"],
     },
     Rule {
         invariant: "unsafe code is for two system calls that no safe crate wraps, and for one function that is \

@@ -12,13 +12,12 @@ use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
 use mocapd_simulator::generator::{ForcePlates, JumpSpec, Occlusion, RigidBodies};
 use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
-use mocapd_simulator::recorded::{self, RecordedSignals};
 use mocapd_simulator::sampled::SampledSource;
-use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
+use mocapd_simulator::source::{self, Generated, RecordedSignals, SourceError, is_motion};
 use mocapd_take::motion::Motion;
 
 use super::{DeviceProtocol, ServeArgs};
-use crate::cli::{Failure, files, notify};
+use crate::cli::{self, Failure, notify};
 
 /// Default rate of a generated motion: the most common one of optical systems.
 const GENERATED_RATE_HZ: f64 = 120.0;
@@ -45,7 +44,7 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
     let path = args.take.as_deref().unwrap_or(Path::new(""));
     let (mut motion, warnings) = source::read(path).map_err(|error| match error {
         SourceError::Extension { .. } => Failure::usage(error),
-        SourceError::Read { path, source } => files::cannot_read(&path, source).into(),
+        SourceError::Read { path, source } => cli::cannot_read(&path, source).into(),
         _ => Failure::from(error),
     })?;
     for warning in warnings {
@@ -113,8 +112,8 @@ fn recorded(args: &ServeArgs) -> Result<RecordedSignals, Failure> {
         return Ok(RecordedSignals::default());
     };
     let seconds = args.seconds.map(|seconds| seconds.as_secs_f64());
-    let mut found = recorded::read(path, seconds).map_err(|error| match error {
-        SourceError::Read { path, source } => files::cannot_read(&path, source).into(),
+    let mut found = source::read_signals(path, seconds).map_err(|error| match error {
+        SourceError::Read { path, source } => cli::cannot_read(&path, source).into(),
         error => Failure::from(error),
     })?;
     let say = |what: &str| notify(&format!("{}: {what}", path.display()));
@@ -173,7 +172,7 @@ fn bodies(args: &ServeArgs) -> Result<Option<Arc<RigidBodies>>, Failure> {
 pub(super) fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
     let Some(path) = &args.faults else { return Ok(None) };
     let cannot_read = || format!("cannot read {}", path.display());
-    let file = files::open(path)?;
+    let file = cli::open_file(path)?;
     let mut text = String::new();
     // One byte more than allowed, to detect a file that is too long.
     let at_most = SCRIPT_BYTES_MAX as u64 + 1;
@@ -201,7 +200,7 @@ pub(super) fn log(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
         // Reading it as a motion reports the extension.
         return Ok(None);
     }
-    let mut file = files::open(path)?;
+    let mut file = cli::open_file(path)?;
     let cannot_read = || format!("cannot read {}", path.display());
     let mut head = Vec::new();
     file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut head).with_context(cannot_read)?;

@@ -1,4 +1,8 @@
-//! `mocapd-sim serve`: serves a simulated device on a line.
+//! `mocapd-sim serve`: serves a simulated device on a line, which its options choose.
+
+mod input;
+mod network;
+mod report;
 
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -6,31 +10,23 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use mocapd_cli::{numbers::count, stop::stop_on_signal};
+use mocapd_cli::numbers::count;
+use mocapd_cli::stop::stop_on_signal;
 use mocapd_drivers::link::FrameForm;
 use mocapd_simulator::NetworkOptions;
 use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice, SentLog};
 use mocapd_simulator::faults::{FaultyDevice, Script};
-use mocapd_simulator::line::{ServeOptions, serve};
+use mocapd_simulator::line::{Line, ServeOptions, serve};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
-use mocapd_simulator::recorded::RecordedSignals;
+use mocapd_simulator::pty::{PtyError, PtyLine};
 use mocapd_simulator::sampled::Electrodes;
-use mocapd_simulator::source::Generated;
+use mocapd_simulator::source::{Generated, RecordedSignals, is_motion};
 use mocapd_take::motion::Motion;
 use mocapd_take::quantity::{duration, duration_above_zero, length_mm, rate_hz};
-
-use super::output::{notify, print, print_json_line};
-use super::{Failure, files};
-use line::LineArgs;
-use natnet::NatNetArgs;
+use network::NatNetArgs;
 use report::{LineReport, SentReport};
 
-mod input;
-mod line;
-mod lsl;
-mod natnet;
-mod qtm;
-mod report;
+use super::{Failure, notify, print, print_json_line};
 
 pub(super) const EXAMPLES: &str = "\
 Examples:
@@ -239,7 +235,7 @@ where
     let mut options = NetworkOptions { once: args.once, log: None };
     if let Some(path) = &args.log {
         // Recordings are checked against a log: never overwrite one.
-        options.log = Some(Box::new(BufWriter::new(files::create(path)?)));
+        options.log = Some(Box::new(BufWriter::new(super::create_file(path)?)));
     }
     let hz = f64::from(rate_millihertz) / 1000.0;
     notify(&format!("{} at {hz} Hz, Ctrl-C to stop", count(n_markers as u64, "marker")));
@@ -261,15 +257,15 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     args.find_take()?;
     args.check_generated()?;
     let args = &args;
-    natnet::check_unused(args)?;
+    network::check_natnet_options(args)?;
     if args.protocol == DeviceProtocol::Natnet {
-        return natnet::run(args);
+        return network::run_natnet(args);
     }
     if args.protocol == DeviceProtocol::Lsl {
-        return lsl::run(args);
+        return network::run_lsl(args);
     }
     if args.protocol == DeviceProtocol::Qtm || args.line.tcp.is_some() {
-        return qtm::run(args);
+        return network::run_qtm(args);
     }
     if !args.line.is_chosen() {
         let message = "the device needs a line: give --pty, --usb-gadget or --usb-serial";
@@ -287,11 +283,11 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     let mut frames: Option<Box<dyn Write + Send>> = None;
     if let Some(path) = &args.log {
         // Recordings are checked against a log: never overwrite one.
-        frames = Some(Box::new(BufWriter::new(files::create(path)?)));
+        frames = Some(Box::new(BufWriter::new(super::create_file(path)?)));
     }
     let mut batches: Option<Box<dyn Write + Send>> = None;
     if let Some(path) = &args.batch_log {
-        batches = Some(Box::new(BufWriter::new(files::create(path)?)));
+        batches = Some(Box::new(BufWriter::new(super::create_file(path)?)));
     }
     notify(&description);
     if args.json {
@@ -436,6 +432,98 @@ fn refused(error: DeviceError) -> Failure {
         | DeviceError::Speed { .. }
         | DeviceError::Product { .. }
         | DeviceError::Drift { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    }
+}
+
+/// The line between device and host.
+#[derive(Debug, Args)]
+struct LineArgs {
+    /// Serve on a pty; with PATH, also create a symbolic link PATH to it, whose name stays the same
+    ///
+    /// `--pty PATH` and `--pty=PATH` are the same. A file that can be played is never taken for the link:
+    /// `--pty jump.c3d` plays jump.c3d on a pty without a link.
+    #[arg(long, value_name = "PATH", num_args = 0..=1)]
+    pty: Option<Option<PathBuf>>,
+    /// Act as a USB device with bulk endpoints; needs root and a USB device controller
+    #[arg(long, conflicts_with_all = ["pty", "baud"])]
+    usb_gadget: bool,
+    /// Act as a USB serial port (CDC-ACM); needs root and a USB device controller
+    #[arg(long, conflicts_with_all = ["pty", "usb_gadget"])]
+    usb_serial: bool,
+    /// With --protocol qtm, which implies it: listen on this TCP port of this machine only, by default on any free one
+    #[arg(long, value_name = "PORT", num_args = 0..=1, conflicts_with_all = ["pty", "usb_gadget", "usb_serial", "udc", "baud"])]
+    tcp: Option<Option<u16>>,
+    /// Name of the USB device controller in /sys/class/udc [default: the first free one]
+    #[arg(long, value_name = "NAME", conflicts_with = "pty")]
+    udc: Option<String>,
+}
+
+impl LineArgs {
+    /// The value of `--pty`, if it is a file to play: it has the extension of a motion, or is a file already.
+    fn file_after_pty(&self) -> Option<PathBuf> {
+        let path = self.pty.as_ref()?.as_ref()?;
+        // A link to a pty is not a regular file, whether or not the pty still exists.
+        (is_motion(path) || path.is_file()).then(|| path.clone())
+    }
+
+    /// Whether one was chosen that is not on the network.
+    fn is_chosen(&self) -> bool {
+        self.pty.is_some() || self.usb_gadget || self.usb_serial
+    }
+
+    /// Whether a host finds the device again after its cable was pulled and plugged in.
+    fn has_stable_name(&self) -> bool {
+        matches!(self.pty, Some(Some(_))) || self.tcp.is_some()
+    }
+
+    /// Opens the line; returns it with the path or URI that a host opens.
+    fn open(&self, serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        if self.usb_gadget || self.usb_serial {
+            return self.plug_in(serial);
+        }
+        let line =
+            PtyLine::open(self.pty.as_ref().and_then(Option::as_deref)).map_err(pty_failure)?;
+        let path = line.path().display().to_string();
+        Ok((Box::new(line), path))
+    }
+
+    #[cfg(target_os = "linux")]
+    fn plug_in(&self, serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        use mocapd_simulator::gadget::{Bulk, GadgetSettings, Serial};
+
+        let settings = GadgetSettings { serial: serial.to_owned(), controller: self.udc.clone() };
+        if self.usb_gadget {
+            let line = Bulk::plug_in(&settings).map_err(gadget_failure)?;
+            let uri = line.uri();
+            return Ok((Box::new(line), uri));
+        }
+        let line = Serial::plug_in(&settings).map_err(gadget_failure)?;
+        let path = line.host_path().display().to_string();
+        Ok((Box::new(line), path))
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    fn plug_in(&self, _serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        Err(anyhow::anyhow!("USB gadgets need Linux: use --pty").into())
+    }
+}
+
+fn pty_failure(error: PtyError) -> Failure {
+    match error {
+        PtyError::LinkExists { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn gadget_failure(error: mocapd_simulator::gadget::GadgetError) -> Failure {
+    use mocapd_simulator::gadget::GadgetError;
+
+    match error {
+        GadgetError::SerialNumber { .. } | GadgetError::NoSuchController { .. } => {
+            Failure::usage(error)
+        }
         _ => Failure::from(error),
     }
 }

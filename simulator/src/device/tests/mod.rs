@@ -1,3 +1,4 @@
+mod clock;
 mod commands;
 mod frames;
 mod poses;

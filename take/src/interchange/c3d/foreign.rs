@@ -12,11 +12,10 @@
 use std::io;
 
 use super::{
-    VERSION,
+    Frames, Points, VERSION,
     columns::{
         ANALOG, ColumnReader, ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered,
     },
-    frames::{Frames, Points},
     gap_coordinates,
     header::{ByteOrder, C3dHeader, HeaderEvent, MAX_EVENTS},
     layout::Layout,
@@ -24,8 +23,8 @@ use super::{
 };
 use crate::{
     foreign::content::{Content, PartStore},
-    interchange::rotation::Rotation,
     motion::{Foreign, Position, is_gap},
+    up_axis::Rotation,
 };
 
 /// Size of the buffer for reading a part: for 64 channels of floats 4096 samples each, read in pieces of 4 kB.

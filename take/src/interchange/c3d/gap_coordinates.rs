@@ -11,12 +11,13 @@ use super::{
     columns::{self, ColumnReader, ColumnWriter, ordered},
 };
 use crate::{
-    ambiguity::{Ambiguity, Notes},
-    foreign::DATA_BYTES_MAX,
-    foreign::content::{Content, ContentSlice},
-    interchange::rotation::Rotation,
-    motion::{Foreign, Position},
+    foreign::{
+        DATA_BYTES_MAX,
+        content::{Content, ContentSlice},
+    },
+    motion::{Ambiguity, Foreign, Notes, Position},
     stretch::CHANNELS_MAX,
+    up_axis::Rotation,
 };
 
 /// Kind of the part.

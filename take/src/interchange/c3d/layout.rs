@@ -10,8 +10,8 @@ use super::{
     stride::{self, CANDIDATES_MAX, FileBytes, SizeFit, Stride, StrideCandidate},
 };
 use crate::{
-    ambiguity::{Ambiguity, FrameLayout, Notes},
     interchange::{Result, counted, source_file::SourceFile},
+    motion::{Ambiguity, FrameLayout, Notes},
 };
 
 /// The layout of the data section.

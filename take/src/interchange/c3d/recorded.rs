@@ -7,10 +7,9 @@
 use std::io;
 
 use super::{
-    analog::ANALOG,
-    force_platform::{FORCE_PLATFORM, factor_of_unit},
+    analog::{ANALOG, FORCE_PLATFORM, factor_of_unit},
+    groups::Rotations,
     parameters::Parameters,
-    rotations::Rotations,
     stride::ANALOG_MAX,
 };
 use crate::{

@@ -3,15 +3,15 @@
 use std::io::{self, Write};
 
 use super::{
-    analog::{self, ANALOG, is_unsigned},
-    columns, events,
+    analog::{self, ANALOG},
+    columns,
     foreign::{PartSamples, kept_parameters},
-    frames::is_missing,
     gap_coordinates::PartCoordinates,
+    groups::{self, ROTATION, Rotations},
     header::{BLOCK, C3dHeader, is_counted_by_length},
-    parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records},
+    is_missing,
+    parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records, is_unsigned},
     recorded::RecordedAnalog,
-    rotations::{ROTATION, Rotations},
 };
 use crate::{
     interchange::{InterchangeError, Result, check_frame_count, write_frames},
@@ -116,7 +116,7 @@ fn fill_parameters(
     set_screen(parameters, info.up);
     set_manufacturer(parameters);
     fill_subjects(parameters, &info.markers);
-    events::fill(parameters, info, whole);
+    groups::fill(parameters, info, whole);
     if let (Some(recorded), Some(recording)) = (&body.recorded, &info.recording)
         && recorded.n_channels() > 0
     {

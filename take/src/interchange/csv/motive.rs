@@ -13,17 +13,15 @@ use std::collections::HashSet;
 
 use super::{HEADER, LineCells, malformed};
 use crate::{
-    ambiguity::Notes,
     foreign::content::NewScratch,
     interchange::{
         ReadOptions, Result, counted,
+        source_file::{Line, TextFile},
         table::{CUT_OFF, Table},
-        text::{self, Separator},
-        text_file::{Line, TextFile},
-        text_frames::{AtOrigin, TextFrames},
+        text::{self, AtOrigin, Separator, TextFrames},
         units::{FileUnit, ToMillimetres},
     },
-    motion::{Foreign, Marker, MotionInfo, UpAxis},
+    motion::{Foreign, Marker, MotionInfo, Notes, UpAxis},
 };
 
 /// The header must end within this many lines, more than any version has.

@@ -3,7 +3,9 @@
 
 use std::collections::{BTreeSet, HashSet};
 
-use super::{messages::value_fields, protobuf::Message};
+use FieldType::{Bool, Bytes, Double, Enum, Fixed32, Int32, Int64, Nested, Repeated, Text};
+
+use super::{Message, value_fields};
 
 /// A field: name, number and type.
 type Field = (&'static str, u32, FieldType);
@@ -33,8 +35,6 @@ struct EnumType {
     full_name: &'static str,
     values: &'static [&'static str],
 }
-
-use FieldType::{Bool, Bytes, Double, Enum, Fixed32, Int32, Int64, Nested, Repeated, Text};
 
 const TIMESTAMP: FieldType = Nested("google.protobuf.Timestamp");
 const DURATION: FieldType = Nested("google.protobuf.Duration");
