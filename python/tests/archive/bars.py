@@ -10,6 +10,7 @@ CONTRIBUTING.md says how times are compared.
 """
 
 import argparse
+import contextlib
 import io
 import os
 import shutil
@@ -27,9 +28,32 @@ from mocapd import archive
 ROWS = 5000
 """Of a commit of an ingest."""
 
+TICK_S = 1 / os.sysconf("SC_CLK_TCK")
+
 
 def load():
     return " ".join(f"{load:.1f}" for load in os.getloadavg())
+
+
+def processor_times():
+    """Seconds of processor time so far: of this process, of Ray's workers, of Ray's other processes, and of the machine, in
+    which the kernel's threads for the disk are included."""
+    found = {"driver": sum(os.times()[:2]), "workers": 0.0, "ray": 0.0}
+    processes = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            command = (path.parent / "cmdline").read_bytes()
+            processes[int(path.parent.name)] = int(fields[1]), (int(fields[11]) + int(fields[12])) * TICK_S, command
+    for pid, (parent, seconds, command) in processes.items():
+        while parent in processes and parent != os.getpid():
+            parent = processes[parent][0]
+        if parent == os.getpid() and pid != parent:
+            is_worker = command.startswith(b"ray::") or b"default_worker.py" in command
+            found["workers" if is_worker else "ray"] += seconds
+    # User, nice, system, and the kernel's interrupts.
+    busy = [int(Path("/proc/stat").read_text().split()[at]) for at in (1, 2, 3, 6, 7)]
+    return found | {"machine": sum(busy) * TICK_S}
 
 
 def sources(folder, n):
@@ -49,21 +73,25 @@ def sources(folder, n):
 def ingest(args):
     import ray
 
-    @ray.remote(num_cpus=1)
-    def warm():
-        time.sleep(0.5)
-        return archive.IMPORTER_VERSION
+    def warm(number, seconds=0.5):
+        """Loads what a process loads once."""
+        time.sleep(seconds)
+        archive.ingest(few, args.folder / "warm" / f"{time.time_ns()}-{number}", workers=0, effort=1, progress=False)
 
-    found = sources(args.folder, args.files)
+    few, found = sources(args.folder, 8), sources(args.folder, args.files)
+    warm(0, 0)
     for round_number in range(args.rounds):
         for workers in args.workers:
             bucket = f"{args.bucket or args.folder / 'archives'}/{time.time_ns()}"
             if workers:
                 # The start of Ray is not measured: it is 5 s, once for any number of files.
                 ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False)
-                ray.get([warm.remote() for _ in range(workers)])
+                ray.get([ray.remote(num_cpus=1)(warm).remote(number) for number in range(workers)])
+            before = processor_times()
             report = archive.ingest(found, bucket, workers=workers, effort=1, progress=False)
-            print(f"workers {workers}, round {round_number}: {report}; load {load()}", flush=True)
+            spent = {name: 1000 * (after - before[name]) / report.files for name, after in processor_times().items()}
+            times = ", ".join(f"{name} {ms:.2f}" for name, ms in spent.items())
+            print(f"workers {workers}, round {round_number}: {report}; ms of a processor for a file: {times}; load {load()}", flush=True)
             if workers:
                 ray.shutdown()
 
