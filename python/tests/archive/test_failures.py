@@ -510,3 +510,25 @@ def test_an_axis_that_points_down_on_the_command_line(tmp_path, monkeypatch, cap
         assert command_module.main() == 0, capsys.readouterr().err
     assert {json.loads(row["settings"])["up"] for row in takes(tmp_path / "archive")} == {"-z"}
     assert len(takes(tmp_path / "archive")) == 2
+
+
+def test_ray_starts_in_no_folder_of_others(tmp_path, monkeypatch):
+    """Its workers import modules from the folder of their driver."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", f"modules{os.pathsep}/opt/more")
+    monkeypatch.setenv("MOCAPD_ARCHIVE", "archive/")
+    called = []
+
+    def ingest(sources, bucket, **options):
+        called.append((sources, bucket, os.getcwd(), os.environ["PYTHONPATH"]))
+        return archive.IngestReport()
+
+    monkeypatch.setattr(command_module, "ingest", ingest)
+    monkeypatch.setattr(sys, "argv", ["mocapd archive", "ingest", "c3d/", "one.c3d", "s3://lab/c3d/"])
+    assert command_module.main() == 0
+    sources = [f"{tmp_path}/c3d/", f"{tmp_path}/one.c3d", "s3://lab/c3d/"]
+    assert called == [(sources, f"{tmp_path}/archive/", "/", f"{tmp_path}/modules{os.pathsep}/opt/more")]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["mocapd archive", "ingest", "--workers", "0", "-b", "archive", "c3d"])
+    assert command_module.main() == 0
+    assert called[1][:3] == (["c3d"], "archive", str(tmp_path))
