@@ -28,7 +28,7 @@ from ._keys import Settings, content_key, key_seconds, object_name, source_hash,
 from ._lease import writing
 from ._schema import SCHEMA, new_row, take_fields
 from ._sources import BATCH_FILES, Names, SourceFile, Sources, batches, find, is_of_file, is_of_machine
-from ._store import Store, StoreError, open_store
+from ._store import FolderStore, Store, StoreError, open_store
 from ._workers import ended_process, run_tasks
 
 COMMIT_ROWS = 5000
@@ -38,9 +38,10 @@ COMMIT_S = 60.0
 """Time after which fewer rows are committed: a killed driver loses those of a minute, and a repack's new objects have rows
 before they are old enough to be collected."""
 
-PUTS_MAX = 4
-"""Takes that a worker stores at a time, while it imports the next files: a file that is synced, or a request, takes about as
-long as an import, and needs little of a processor. Files that are synced together share a commit of the disk's journal."""
+SYNCS_MAX = 4
+"""Takes that a worker stores in a folder at a time, while it imports the next files: to sync a file takes about as long as an
+import, and needs little of a processor. Files that are synced together share a commit of the disk's journal. A bucket gets
+one at a time, so that workers do not wait for each other at a store that is busy."""
 
 
 @dataclass
@@ -107,14 +108,15 @@ class ImportTask:
     def run(self, files: list[SourceFile]) -> pa.RecordBatch:
         """Imports files, and stores their takes. Returns a row for each that has none yet."""
         rows: list[dict[str, Any]] = []
-        with ThreadPoolExecutor(PUTS_MAX) as pool:
+        ahead_max = SYNCS_MAX if isinstance(self.bucket, FolderStore) else 0
+        with ThreadPoolExecutor(max(1, ahead_max)) as pool:
             storing: deque[Future[dict[str, Any]]] = deque()
             for file in files:
                 row, take = self._row(file)
                 if row is None:
                     continue
                 storing.append(pool.submit(self._stored, row, take))
-                if len(storing) > PUTS_MAX:
+                if len(storing) > ahead_max:
                     rows.append(storing.popleft().result())
             rows += [stored.result() for stored in storing]
         try:
