@@ -1,6 +1,7 @@
 """Measures archives: ingest on workers, a filter of a large catalogue, windows beside other formats.
 
     python python/tests/archive/bars.py ingest --files 20000 --workers 0 1 2
+    python python/tests/archive/bars.py ingest --files 100000 --workers 2 --again
     python python/tests/archive/bars.py catalogue --rows 1000000
     python python/tests/archive/bars.py windows --takes 1000 --bucket s3://takes-test/bars
 
@@ -10,8 +11,10 @@ CONTRIBUTING.md says how times are compared.
 """
 
 import argparse
+import contextlib
 import io
 import os
+import resource
 import shutil
 import time
 from pathlib import Path
@@ -27,9 +30,32 @@ from mocapd import archive
 ROWS = 5000
 """Of a commit of an ingest."""
 
+TICK_S = 1 / os.sysconf("SC_CLK_TCK")
+
 
 def load():
     return " ".join(f"{load:.1f}" for load in os.getloadavg())
+
+
+def processor_times():
+    """Seconds of processor time so far: of this process, of Ray's workers, of Ray's other processes, and of the machine, in
+    which the kernel's threads for the disk are included."""
+    found = {"driver": sum(os.times()[:2]), "workers": 0.0, "ray": 0.0}
+    processes = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            command = (path.parent / "cmdline").read_bytes()
+            processes[int(path.parent.name)] = int(fields[1]), (int(fields[11]) + int(fields[12])) * TICK_S, command
+    for pid, (parent, seconds, command) in processes.items():
+        while parent in processes and parent != os.getpid():
+            parent = processes[parent][0]
+        if parent == os.getpid() and pid != parent:
+            is_worker = command.startswith(b"ray::") or b"default_worker.py" in command
+            found["workers" if is_worker else "ray"] += seconds
+    # User, nice, system, and the kernel's interrupts.
+    busy = [int(Path("/proc/stat").read_text().split()[at]) for at in (1, 2, 3, 6, 7)]
+    return found | {"machine": sum(busy) * TICK_S}
 
 
 def sources(folder, n):
@@ -49,21 +75,30 @@ def sources(folder, n):
 def ingest(args):
     import ray
 
-    @ray.remote(num_cpus=1)
-    def warm():
-        time.sleep(0.5)
-        return archive.IMPORTER_VERSION
+    def warm(number, seconds=0.5):
+        """Loads what a process loads once."""
+        time.sleep(seconds)
+        archive.ingest(few, args.folder / "warm" / f"{time.time_ns()}-{number}", workers=0, effort=1, progress=False)
 
-    found = sources(args.folder, args.files)
+    few, found = sources(args.folder, 8), sources(args.folder, args.files)
+    warm(0, 0)
     for round_number in range(args.rounds):
         for workers in args.workers:
             bucket = f"{args.bucket or args.folder / 'archives'}/{time.time_ns()}"
             if workers:
                 # The start of Ray is not measured: it is 5 s, once for any number of files.
                 ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False)
-                ray.get([warm.remote() for _ in range(workers)])
-            report = archive.ingest(found, bucket, workers=workers, effort=1, progress=False)
-            print(f"workers {workers}, round {round_number}: {report}; load {load()}", flush=True)
+                ray.get([ray.remote(num_cpus=1)(warm).remote(number) for number in range(workers)])
+            for repeat in range(1 + args.again):
+                before = processor_times()
+                report = archive.ingest(found, bucket, workers=workers, effort=1, progress=False)
+                spent = {name: 1000 * (after - before[name]) / report.files for name, after in processor_times().items()}
+                times = ", ".join(f"{name} {ms:.2f}" for name, ms in spent.items())
+                print(f"workers {workers}, round {round_number}{', again' * repeat}: {report}")
+                print(f"    ms of a processor for each file: {times}; load {load()}", flush=True)
+            memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            listed = [entry.n_bytes for entry in archive.open_store(bucket).list("catalogue/")]
+            print(f"    at most {memory:.0f} MiB of memory in the driver; catalogue: {sum(listed) / 1e6:.1f} MB in {len(listed)} files")
             if workers:
                 ray.shutdown()
 
@@ -246,6 +281,7 @@ def main():
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--workers", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--again", action="store_true", help="ingest twice: the second time, all files have a row")
     parser.add_argument("--rows", type=int, default=1_000_000)
     parser.add_argument("--takes", type=int, default=1000)
     parser.add_argument("--peers", type=int, default=200, help="takes that the other formats have, too")

@@ -273,7 +273,7 @@ def test_another_version_of_the_importer_adds_takes(tmp_path, monkeypatch):
     assert archive.collect(copy) == []  # too young
     assert len(archive.collect(copy, older_than_s=0, remove=True)) == 1
     assert len(objects(copy)) == 5 and archive.verify(copy, workers=0).is_intact
-    assert archive.catalogue(copy, version=1).arrow().num_rows == 7
+    assert archive.catalogue(copy, version=2).arrow().num_rows == 7
 
 
 def test_retired_takes_were_made_again_from_the_same_bytes_with_the_same_settings(tmp_path, monkeypatch):

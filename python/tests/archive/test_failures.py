@@ -239,6 +239,65 @@ def test_rows_of_two_ingests_at_once_do_not_stop_a_repack(tmp_path):
     assert archive.verify(bucket, workers=0).is_intact
 
 
+def between_reading_and_writing(monkeypatch, *others):
+    """Runs something before each commit of rows, after the table was read for it; None for nothing."""
+    write, waiting = catalogue_module.write_deltalake, list(others)
+
+    def write_after_another(*args, **options):
+        if waiting and (other := waiting.pop(0)) is not None:
+            with monkeypatch.context() as undisturbed:
+                undisturbed.setattr(catalogue_module, "write_deltalake", write)
+                other()
+        write(*args, **options)
+
+    monkeypatch.setattr(catalogue_module, "write_deltalake", write_after_another)
+
+
+def test_two_ingests_at_once_list_each_file_once(tmp_path, monkeypatch):
+    bucket, folder = tmp_path / "archive", tmp_path / "c3d"
+    paths = write_c3ds(folder, 9)
+    (folder / "bad.c3d").write_bytes(b"no C3D file" * 100)
+    (tmp_path / "copies").mkdir()
+    for path in paths[:2]:
+        (tmp_path / "copies" / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(ingest_module, "COMMIT_ROWS", 3)
+    reports = []
+
+    def another(*sources):
+        reports.append(ingest(list(sources), bucket, batch_files=1))
+
+    # Another process makes the table, adds rows of other files, and all that are left.
+    between_reading_and_writing(
+        monkeypatch, lambda: another(paths[8]), None, lambda: another(tmp_path / "copies"), lambda: another(folder)
+    )
+    another(folder)
+    rows = archive.catalogue(bucket).arrow().to_pylist()
+    statuses = sorted(row["status"] for row in rows)
+    assert statuses == ["duplicate"] * 2 + ["failed"] + ["take"] * 9 and len({row["source"] for row in rows}) == 12
+    objects = {entry.name for entry in archive.open_store(bucket).list("takes/")}
+    assert {row["object"] for row in takes(bucket)} == objects and len(objects) == 9
+    assert {row["object"] for row in rows if row["status"] == "duplicate"} < objects
+    # Each report has each file once.
+    for report in reports:
+        assert report.takes + report.duplicates + report.failed + report.unchanged == report.files
+    assert sum(report.takes for report in reports) == 9 and sum(report.duplicates for report in reports) == 2
+
+
+def test_a_repack_beside_an_ingest(tmp_path, monkeypatch):
+    bucket, folder = tmp_path / "archive", tmp_path / "c3d"
+    (path, *_) = write_c3ds(folder, 3, frames=400)
+    options = {"tolerance": None, "resampler": "lossless"}
+    ingest(folder, bucket, **options)
+    (folder / "copy.c3d").write_bytes(path.read_bytes())
+    between_reading_and_writing(monkeypatch, lambda: archive.repack(bucket, workers=0))
+    assert ingest(folder, bucket, **options).duplicates == 1
+    archive.collect(bucket, remove=True, older_than_s=0)
+    # The copy, too, has the new object.
+    rows = archive.catalogue(bucket).arrow().to_pylist()
+    objects = {entry.name for entry in archive.open_store(bucket).list("takes/")}
+    assert len(rows) == 4 and {row["object"] for row in rows} == objects and len(objects) == 3
+
+
 def test_a_take_whose_row_was_deleted_is_listed_again_by_its_other_source(tmp_path):
     bucket = tmp_path / "archive"
     (old, _) = write_c3ds(tmp_path / "old", 2)
@@ -451,3 +510,25 @@ def test_an_axis_that_points_down_on_the_command_line(tmp_path, monkeypatch, cap
         assert command_module.main() == 0, capsys.readouterr().err
     assert {json.loads(row["settings"])["up"] for row in takes(tmp_path / "archive")} == {"-z"}
     assert len(takes(tmp_path / "archive")) == 2
+
+
+def test_ray_starts_in_no_folder_of_others(tmp_path, monkeypatch):
+    """Its workers import modules from the folder of their driver."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", f"modules{os.pathsep}/opt/more")
+    monkeypatch.setenv("MOCAPD_ARCHIVE", "archive/")
+    called = []
+
+    def ingest(sources, bucket, **options):
+        called.append((sources, bucket, os.getcwd(), os.environ["PYTHONPATH"]))
+        return archive.IngestReport()
+
+    monkeypatch.setattr(command_module, "ingest", ingest)
+    monkeypatch.setattr(sys, "argv", ["mocapd archive", "ingest", "c3d/", "one.c3d", "s3://lab/c3d/"])
+    assert command_module.main() == 0
+    sources = [f"{tmp_path}/c3d/", f"{tmp_path}/one.c3d", "s3://lab/c3d/"]
+    assert called == [(sources, f"{tmp_path}/archive/", "/", f"{tmp_path}/modules{os.pathsep}/opt/more")]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["mocapd archive", "ingest", "--workers", "0", "-b", "archive", "c3d"])
+    assert command_module.main() == 0
+    assert called[1][:3] == (["c3d"], "archive", str(tmp_path))

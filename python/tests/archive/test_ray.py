@@ -20,7 +20,7 @@ from made import RATE_HZ, write_c3ds  # noqa: E402
 pytestmark = pytest.mark.filterwarnings("default")
 
 RUNS = int(os.environ.get("MOCAPD_ARCHIVE_KILLS", "2"))
-"""Seeded runs with kills; the bar is 100, which takes about half an hour."""
+"""Seeded runs with kills; the bar is 100, which takes more than an hour."""
 
 N_FILES = 40
 

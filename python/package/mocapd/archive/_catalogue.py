@@ -45,7 +45,7 @@ def catalogue(bucket: str | os.PathLike[str] | Store | None = None, *, version: 
 
 
 class Catalogue:
-    """The rows of an archive. One process at a time writes: the driver of an ingest."""
+    """The rows of an archive, which the drivers of ingests and repacks write."""
 
     def __init__(self, store: Store, version: int | None = None) -> None:
         self.store = store
@@ -65,11 +65,7 @@ class Catalogue:
 
     def arrow(self, columns: Iterable[str] | None = None) -> pa.Table:
         """The whole table, or some columns of it."""
-        names = list(columns) if columns is not None else SCHEMA.names
-        table = self.delta()
-        if table is None:
-            return pa.schema([SCHEMA.field(name) for name in names]).empty_table()
-        return _read(table, names)
+        return _read_or_empty(self.delta(), list(columns) if columns is not None else SCHEMA.names)
 
     def sql(self, query: str) -> pa.Table:
         """The result of a query by DataFusion. The table is ``catalogue``; ``takes`` has only its takes, ``latest`` the last
@@ -122,26 +118,37 @@ class Catalogue:
                 named.update(_read(before, ["object"]).column("object").to_pylist())
         return named - {None}
 
-    def append(self, batches: list[pa.RecordBatch], run: str, number: int) -> None:
-        """Commits rows once: the commit with this number of a run. They are in the table, all of them, when this returns."""
-        table = pa.Table.from_batches(batches, SCHEMA)
-        properties = CommitProperties(app_transactions=[Transaction(run, number)])
+    def append(
+        self, batches: list[pa.RecordBatch], run: str, number: int, known: Known | None = None
+    ) -> list[pa.RecordBatch]:
+        """Commits rows once: the commit with this number of a run. They are in the table, all of them, when this returns.
+
+        With ``known``, rows that the table has meanwhile from another process are left out. Returns those that were added.
+        """
+        # Without retries, no other commit comes between the reading of the table and this one.
+        properties = CommitProperties(app_transactions=[Transaction(run, number)], max_commit_retries=0)
+        added = batches
 
         def write(existing: DeltaTable | None) -> None:
+            nonlocal added
             # The table states which commits of a run it has, so that one whose answer was lost is not repeated.
             if existing is not None and existing.transaction_version(run) == number:
                 return
-            write_deltalake(
-                self.url if existing is None else existing,
-                table,
-                mode="append",
-                name="catalogue of a mocapd archive",
-                configuration=KEPT if existing is None else None,
-                storage_options=self._options,
-                commit_properties=properties,
-            )
+            if existing is None:
+                # By itself: a first commit with rows would follow that of another process, and not fail.
+                existing = DeltaTable.create(self.url, SCHEMA, name=NAME, configuration=KEPT, storage_options=self._options)
+            elif known is not None and known.version != existing.version():
+                added = known.renewed(existing, added)
+            if not added:
+                return
+            version = int(existing.version()) + 1
+            rows = pa.Table.from_batches(added, SCHEMA)
+            write_deltalake(existing, rows, mode="append", storage_options=self._options, commit_properties=properties)
+            if known is not None:
+                known.version = version
 
         self._commit(write)
+        return added
 
     def move(self, rows: list[dict[str, Any]]) -> None:
         """Commits new objects of takes: rows with ``object``, ``new``, ``new_bytes`` and ``new_sha256``."""
@@ -203,6 +210,15 @@ class Catalogue:
         call(once, None)
 
 
+def _version(table: DeltaTable | None) -> int:
+    """The version of the table, from 0; -1 if there is none."""
+    return -1 if table is None else int(table.version())
+
+
+def _read_or_empty(table: DeltaTable | None, names: list[str]) -> pa.Table:
+    return pa.schema([SCHEMA.field(name) for name in names]).empty_table() if table is None else _read(table, names)
+
+
 def _read(table: DeltaTable, names: list[str]) -> pa.Table:
     """Columns of all rows, by DataFusion: pyarrow's threads call Python, and abort a program that ends meanwhile.
 
@@ -227,6 +243,8 @@ VIEWS = {
     "failures": "select source, error, ingested from catalogue where status = 'failed' and source not in "
     "(select source from catalogue where status <> 'failed')",
 }
+
+NAME = "catalogue of a mocapd archive"
 
 KEPT = {"delta.logRetentionDuration": "interval 36500 days"}
 """Former versions stay: without this, deltalake removes those of more than 30 days."""
@@ -261,7 +279,10 @@ class Known:
         """Sources that have failed, and have no take."""
         self._lost: dict[str | None, str] = {}
         self._of_lost: set[tuple[str | None, str]] = set()
-        rows = table.arrow(["status", "key", "source", "object", "take_bytes"])
+        existing = table.delta()
+        self.version = _version(existing)
+        """Of the table that is known: -1 if there is none."""
+        rows = _read_or_empty(existing, ["status", "key", "source", "object", "take_bytes"])
         # Listed after the rows are read: an object precedes its row.
         n_bytes = {entry.name: entry.n_bytes for entry in table.store.list("takes/")} if rows.num_rows else {}
         found = list(zip(*(rows.column(name).to_pylist() for name in rows.column_names)))
@@ -307,6 +328,10 @@ class Known:
                 if pair not in self._of_lost:
                     duplicates.append(index)
                 continue
+            if status == "duplicate":
+                # The take's row was deleted meanwhile: the next ingest imports this source.
+                self._pairs.discard(pair)
+                continue
             if status == "take":
                 self._objects[key] = name
             kept.append(index)
@@ -315,6 +340,17 @@ class Known:
             described = [self._duplicate(row) for row in batch.take(duplicates).to_pylist()]
             found.append(pa.RecordBatch.from_pylist(described, SCHEMA))
         return found
+
+    def renewed(self, table: DeltaTable | None, batches: list[pa.RecordBatch]) -> list[pa.RecordBatch]:
+        """Reads a table that another process has changed. Of rows that were new and are not in it, those that still are."""
+        self.version = _version(table)
+        rows = _read_or_empty(table, ["status", "key", "source", "object"])
+        found = list(zip(*(rows.column(name).to_pylist() for name in rows.column_names)))
+        moved = {row["object"]: row["new"] for row in self.moved}
+        takes = {key: name for status, key, _, name in found if status == "take" and key not in self._lost}
+        self._objects = {key: moved.get(name, name) for key, name in takes.items()}
+        self._pairs = {(key, source) for status, key, source, _ in found if status == "failed" or key in takes}
+        return [new for batch in batches for new in self.new(batch)]
 
     def _duplicate(self, row: dict[str, Any]) -> dict[str, Any]:
         described = {**dict.fromkeys(row), **{name: row[name] for name in _OF_DUPLICATES}, "status": "duplicate"}

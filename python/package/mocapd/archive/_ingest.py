@@ -12,6 +12,8 @@ from __future__ import annotations
 import sys
 import time
 import uuid
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,7 +28,7 @@ from ._keys import Settings, content_key, key_seconds, object_name, source_hash,
 from ._lease import writing
 from ._schema import SCHEMA, new_row, take_fields
 from ._sources import BATCH_FILES, Names, SourceFile, Sources, batches, find, is_of_file, is_of_machine
-from ._store import Store, StoreError, open_store
+from ._store import FolderStore, Store, StoreError, open_store
 from ._workers import ended_process, run_tasks
 
 COMMIT_ROWS = 5000
@@ -35,6 +37,11 @@ COMMIT_ROWS = 5000
 COMMIT_S = 60.0
 """Time after which fewer rows are committed: a killed driver loses those of a minute, and a repack's new objects have rows
 before they are old enough to be collected."""
+
+SYNCS_MAX = 4
+"""Takes that a worker stores in a folder at a time, while it imports the next files: to sync a file takes about as long as an
+import, and needs little of a processor. Files that are synced together share a commit of the disk's journal. A bucket gets
+one at a time, so that workers do not wait for each other at a store that is busy."""
 
 
 @dataclass
@@ -100,7 +107,18 @@ class ImportTask:
 
     def run(self, files: list[SourceFile]) -> pa.RecordBatch:
         """Imports files, and stores their takes. Returns a row for each that has none yet."""
-        rows = [row for file in files if (row := self._row(file)) is not None]
+        rows: list[dict[str, Any]] = []
+        ahead_max = SYNCS_MAX if isinstance(self.bucket, FolderStore) else 0
+        with ThreadPoolExecutor(max(1, ahead_max)) as pool:
+            storing: deque[Future[dict[str, Any]]] = deque()
+            for file in files:
+                row, take = self._row(file)
+                if row is None:
+                    continue
+                storing.append(pool.submit(self._stored, row, take))
+                if len(storing) > ahead_max:
+                    rows.append(storing.popleft().result())
+            rows += [stored.result() for stored in storing]
         try:
             return pa.RecordBatch.from_pylist(rows, SCHEMA)
         except MemoryError as error:
@@ -116,39 +134,48 @@ class ImportTask:
         is_known = self._is_known(None, file.source)
         return pa.RecordBatch.from_pylist([] if is_known else [self._failed(file, error)], SCHEMA)
 
-    def _row(self, file: SourceFile) -> dict[str, Any] | None:
-        """The row of a file; of one that cannot be imported, a row with the error."""
+    def _row(self, file: SourceFile) -> tuple[dict[str, Any] | None, bytes]:
+        """The row of a file, None if it has one, and its take; of one that cannot be imported, a row with the error."""
         try:
             return self._imported(file)
         except StoreError:
             raise
-        except FileExistsError as error:
-            # Of the archive, and not of the file: no row.
-            return new_row("damaged", file.source, error=f"{error}: remove this object if it is damaged")
         except Exception as error:
             if not is_of_file(error, file.store):
                 raise StoreError(f"cannot read {file.source}: {error}") from error
-            return self._failed(file, f"cannot be imported: {_reason(error)}")
+            return self._failed(file, f"cannot be imported: {_reason(error)}"), b""
+
+    def _stored(self, row: dict[str, Any], take: bytes) -> dict[str, Any]:
+        """Stores the take of a row. Returns the row."""
+        if row["status"] != "take":
+            return row
+        try:
+            self.bucket.put_if_absent(row["object"], take)
+            return row
+        except FileExistsError as error:
+            # Of the archive, and not of the file: no row.
+            return new_row("damaged", row["source"], error=f"{error}: remove this object if it is damaged")
+        except OSError as error:
+            raise StoreError(f"cannot write {row['object']}: {error}") from error
 
     def _failed(self, file: SourceFile, error: str, **fields: Any) -> dict[str, Any]:
         subject, session = self.names.of(file.source)
         described = {"subject": subject, "session": session, "format": file.format}
         return new_row("failed", file.source, error=error, **described | fields)
 
-    def _imported(self, file: SourceFile) -> dict[str, Any] | None:
+    def _imported(self, file: SourceFile) -> tuple[dict[str, Any] | None, bytes]:
         try:
             data = file.read()
         except Exception as error:
             if isinstance(error, StoreError) or not is_of_file(error, file.store):
                 raise
-            if self._is_known(None, file.source):
-                return None
-            return self._failed(file, f"cannot be read: {_reason(error)}")
+            is_known = self._is_known(None, file.source)
+            return None if is_known else self._failed(file, f"cannot be read: {_reason(error)}"), b""
         subject, session = self.names.of(file.source)
         settings, hashed = self.settings.document(file.format, subject), source_hash(data)
         key = content_key(hashed, settings)
         if self._is_known(key, file.source):
-            return None
+            return None, b""
         fields: dict[str, Any] = {
             "key": key,
             "source_sha256": hashed,
@@ -158,23 +185,17 @@ class ImportTask:
             "session": session,
         }
         if self._has_digest(key[:32].encode()):
-            return new_row("duplicate", file.source, **fields, subject=subject)
+            return new_row("duplicate", file.source, **fields, subject=subject), b""
         try:
             take, described = self._import(data, file.format, subject)
         except Exception as error:
             # A source is bytes in memory, and wrong ones are no OSError: that is of temporary files and threads.
             if is_of_machine(error) or (isinstance(error, OSError) and file.format != "take"):
                 raise StoreError(f"cannot import {file.source} on this machine: {error or 'out of memory'}") from error
-            return self._failed(file, _reason(error), **fields)
-        try:
-            self.bucket.put_if_absent(object_name(key), take)
-        except FileExistsError:
-            raise
-        except OSError as error:
-            raise StoreError(f"cannot write {object_name(key)}: {error}") from error
+            return self._failed(file, _reason(error), **fields), b""
         described["subject"] = described["subject"] or subject
         stored = {"object": object_name(key), "take_bytes": len(take), "take_sha256": source_hash(take)}
-        return new_row("take", file.source, **stored, **fields, **described)
+        return new_row("take", file.source, **stored, **fields, **described), take
 
     def _is_known(self, key: str | None, source: str) -> bool:
         return self._has_digest(pair_digest(key, source))
@@ -213,6 +234,10 @@ def _reason(error: Exception) -> str:
     return str(text or type(error).__name__)
 
 
+def _n_rows(batches: list[pa.RecordBatch]) -> int:
+    return sum(batch.num_rows for batch in batches)
+
+
 class _Rows:
     """Collects rows, and commits them in batches."""
 
@@ -223,11 +248,13 @@ class _Rows:
         self._run, self._commits = str(uuid.uuid4()), 0
 
     def add(self, batch: pa.RecordBatch) -> None:
-        for row in batch.filter(pc.equal(batch.column("status"), "damaged")).to_pylist():
+        damaged = batch.filter(pc.equal(batch.column("status"), "damaged"))
+        for row in damaged.to_pylist():
             self._report.fail(row["source"], row["error"])
-        self._waiting += self._known.new(batch)
-        n_rows = sum(waiting.num_rows for waiting in self._waiting)
-        if n_rows >= COMMIT_ROWS or time.monotonic() - self._since >= COMMIT_S:
+        new = self._known.new(batch)
+        self._report.unchanged += batch.num_rows - damaged.num_rows - _n_rows(new)
+        self._waiting += new
+        if _n_rows(self._waiting) >= COMMIT_ROWS or time.monotonic() - self._since >= COMMIT_S:
             self.commit()
 
     def commit(self) -> None:
@@ -235,8 +262,10 @@ class _Rows:
         waiting, self._waiting, self._since = self._waiting, [], time.monotonic()
         if waiting:
             self._commits += 1
-            self._table.append(waiting, self._run, self._commits)
-            for batch in waiting:
+            added = self._table.append(waiting, self._run, self._commits, self._known)
+            # Another ingest added the others meanwhile.
+            self._report.unchanged += _n_rows(waiting) - _n_rows(added)
+            for batch in added:
                 self._report.add(batch)
         moved, self._known.moved = self._known.moved, []
         self._table.move(moved)

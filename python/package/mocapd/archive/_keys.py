@@ -13,7 +13,7 @@ import hashlib
 import json
 import math
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 from .._native import importer_version, normal_options
@@ -110,7 +110,7 @@ class Settings:
 
     def options(self, format: str, subject: str | None) -> ImportOptions:
         """The options of the importer for a file."""
-        options: Any = asdict(self) | {"format": format, "subject": subject}
+        options: Any = vars(self) | {"format": format, "subject": subject}
         options["analog_tolerance"] = list(self.analog_tolerance)
         return cast("ImportOptions", options)
 

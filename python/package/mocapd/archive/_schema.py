@@ -104,13 +104,13 @@ def _motion_fields(measured: Imported) -> dict[str, Any]:
     columns = (measured.samples, measured.gaps, measured.low_mm, measured.high_mm, measured.peak_speed_mm_per_s)
     by_marker = [
         {
-            "samples": int(samples),
-            "gaps": int(gaps),
-            "low_mm": low.tolist() if samples else None,
-            "high_mm": high.tolist() if samples else None,
-            "peak_speed_mm_per_s": float(speed),
+            "samples": samples,
+            "gaps": gaps,
+            "low_mm": low if samples else None,
+            "high_mm": high if samples else None,
+            "peak_speed_mm_per_s": speed,
         }
-        for samples, gaps, low, high, speed in zip(*columns)
+        for samples, gaps, low, high, speed in zip(*(column.tolist() for column in columns))
     ]
     return {
         "samples": int(measured.samples.sum()),
