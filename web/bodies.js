@@ -1,8 +1,9 @@
-// The rigid bodies of a device or a take: their poses, drawn as axes with names, and as a list. Pure but for drawing.
+// The rigid bodies of a device or a take: their poses, drawn as axes with names, and as a list; and those of a player.
 
 import { toZUp } from "./camera.js";
-import { h, setText } from "./dom.js";
+import { byId, h, setHidden, setText } from "./dom.js";
 import { percent, plural } from "./format.js";
+import { FrameBuffer } from "./frame_buffer.js";
 
 /** Numbers of a pose: state, residual, position, and the quaternion w, x, y, z. */
 export const POSE_VALUES = 9;
@@ -16,6 +17,8 @@ const AXIS_FRACTION = 0.07;
 const NAMED_MAX = 24;
 /** Names of bodies without a pose in a line of text. */
 const NAMES_MAX = 6;
+/** Bytes of poses that a player keeps. */
+const KEPT_BYTES_MAX = 8e6;
 
 /** The name of a body. */
 export const bodyName = (names, body) => names[body] || `body ${body + 1}`;
@@ -114,4 +117,70 @@ export function showBodies(list, bodies) {
     item.dataset.tracked = String(isTracked);
     setText(item, `${isTracked ? "●" : "○"} ${text}`);
   });
+}
+
+/** The rigid bodies of the take in a player. */
+export class TakeBodies {
+  #player;
+  #names = [];
+  /** Their poses around the current row, as if each were three markers; null if there are none. */
+  #buffer = null;
+
+  constructor(player) {
+    this.#player = player;
+  }
+
+  /** Whether there is something to see without markers. */
+  get isShown() {
+    return this.#buffer !== null;
+  }
+
+  /** Nothing is shown of the take before. */
+  close() {
+    this.#buffer = null;
+    setHidden(byId("bodies-text"), true);
+  }
+
+  /** Reads which bodies the take of a source has. */
+  async open(source, isCurrent) {
+    const player = this.#player;
+    if (player.overview.frames === 0) return;
+    try {
+      await player.buffer.idle();
+      const { names, window_frames_max: most } = await source.bodies();
+      if (!isCurrent() || names.length === 0) return;
+      const window = (firstRow, rows, every) => source.bodyPoses(firstRow, rows, every, names.length);
+      const overview = { ...player.overview, markers: 3 * names.length, window_frames_max: most };
+      this.#names = names;
+      this.#buffer = new FrameBuffer({ window, windowFrames: source.windowFrames }, overview, {
+        keptBytesMax: KEPT_BYTES_MAX,
+        onLoaded: () => isCurrent() && player.refresh(),
+      });
+      setHidden(byId("bodies-text"), false);
+      player.refresh();
+    } catch (error) {
+      if (isCurrent()) player.notice(`The rigid bodies of this take cannot be read: ${error.message}`);
+    }
+  }
+
+  /** Loads what is needed at the current row, and what playback needs next. */
+  want({ row, loop }, rowsPerSecond) {
+    this.#buffer?.want(row, rowsPerSecond, loop);
+  }
+
+  /** The row on display has changed. Bodies stay where they are while the next window is loaded. */
+  show(motion) {
+    if (!this.#buffer) return;
+    const found = this.#buffer.positionsAt(motion.row);
+    const values = found ?? (this.#buffer.isWaitingFor(motion.row) ? motion.bodies.values : null);
+    motion.bodies = { names: this.#names, values, frames: 0, tracked: [] };
+  }
+
+  /** The bodies at a row, as one line. */
+  showText(row) {
+    if (!this.#buffer) return;
+    const values = this.#buffer.positionsAt(row);
+    const isLoading = this.#buffer.isWaitingFor(row);
+    setText(byId("bodies-text"), values ? bodiesText(this.#names, values) : isLoading ? "Loading rigid bodies" : "The poses of these frames cannot be read");
+  }
 }
