@@ -269,7 +269,7 @@ fn with_bodies(codec: Settings) -> Vec<u8> {
 
 /// The poses of a take by row.
 fn poses_of(take: &[u8]) -> Vec<Vec<Pose>> {
-    let map = TakeMap::open(Cursor::new(take)).unwrap();
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
     let index = PosesByRow::read(Cursor::new(take), &map).unwrap().unwrap();
     let (mut read, mut poses, mut rows) = (index.rows(0..map.n_rows), Vec::new(), Vec::new());
     while read.next(&mut Cursor::new(take), 256, &mut poses).unwrap().is_some() {

@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 import urllib.request
+from collections import Counter
 from pathlib import Path
 
 from checks_service import Rig
@@ -31,6 +32,8 @@ VIEWERS = 4
 IN_A_ROW = 10
 #: Length of the take that is played, and of those that are measured.
 PLAYED_S, TAKE_S = 20.0, 0.4
+#: The causes of lost frames in a ledger.
+CAUSES = ("lost_on_link", "dropped_by_device", "lost_ring_full", "lost_other", "unknown_after_disconnect")
 #: Bytes of a window that the player requests.
 WINDOW_BYTES = 400_000
 
@@ -128,7 +131,7 @@ class Measured:
     """Milliseconds of starts and stops, and lost frames."""
 
     def __init__(self):
-        self.start_ms, self.stop_ms, self.lost, self.frames = [], [], 0, 0
+        self.start_ms, self.stop_ms, self.frames, self.lost = [], [], 0, Counter()
 
     def take(self, url, name):
         began = time.monotonic()
@@ -138,15 +141,13 @@ class Measured:
         began = time.monotonic()
         stopped = post(f"{url}v1/stop", {})
         self.stop_ms.append(1e3 * (time.monotonic() - began))
-        ledger = stopped["ledger"]
-        assert ledger["closes"] and ledger["finished"], stopped
-        self.lost += lost_frames(ledger)
+        self.add(stopped["ledger"])
+
+    def add(self, ledger):
+        """Counts the frames of a take, and those that it lost by cause."""
+        assert ledger["closes"] and ledger["finished"], ledger
         self.frames += ledger["recorded"]
-
-
-def lost_frames(ledger):
-    """Frames of a ledger that the take does not have, and those that no cause explains."""
-    return ledger["frames_sent"] - ledger["recorded"]
+        self.lost.update({cause: ledger[cause] for cause in CAUSES})
 
 
 def p99(values):
@@ -171,8 +172,7 @@ def measure(rig, repeats, load):
     reading = load(url)
     time.sleep(PLAYED_S)
     reading.close()
-    ledger = post(f"{url}v1/stop", {})["ledger"]
-    long.lost, long.frames = lost_frames(ledger), ledger["recorded"]
+    long.add(post(f"{url}v1/stop", {})["ledger"])
     return plain, loaded, long, rates
 
 
@@ -201,9 +201,11 @@ def main():
         without, beside = (getattr(measured, f"{name}_ms") for measured in (plain, loaded))
         print(f"{name}: median {statistics.median(without):.0f} ms without, {statistics.median(beside):.0f} ms with; "
               f"p99 {p99(without):.0f} and {p99(beside):.0f} ms, {p99(beside) / p99(without):.2f} times")
-    lost = plain.lost + loaded.lost + long.lost
-    print(f"{lost} frames lost of {plain.frames + loaded.frames + long.frames}")
-    return 1 if lost else 0
+    beside = loaded.lost + long.lost
+    for name, frames, lost in (("without", plain.frames, plain.lost), ("with", loaded.frames + long.frames, beside)):
+        causes = ", ".join(f"{n} {cause}" for cause, n in lost.items() if n)
+        print(f"{sum(lost.values())} frames lost beside {frames} recorded {name} the load{causes and f': {causes}'}")
+    return 1 if sum(beside.values()) else 0
 
 
 if __name__ == "__main__":
