@@ -244,6 +244,7 @@ fn kills(n: u64, seed: u64) -> usize {
             apart += usize::from(check_killed(&takes, take, &all[take], known));
         }
         let before = files(&takes);
+        let texts: Vec<_> = (0..TAKES).map(|take| text_of(&takes, &before, take)).collect();
         service = Running::start(folder.path());
         let after = files(&takes);
         for (take, known) in known.iter_mut().enumerate() {
@@ -251,7 +252,7 @@ fn kills(n: u64, seed: u64) -> usize {
             assert_eq!(stem_of(&before, take, ".take"), stem);
             assert_eq!(stem_of(&after, take, ".notes.json"), stem, "kill {kill}, {before:?}");
             let text = text_of(&takes, &after, take);
-            assert_eq!(text_of(&takes, &before, take), text, "kill {kill}");
+            assert_eq!(texts[take], text, "kill {kill}");
             let place = stem.strip_prefix(".trash/").map(str::to_owned);
             known.place = place.map_or_else(|| Place::Folder(stem.clone()), Place::Trash);
             (known.text, known.pending) = (text, None);

@@ -112,7 +112,7 @@ fn without_font(missing: &[char]) -> Option<String> {
     let more = more.map_or_else(String::new, |n| format!(" and {n} more"));
     (!missing.is_empty()).then(|| {
         format!(
-            "no installed font has {}{more}, drawn as boxes: install one, such as Debian's fonts-noto-cjk for Chinese, Japanese and Korean, or write .svg",
+            "no installed font has {}{more}, drawn as boxes: install one, such as Debian's fonts-noto-cjk for Chinese, Japanese and Korean, or fonts-noto-core for most others; or write .svg",
             named.join(", ")
         )
     })
