@@ -86,7 +86,7 @@ function disk({ free_bytes: free, keep_free_bytes: keep, left_s: left }) {
 
 function ring({ input: { ring_fill: fill }, device }) {
   if (device.outage) return { note: "no data" };
-  const metric = { ...value(percent(fill), "%"), note: "frames are lost at 100 %", fill };
+  const metric = { ...value(percent(fill), "%"), note: "frames are lost at 100\u00a0%", fill };
   if (fill >= 0.8) return { ...metric, ...bad("nearly full") };
   return { ...metric, ...(fill >= 0.5 ? watch("filling") : ok("ok")) };
 }
