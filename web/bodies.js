@@ -1,14 +1,14 @@
-// The rigid bodies of a device or a take: their poses, drawn as axes with names, and as a list; and those of a player.
+// The rigid bodies of a device or a take: their poses, drawn as axes with names; and those of a player.
 
 import { toZUp } from "./camera.js";
-import { byId, h, setHidden, setText } from "./dom.js";
-import { percent, plural } from "./format.js";
+import { byId, setHidden, setText } from "./dom.js";
+import { plural } from "./format.js";
 import { FrameBuffer } from "./frame_buffer.js";
 
 /** Numbers of a pose: state, residual, position, and the quaternion w, x, y, z. */
 export const POSE_VALUES = 9;
 const TRACKED = 0;
-const STATES = new Map([[0, "tracked"], [1, "lost"], [2, "rejected"], [253, "missing"], [254, "refused"], [255, "not listed"]]);
+export const STATES = new Map([[0, "tracked"], [1, "lost"], [2, "rejected"], [253, "missing"], [254, "refused"], [255, "not listed"]]);
 const OTHER = "not tracked";
 /** Length of the axes in the scene, as a fraction of the view's height at the body, and in millimetres. */
 const AXIS_MM = [40, 200];
@@ -81,20 +81,6 @@ export function drawBodies(ctx, { bodies, upAxis }, project, { colours, options,
   }
 }
 
-/** The lines of the list: {text, isTracked}, with the share of the frames in which each body was tracked. Pure. */
-export function bodyLines({ names, values, frames, tracked }) {
-  return names.map((_, body) => {
-    const { isTracked, state } = values ? poseOf(values, body) : { isTracked: false, state: STATES.get(253) };
-    const share = frames > 0 ? ` · share tracked ${percent((tracked[body] ?? 0) / frames)} %` : "";
-    return { text: `${bodyName(names, body)} · ${state}${share}`, isTracked };
-  });
-}
-
-/** How many bodies have a pose. Pure. */
-export function bodiesCount({ names, values }) {
-  return `${bodyLines({ names, values, frames: 0, tracked: [] }).filter(({ isTracked }) => isTracked).length} of ${names.length} tracked`;
-}
-
 /** The state of all bodies as one line. Pure. */
 export function bodiesText(names, values) {
   const without = names.flatMap((_, body) => {
@@ -105,18 +91,6 @@ export function bodiesText(names, values) {
   if (without.length === 0) return known;
   const more = without.length > NAMES_MAX ? ` and ${without.length - NAMES_MAX} more` : "";
   return `${known}; without a pose: ${without.slice(0, NAMES_MAX).join(", ")}${more}`;
-}
-
-/** Shows the lines in a list. */
-export function showBodies(list, bodies) {
-  const lines = bodyLines(bodies);
-  while (list.children.length > lines.length) list.lastElementChild.remove();
-  while (list.children.length < lines.length) list.append(h("li", {}));
-  lines.forEach(({ text, isTracked }, index) => {
-    const item = list.children[index];
-    item.dataset.tracked = String(isTracked);
-    setText(item, `${isTracked ? "●" : "○"} ${text}`);
-  });
 }
 
 /** The rigid bodies of the take in a player. */

@@ -1,4 +1,5 @@
-import { axesOf, bodiesCount, bodiesText, bodyLines } from "/bodies.js";
+import { axesOf, bodiesText } from "/bodies.js";
+import { bodiesCount, bodyLines } from "/body_list.js";
 import { Comparison, distances } from "/comparison.js";
 import { curveColumns } from "/curves.js";
 import { downloadPath } from "/downloads.js";
