@@ -333,7 +333,7 @@ fn rigid_bodies_on_a_page_are_within_the_bounds_that_are_stated() {
 }
 
 #[test]
-fn rigid_bodies_follow_the_part_and_the_axes_of_a_page() {
+fn rigid_bodies_follow_the_part_of_a_page() {
     let take = with_bodies(dense(0.5));
     let folder = Folder::new();
     folder.write("wand.take", &take);
