@@ -1,6 +1,6 @@
 //! Pictures as PNG, and the fonts of their texts.
 //!
-//! DejaVu Sans is compiled in, so that no machine needs a font for labels in Latin, Greek, Cyrillic, Armenian, Georgian,
+//! `DejaVu Sans` is compiled in, so that no machine needs a font for labels in Latin, Greek, Cyrillic, Armenian, Georgian,
 //! Hebrew and Arabic letters. Characters that it lacks, such as those of Chinese, Japanese and Korean, whose fonts have
 //! megabytes, are drawn with the fonts of the system. A character that no font has is drawn as a box, and reported.
 
@@ -40,7 +40,7 @@ pub struct PngPicture {
 }
 
 /// Renders an SVG to PNG. `installed` returns the fonts of the system; it is called if the picture has characters that
-/// DejaVu Sans lacks.
+/// `DejaVu Sans` lacks.
 ///
 /// # Errors
 /// `Drawing` if the SVG is malformed or too large.
