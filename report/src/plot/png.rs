@@ -118,7 +118,7 @@ fn add_installed(
     let listed: Vec<&str> = families.split(", ").collect();
     let place = |face: &FaceInfo| {
         let is_of = |name: &&str| face.families.iter().any(|(family, _)| family == name);
-        listed.iter().position(|name| is_of(name)).unwrap_or(listed.len())
+        listed.iter().position(is_of).unwrap_or(listed.len())
     };
     let mut faces: Vec<&FaceInfo> = installed.faces().collect();
     // The name last, since the order of files in a folder is that of the disk.
