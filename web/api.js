@@ -38,12 +38,13 @@ const RESPONSE_TIMEOUT_MS = 2500;
 const COMMAND_TIMEOUT_MS = 65_000;
 const COMMAND_TRIES = 6;
 
-async function send(path, options, timeoutMs) {
+async function send(path, { signal: given = null, ...options }, timeoutMs) {
   const timeout = AbortSignal.timeout(timeoutMs);
+  const signal = given ? AbortSignal.any([timeout, given]) : timeout;
   const headers = { ...options.headers, ...(token ? { Authorization: `Bearer ${token}` } : {}) };
   let response;
   try {
-    response = await fetch(path, { ...options, headers, signal: timeout, cache: "no-store" });
+    response = await fetch(path, { ...options, headers, signal, cache: "no-store" });
   } catch {
     throw new ConnectionError(timeout.aborted ? `no reply within ${timeoutMs / 1000} s` : "the service cannot be reached");
   }
@@ -64,13 +65,13 @@ async function checkStatus(response) {
 /** The JSON document at a path. */
 export const get = (path, timeoutMs = RESPONSE_TIMEOUT_MS) => read(path, timeoutMs, (response) => response.json());
 
-/** The bytes at a path. */
-export const getBytes = (path, timeoutMs) => read(path, timeoutMs, (response) => response.arrayBuffer());
+/** The bytes at a path. The request ends early, with an error, if `signal` says so. */
+export const getBytes = (path, timeoutMs, signal = null) => read(path, timeoutMs, (response) => response.arrayBuffer(), signal);
 
-async function read(path, timeoutMs, body) {
+async function read(path, timeoutMs, body, signal = null) {
   for (;;) {
     try {
-      return await body(await send(path, {}, timeoutMs));
+      return await body(await send(path, { signal }, timeoutMs));
     } catch (error) {
       if (error.status === 401) await authorize();
       else if (error instanceof ServiceError || error instanceof ConnectionError) throw error;

@@ -2,7 +2,8 @@
 
 import { Actions } from "./actions.js";
 import { get } from "./api.js";
-import { bodiesCount, drawBodies, showBodies } from "./bodies.js";
+import { drawBodies } from "./bodies.js";
+import { bodiesCount, showBodies } from "./body_list.js";
 import { byId, setHidden, setText } from "./dom.js";
 import { Events } from "./events.js";
 import { Finished } from "./finished.js";

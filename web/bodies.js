@@ -1,13 +1,14 @@
-// The rigid bodies of a device or a take: their poses, drawn as axes with names, and as a list. Pure but for drawing.
+// The rigid bodies of a device or a take: their poses, drawn as axes with names; and those of a player.
 
 import { toZUp } from "./camera.js";
-import { h, setText } from "./dom.js";
-import { percent, plural } from "./format.js";
+import { byId, setHidden, setText } from "./dom.js";
+import { plural } from "./format.js";
+import { FrameBuffer } from "./frame_buffer.js";
 
 /** Numbers of a pose: state, residual, position, and the quaternion w, x, y, z. */
 export const POSE_VALUES = 9;
 const TRACKED = 0;
-const STATES = new Map([[0, "tracked"], [1, "lost"], [2, "rejected"], [253, "missing"], [254, "refused"], [255, "not listed"]]);
+export const STATES = new Map([[0, "tracked"], [1, "lost"], [2, "rejected"], [253, "missing"], [254, "refused"], [255, "not listed"]]);
 const OTHER = "not tracked";
 /** Length of the axes in the scene, as a fraction of the view's height at the body, and in millimetres. */
 const AXIS_MM = [40, 200];
@@ -16,6 +17,8 @@ const AXIS_FRACTION = 0.07;
 const NAMED_MAX = 24;
 /** Names of bodies without a pose in a line of text. */
 const NAMES_MAX = 6;
+/** Bytes of poses that a player keeps. */
+const KEPT_BYTES_MAX = 8e6;
 
 /** The name of a body. */
 export const bodyName = (names, body) => names[body] || `body ${body + 1}`;
@@ -78,20 +81,6 @@ export function drawBodies(ctx, { bodies, upAxis }, project, { colours, options,
   }
 }
 
-/** The lines of the list: {text, isTracked}, with the share of the frames in which each body was tracked. Pure. */
-export function bodyLines({ names, values, frames, tracked }) {
-  return names.map((_, body) => {
-    const { isTracked, state } = values ? poseOf(values, body) : { isTracked: false, state: STATES.get(253) };
-    const share = frames > 0 ? ` · share tracked ${percent((tracked[body] ?? 0) / frames)} %` : "";
-    return { text: `${bodyName(names, body)} · ${state}${share}`, isTracked };
-  });
-}
-
-/** How many bodies have a pose. Pure. */
-export function bodiesCount({ names, values }) {
-  return `${bodyLines({ names, values, frames: 0, tracked: [] }).filter(({ isTracked }) => isTracked).length} of ${names.length} tracked`;
-}
-
 /** The state of all bodies as one line. Pure. */
 export function bodiesText(names, values) {
   const without = names.flatMap((_, body) => {
@@ -104,14 +93,68 @@ export function bodiesText(names, values) {
   return `${known}; without a pose: ${without.slice(0, NAMES_MAX).join(", ")}${more}`;
 }
 
-/** Shows the lines in a list. */
-export function showBodies(list, bodies) {
-  const lines = bodyLines(bodies);
-  while (list.children.length > lines.length) list.lastElementChild.remove();
-  while (list.children.length < lines.length) list.append(h("li", {}));
-  lines.forEach(({ text, isTracked }, index) => {
-    const item = list.children[index];
-    item.dataset.tracked = String(isTracked);
-    setText(item, `${isTracked ? "●" : "○"} ${text}`);
-  });
+/** The rigid bodies of the take in a player. */
+export class TakeBodies {
+  #player;
+  #names = [];
+  /** Their poses around the current row, as if each were three markers; null if there are none. */
+  #buffer = null;
+
+  constructor(player) {
+    this.#player = player;
+  }
+
+  /** Whether there is something to see without markers. */
+  get isShown() {
+    return this.#buffer !== null;
+  }
+
+  /** Nothing is shown of the take before. */
+  close() {
+    this.#buffer = null;
+    setHidden(byId("bodies-text"), true);
+  }
+
+  /** Reads which bodies the take of a source has. */
+  async open(source, isCurrent) {
+    const player = this.#player;
+    if (player.overview.frames === 0) return;
+    try {
+      await player.buffer.idle();
+      const { names, window_frames_max: most } = await source.bodies();
+      if (!isCurrent() || names.length === 0) return;
+      const window = (firstRow, rows, every) => source.bodyPoses(firstRow, rows, every, names.length);
+      const overview = { ...player.overview, markers: 3 * names.length, window_frames_max: most };
+      this.#names = names;
+      this.#buffer = new FrameBuffer({ window, windowFrames: source.windowFrames }, overview, {
+        keptBytesMax: KEPT_BYTES_MAX,
+        onLoaded: () => isCurrent() && player.refresh(),
+      });
+      setHidden(byId("bodies-text"), false);
+      player.refresh();
+    } catch (error) {
+      if (isCurrent()) player.notice(`The rigid bodies of this take cannot be read: ${error.message}`);
+    }
+  }
+
+  /** Loads what is needed at the current row, and what playback needs next. */
+  want({ row, loop }, rowsPerSecond) {
+    this.#buffer?.want(row, rowsPerSecond, loop);
+  }
+
+  /** The row on display has changed. Bodies stay where they are while the next window is loaded. */
+  show(motion) {
+    if (!this.#buffer) return;
+    const found = this.#buffer.positionsAt(motion.row);
+    const values = found ?? (this.#buffer.isWaitingFor(motion.row) ? motion.bodies.values : null);
+    motion.bodies = { names: this.#names, values, frames: 0, tracked: [] };
+  }
+
+  /** The bodies at a row, as one line. */
+  showText(row) {
+    if (!this.#buffer) return;
+    const values = this.#buffer.positionsAt(row);
+    const isLoading = this.#buffer.isWaitingFor(row);
+    setText(byId("bodies-text"), values ? bodiesText(this.#names, values) : isLoading ? "Loading rigid bodies" : "The poses of these frames cannot be read");
+  }
 }

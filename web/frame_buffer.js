@@ -26,13 +26,14 @@ export class FrameBuffer {
   /** Whether a window said that something in it is damaged. */
   isDamaged = false;
   #windows = new Map();
-  /** The promises of the windows that are being loaded, by index. */
+  /** The windows that are being loaded, by index: the promise, what cancels the request, and whether somebody awaits it. */
   #pending = new Map();
   #failed = new Set();
   #wanted = [];
 
   /**
-   * `source.window(firstRow, rows, every)` resolves to {firstRow, every, frames, positions}. `onLoaded` is called after
+   * `source.window(firstRow, rows, every, signal)` resolves to {firstRow, every, frames, positions}; if the source `canCancel`,
+   * the signal ends requests for what is not wanted any more, behind which others would wait. `onLoaded` is called after
    * each window, `onFailed` with the error of one that cannot be read. Of all windows `keptBytesMax` are kept.
    */
   constructor(source, overview, { onLoaded = () => {}, onFailed = () => {}, keptBytesMax = KEPT_BYTES_MAX } = {}) {
@@ -96,20 +97,35 @@ export class FrameBuffer {
       const window = this.#windows.get(index);
       if (window && this.#windows.delete(index)) this.#windows.set(index, window);
     }
+    this.#cancelOthers();
     this.#request();
+  }
+
+  /** Ends the requests for windows that were wanted before a jump. */
+  #cancelOthers() {
+    if (!this.source.canCancel) return;
+    for (const [index, { cancel, isAwaited }] of [...this.#pending]) {
+      if (isAwaited || this.#wanted.includes(index)) continue;
+      this.#pending.delete(index);
+      cancel.abort();
+    }
   }
 
   /** Loads the window of a row, if it can be, and returns whether it has the row. */
   async fetch(row) {
     if (this.n === 0) return false;
     const index = this.#index(row);
-    if (!this.#windows.has(index)) await (this.#pending.get(index) ?? this.#load(index));
+    if (!this.#windows.has(index)) {
+      const pending = this.#pending.get(index) ?? this.#load(index);
+      pending.isAwaited = true;
+      await pending.loading;
+    }
     return this.has(row);
   }
 
   /** Resolves when no window is being loaded. */
   async idle() {
-    while (this.#pending.size > 0) await Promise.allSettled(this.#pending.values());
+    while (this.#pending.size > 0) await Promise.allSettled([...this.#pending.values()].map(({ loading }) => loading));
   }
 
   /** The first row of the window after that of a row (1), or the last row of the one before it (-1). */
@@ -137,6 +153,7 @@ export class FrameBuffer {
     this.every = every;
     this.#windows.clear();
     this.#failed.clear();
+    if (this.source.canCancel) this.#pending.forEach(({ cancel }) => cancel.abort());
     this.#pending.clear();
   }
 
@@ -149,40 +166,42 @@ export class FrameBuffer {
   }
 
   #load(index) {
-    const loading = this.#loadWindow(index);
-    this.#pending.set(index, loading);
-    return loading;
+    const pending = { loading: null, cancel: new AbortController(), isAwaited: false };
+    this.#pending.set(index, pending);
+    pending.loading = this.#loadWindow(index, pending);
+    return pending;
   }
 
-  async #loadWindow(index) {
+  async #loadWindow(index, pending) {
     const { every, windowFrames } = this;
+    const { signal } = pending.cancel;
     try {
       const firstRow = index * windowFrames * every;
       const rows = Math.min(windowFrames * every, this.frames - firstRow);
-      const window = await this.#read(firstRow, rows, every);
+      const window = await this.#read(firstRow, rows, every, signal);
       if (every !== this.every) return;
       this.#windows.set(index, window);
       this.isDamaged ||= window.isDamaged;
       this.#failed.delete(index);
       while (this.#windows.size > this.keptMax) this.#windows.delete(this.#windows.keys().next().value);
     } catch (error) {
-      if (every !== this.every) return;
+      if (every !== this.every || signal.aborted) return;
       this.#failed.add(index);
       setTimeout(() => this.#retry(index, every), RETRY_MS);
       this.onFailed(error);
     } finally {
-      if (every === this.every) this.#pending.delete(index);
+      if (this.#pending.get(index) === pending) this.#pending.delete(index);
     }
     this.#request();
     this.onLoaded();
   }
 
   /** Reads a window; if a response ends earlier, the rest of it, too. */
-  async #read(firstRow, rows, every) {
+  async #read(firstRow, rows, every, signal) {
     const parts = [];
     let read = 0;
     while (read < rows) {
-      const part = await this.source.window(firstRow + read, rows - read, every);
+      const part = await this.source.window(firstRow + read, rows - read, every, signal);
       if (part.firstRow !== firstRow + read || part.frames === 0) throw new Error("the response has other frames than requested");
       parts.push(part);
       read += part.frames * every;

@@ -86,7 +86,7 @@ function disk({ free_bytes: free, keep_free_bytes: keep, left_s: left }) {
 
 function ring({ input: { ring_fill: fill }, device }) {
   if (device.outage) return { note: "no data" };
-  const metric = { ...value(percent(fill), "%"), note: "frames are lost at 100 %", fill };
+  const metric = { ...value(percent(fill), "%"), note: "frames are lost at 100\u00a0%", fill };
   if (fill >= 0.8) return { ...metric, ...bad("nearly full") };
   return { ...metric, ...(fill >= 0.5 ? watch("filling") : ok("ok")) };
 }
@@ -131,7 +131,7 @@ function preRoll({ device, pre_roll: { wanted_s: wanted, held_s: held, held_byte
 /** A delay of more than one frame period is marked. */
 function delay({ device }, us) {
   if (device.outage) return { note: "no data" };
-  const metric = { ...value(...microseconds(us)), note: "after a frame's last byte" };
+  const metric = { ...value(...microseconds(us)), note: "after its last byte" };
   return device.rate_hz > 0 && us > 1e6 / device.rate_hz ? { ...metric, ...watch("late") } : metric;
 }
 

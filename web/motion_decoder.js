@@ -100,7 +100,45 @@ class RangeDecoder {
   }
 }
 
-/** Decodes a block of `frames` frames of `n` markers; `step` is the distance of lattice points in millimetres. */
+/** Numbers of a pose, as in the live stream: state, residual, position, and the quaternion w, x, y, z. */
+const POSE_VALUES = 9;
+/** What stands for 1 in the turn of a rigid body, in millimetres. */
+const TURN_MM = 800;
+
+/**
+ * The positions of `n` markers and the poses of `bodies` rigid bodies of a decoded block, in which each body has two
+ * trajectories behind those of the markers: its place, and its turn, or the number of its state in steps.
+ */
+export function split(block, n, bodies, step) {
+  if (bodies === 0) return { positions: block, poses: null };
+  const columns = 3 * (n + 2 * bodies);
+  const frames = block.length / columns;
+  const positions = new Float32Array(3 * n * frames);
+  const poses = new Float32Array(POSE_VALUES * bodies * frames).fill(NaN);
+  for (let frame = 0; frame < frames; frame += 1) {
+    const from = columns * frame;
+    positions.set(block.subarray(from, from + 3 * n), 3 * n * frame);
+    for (let body = 0; body < bodies; body += 1) {
+      const at = from + 3 * n + 6 * body;
+      putPose(poses, POSE_VALUES * (bodies * frame + body), block.subarray(at, at + 6), step);
+    }
+  }
+  return { positions, poses };
+}
+
+function putPose(poses, into, [px, py, pz, tx, ty, tz], step) {
+  if (Number.isNaN(px)) {
+    poses[into] = Math.round(tx / step);
+    return;
+  }
+  const [x, y, z] = [tx / TURN_MM, ty / TURN_MM, tz / TURN_MM];
+  const square = x * x + y * y + z * z;
+  poses[into] = 0;
+  poses.set([px, py, pz], into + 2);
+  poses.set([1 - square, 2 * x, 2 * y, 2 * z].map((v) => v / (1 + square)), into + 5);
+}
+
+/** Decodes a block of `frames` frames of `n` trajectories; `step` is the distance of lattice points in millimetres. */
 export function decodeBlock(bytes, n, frames, step) {
   const coder = new RangeDecoder(bytes);
   const positions = new Float32Array(3 * n * frames).fill(NaN);

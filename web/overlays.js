@@ -1,7 +1,6 @@
-// What the player of a service shows of a take besides its own frames: force plates, rigid bodies, the face of its subject, and
+// What the player of a service shows of a take besides its frames and rigid bodies: force plates, the face of its subject, and
 // the distances from another take. A shared page has none of these, and nothing of this module.
 
-import { bodiesText, drawBodies } from "./bodies.js";
 import { Comparison, ERROR_CLASSES, distances, drawErrors } from "./comparison.js";
 import { Curves } from "./curves.js";
 import { byId, h, setHidden, setText } from "./dom.js";
@@ -29,31 +28,20 @@ export class Overlays {
   #unusable = [];
   /** The poses of the face, as frames of four markers: twelve numbers. */
   #poses = null;
-  /** The names of the rigid bodies, and their poses, as if each were three markers. */
-  #bodies = null;
 
   /** Called once, by the player. */
   install(player) {
     this.player = player;
     this.curves = new Curves({ onSeek: (row) => player.seek(row) });
-    player.view.layers = {
-      floor: (...scene) => this.forces && drawForces(this.forces, ...scene),
-      markers: (...scene) => this.errors && drawErrors(this, ...scene),
-      bodies: drawBodies,
-    };
+    player.view.layers.floor = (...scene) => this.forces && drawForces(this.forces, ...scene);
+    player.view.layers.markers = (...scene) => this.errors && drawErrors(this, ...scene);
     player.view.textOf = (slot) => (Number.isFinite(this.errors?.[slot]) ? `   error ${this.errors[slot].toFixed(3)} mm` : "");
     byId("largest-error").addEventListener("click", () => this.goToLargest());
   }
 
-  /** Whether there is something to see without markers. */
-  get hasBodies() {
-    return this.#bodies !== null;
-  }
-
   /** Nothing is shown of the take before. */
   close() {
-    [this.comparison, this.forces, this.other, this.errors, this.#poses, this.#bodies] = Array(6).fill(null);
-    setHidden(byId("bodies-text"), true);
+    [this.comparison, this.forces, this.other, this.errors, this.#poses] = Array(5).fill(null);
     this.#showCurves();
     setHidden(byId("comparison"), true);
   }
@@ -67,7 +55,6 @@ export class Overlays {
       this.#poses = this.#bufferOf({ window }, { ...overview, markers: 4, window_frames_max: POSES_MAX }, isCurrent);
       this.player.refresh();
     }
-    await this.#showBodies(source, isCurrent);
     await this.#showForces(source, isCurrent);
     if (other && isCurrent()) await this.#compare(source, other, isCurrent);
   }
@@ -106,23 +93,6 @@ export class Overlays {
       }
     } catch (error) {
       if (isCurrent()) player.notice(`The forces of this take cannot be read: ${error.message}`);
-    }
-  }
-
-  /** The rigid bodies of the take, if it has any. */
-  async #showBodies(source, isCurrent) {
-    const { player } = this;
-    try {
-      await player.buffer.idle();
-      const { names, window_frames_max: most } = await source.bodies();
-      if (!isCurrent() || names.length === 0) return;
-      const window = (firstRow, rows, every) => source.bodyPoses(firstRow, rows, every, names.length);
-      const buffer = this.#bufferOf({ window }, { ...player.overview, markers: 3 * names.length, window_frames_max: most }, isCurrent);
-      this.#bodies = { names, buffer };
-      setHidden(byId("bodies-text"), false);
-      player.refresh();
-    } catch (error) {
-      if (isCurrent()) player.notice(`The rigid bodies of this take cannot be read: ${error.message}`);
     }
   }
 
@@ -181,7 +151,6 @@ export class Overlays {
   want({ row, loop }, rowsPerSecond) {
     this.forces?.buffer.want(row, rowsPerSecond, loop);
     this.#poses?.want(row, rowsPerSecond, loop);
-    this.#bodies?.buffer.want(row, rowsPerSecond, loop);
     this.comparison?.buffer.want(this.comparison.otherRow(row), rowsPerSecond);
   }
 
@@ -189,21 +158,11 @@ export class Overlays {
   show(motion) {
     const pose = this.#poses?.positionsAt(motion.row) ?? null;
     motion.facePose = pose && Number.isFinite(pose[0]) ? pose : null;
-    if (this.#bodies) this.#placeBodies(motion);
     this.other = this.comparison?.otherPositions(motion.row) ?? null;
     this.errors = this.other && motion.raw ? distances(motion.raw, this.other) : null;
   }
 
-  /** Bodies stay where they are while the next window is loaded. */
-  #placeBodies(motion) {
-    const { names, buffer } = this.#bodies;
-    const found = buffer.positionsAt(motion.row);
-    const values = found ?? (buffer.isWaitingFor(motion.row) ? motion.bodies.values : null);
-    motion.bodies = { names, values, frames: 0, tracked: [] };
-  }
-
   showTexts(row) {
-    if (this.#bodies) setText(byId("bodies-text"), bodiesLine(this.#bodies, row));
     if (this.forces) setText(byId("forces-text"), [...this.forces.texts(row), ...this.#unusable.map((text) => unusableText([text]))].join(" · "));
   }
 
@@ -219,12 +178,6 @@ export class Overlays {
     this.player.seek(largest.frame);
     this.player.view.select({ pinned: largest.marker });
   }
-}
-
-/** The rigid bodies at a row, as one line. */
-function bodiesLine({ names, buffer }, row) {
-  const values = buffer.positionsAt(row);
-  return values ? bodiesText(names, values) : buffer.isWaitingFor(row) ? "Loading rigid bodies" : "The poses of these frames cannot be read";
 }
 
 /** Why plates are not shown. Pure. */

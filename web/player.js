@@ -1,6 +1,7 @@
 // The player of a take: it connects the position, the frames, the scene, the time axis and the charts.
 // Where the frames come from is the source's matter: the service, or the page itself.
 
+import { TakeBodies, drawBodies } from "./bodies.js";
 import { CHOSEN_MAX, Charts } from "./charts.js";
 import { byId, setAttribute, setHidden, setText } from "./dom.js";
 import { count, percentile, plural, roundedUp, takeTime } from "./format.js";
@@ -66,6 +67,8 @@ export class Player {
     this.view.onSelected = () => {
       if (this.view.pinned >= 0 && this.view.hovered < 0) this.lists.add(this.view.pinned);
     };
+    this.bodies = new TakeBodies(this);
+    this.view.layers.bodies = drawBodies;
     this.overlays?.install(this);
     installPlayerKeys(this);
     requestAnimationFrame((now) => this.#tick(now));
@@ -81,6 +84,7 @@ export class Player {
     this.hasFailed = false;
     this.#message("Loading");
     this.notice(null);
+    this.bodies.close();
     this.overlays?.close();
     let overview;
     try {
@@ -91,7 +95,13 @@ export class Player {
     }
     if (opened !== this.#opened) return;
     this.#show(overview, source);
-    await Promise.all([this.overlays?.open(source, other, () => opened === this.#opened), this.#countGaps(source, opened)]);
+    await Promise.all([this.#openOthers(source, other, () => opened === this.#opened), this.#countGaps(source, opened)]);
+  }
+
+  /** What there is besides markers, one after the other, so that frames are not kept waiting. */
+  async #openOthers(source, other, isCurrent) {
+    await this.bodies.open(source, isCurrent);
+    if (isCurrent()) await this.overlays?.open(source, other, isCurrent);
   }
 
   #show(overview, source) {
@@ -301,9 +311,11 @@ export class Player {
     const { playback, buffer, motion } = this;
     const rowsPerSecond = playback.isPlaying ? playback.rowsPerSecond : 0;
     buffer.want(playback.row, rowsPerSecond, playback.loop);
+    this.bodies.want(playback, rowsPerSecond);
     this.overlays?.want(playback, rowsPerSecond);
     if (motion.show(buffer.shownRow(playback.row), buffer.positionsAt)) {
-      if (this.overview.markers > 0 || this.overlays?.hasBodies) this.#message(null);
+      if (this.overview.markers > 0 || this.bodies.isShown) this.#message(null);
+      this.bodies.show(motion);
       this.overlays?.show(motion);
       if (this.#isJump) {
         // The camera looks for the markers again, at once.
@@ -330,6 +342,7 @@ export class Player {
     const row = this.buffer.shownRow(playback.row);
     setText(byId("time"), takeTime(row / playback.rateHz));
     setText(byId("frame"), frameText(row, this.overview));
+    this.bodies.showText(row);
     this.overlays?.showTexts(row);
     if (isAll || nowMs - this.#missingMs > MISSING_MS) {
       this.#missingMs = Number.isFinite(nowMs) ? nowMs : 0;

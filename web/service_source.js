@@ -52,6 +52,9 @@ function parse(buffer, magic, n, bytesEach) {
 }
 
 export class ServiceSource {
+  /** Requests for windows can be cancelled. */
+  canCancel = true;
+
   constructor(name) {
     this.name = name;
     this.path = `/v1/takes/${encodeURIComponent(name)}`;
@@ -62,10 +65,10 @@ export class ServiceSource {
     return this.take;
   }
 
-  async window(firstRow, rows, every) {
+  async window(firstRow, rows, every, signal) {
     const { rate_hz: rateHz, markers } = this.take;
     const query = `from=${firstRow / rateHz}&seconds=${rows / rateHz}&every=${every}`;
-    return parseWindow(await inTurn(() => getBytes(`${this.path}/window?${query}`, TIMEOUT_MS)), markers);
+    return parseWindow(await inTurn(() => getBytes(`${this.path}/window?${query}`, TIMEOUT_MS, signal)), markers);
   }
 
   /**

@@ -10,7 +10,12 @@ import { SharedSource } from "./shared_source.js";
 export function accuracyText({ tolerance_mm: ofTake, page }) {
   const take = ofTake > 0 ? `those of the take by at most ${roundedUp(ofTake)} mm` : "those of the take, which is lossless, not at all";
   return `Positions differ from the original by at most ${roundedUp(page.tolerance_mm)} mm: ${take}, ` +
-    `and this page adds at most ${roundedUp(page.added_mm)} mm (the largest that it added is ${roundedUp(page.max_added_mm, 4)} mm). Made by mocapd; nothing is loaded from a network.`;
+    `and this page adds at most ${roundedUp(page.added_mm)} mm (the largest that it added is ${roundedUp(page.max_added_mm, 4)} mm).` +
+    `${page.angles ? anglesText(page.angles) : ""} Made by mocapd; nothing is loaded from a network.`;
+}
+
+function anglesText({ tolerance_degrees: all, added_degrees: added, max_added_degrees: most }) {
+  return ` Rotations of rigid bodies differ by at most ${roundedUp(all)}°, of which this page adds at most ${roundedUp(added)}° (the largest that it added is ${roundedUp(most, 4)}°).`;
 }
 
 installTheme();

@@ -45,7 +45,8 @@ export function takeSummary(take, nowMs) {
   if (take.markers > 0) known.push(plural(take.markers, "marker"));
   known.push(bytes(take.bytes).join(" "), dateTime(take.modified_unix_ms, nowMs));
   if (take.ending) known.push(`ended: ${take.ending}`);
-  return known.join(" · ");
+  // A line never begins with the dot.
+  return known.join("\u00a0· ");
 }
 
 /** The result of a verification, as a message. Pure. */

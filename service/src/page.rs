@@ -17,9 +17,6 @@ pub(crate) static WEB: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../web");
 pub(crate) const PLAYER: &str = "player.html";
 const SHARED: &str = "shared.js";
 
-/// The style sheets of the player, in order.
-const STYLES: [&str; 3] = ["style.css", "panels.css", "player.css"];
-
 /// Whether this is the path of a file of the pages.
 pub(crate) fn is_file(path: &str) -> bool {
     path == "/" || path.strip_prefix('/').is_some_and(|name| WEB.get_file(name).is_some())
@@ -41,7 +38,10 @@ impl SharedPage {
     /// A file of the page is not as expected, which is a bug.
     pub fn new() -> anyhow::Result<Self> {
         let script = joined(SHARED)?;
-        let styles = STYLES.map(text).into_iter().collect::<anyhow::Result<Vec<_>>>()?.concat();
+        let page = text(PLAYER)?;
+        let (head, body) = page.split_once("</head>\n<body>").context("the player has no body")?;
+        let (body, _) = body.rsplit_once("</body>").context("the player's body has no end")?;
+        let (mut head, styles) = without_files(head)?;
         let styles = without_comments(&styles);
         ensure!(!styles.contains("</") && !script.contains("</script"), "a file ends its element");
         let policy = format!(
@@ -50,16 +50,9 @@ impl SharedPage {
             hash(&styles)
         );
         let icon = base64(text("icon.svg")?.as_bytes());
-        let page = text(PLAYER)?;
-        let body = page.split_once("<body>").context("the player has no body")?.1;
-        let (body, _) = body.rsplit_once("</body>").context("the player's body has no end")?;
-        let head = format!(
-            "<!doctype html>\n<html lang=\"en\">\n<head>\n  <meta charset=\"utf-8\">\n  \
-             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n  \
-             <meta name=\"color-scheme\" content=\"light dark\">\n  \
-             <meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\n  \
+        head += &format!(
+            "  <meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\n  \
              <meta name=\"generator\" content=\"mocapd {}\">\n  \
-             <title>mocapd: playback</title>\n  \
              <link rel=\"icon\" href=\"data:image/svg+xml;base64,{icon}\">\n  \
              <style>{styles}</style>\n</head>\n<body>{body}",
             env!("CARGO_PKG_VERSION")
@@ -102,6 +95,21 @@ impl SharedPage {
 fn text(name: &str) -> anyhow::Result<&'static str> {
     let file = WEB.get_file(name).and_then(|file| file.contents_utf8());
     file.with_context(|| format!("the program lacks {name}: please report this bug"))
+}
+
+/// The head of a page without the files that it loads, and its style sheets as one.
+fn without_files(head: &str) -> anyhow::Result<(String, String)> {
+    let (mut kept, mut styles) = (String::new(), String::new());
+    for line in head.lines() {
+        let sheet = line.trim().strip_prefix("<link rel=\"stylesheet\" href=\"/");
+        if let Some(sheet) = sheet {
+            styles += text(sheet.strip_suffix("\">").context("a link without its end")?)?;
+        } else if !line.contains("href=") && !line.contains("src=") {
+            kept += line;
+            kept.push('\n');
+        }
+    }
+    Ok((kept, styles))
 }
 
 /// The hash by which a policy allows an inline script or style sheet.
@@ -256,6 +264,11 @@ mod tests {
         .unwrap();
         let file = String::from_utf8(file).unwrap();
         assert!(file.contains("default-src 'none'"));
+        let head = file.split_once("</head>").unwrap().0;
+        for part in ["<!doctype html>", "charset=\"utf-8\"", "viewport", "<title>", "<style>:root"]
+        {
+            assert_eq!(head.matches(part).count(), 1, "{part}");
+        }
         // The link to the dashboard is hidden.
         let rest = file.replace("href=\"/\" hidden", "");
         for loaded in ["src=", "href=\"/", "import ", "http://1", "https://", "/v1/"] {

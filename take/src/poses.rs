@@ -82,6 +82,20 @@ impl PoseState {
             Self::Unlisted => UNLISTED,
         }
     }
+
+    /// The state of a number in outputs.
+    #[must_use]
+    pub fn of_code(code: u8) -> Self {
+        match code {
+            0 => Self::Tracked,
+            1 => Self::Lost,
+            2 => Self::Rejected,
+            MISSING => Self::Missing,
+            REFUSED => Self::Refused,
+            UNLISTED => Self::Unlisted,
+            _ => Self::Other,
+        }
+    }
 }
 
 /// The pose of a body in a frame.

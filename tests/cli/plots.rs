@@ -3,8 +3,9 @@
 use mocapd_acquire::files::{FileError, NameTaken};
 use mocapd_simulator::generator::JumpSpec;
 use mocapd_take::motion::{GAP, Marker, Motion, MotionInfo};
+use mocapd_testkit::font::font_with;
 
-use super::Folder;
+use super::{Folder, Ran};
 use crate::support::{assert_mentions, mentions};
 
 fn folder() -> Folder {
@@ -87,6 +88,41 @@ fn every_plot_in_both_formats() {
         assert!(folder.read("new.png").starts_with(b"\x89PNG\r\n"), "{args:?}");
         std::fs::remove_file(folder.path("new.png")).unwrap();
     }
+}
+
+/// Labels in the private use of Unicode, where no font has a character: one that a test installs, and one that it does not.
+const PRIVATE: [char; 2] = ['\u{10fffc}', '\u{10fffd}'];
+
+#[test]
+fn a_png_is_drawn_with_installed_fonts_and_names_what_none_has() {
+    let folder = Folder::new();
+    let markers = PRIVATE.map(|c| Marker { label: format!("knee {c}"), labelled: true });
+    let info = MotionInfo { rate_hz: 100.0, markers: markers.into(), ..Default::default() };
+    let positions_mm = (0..100).map(|n| [n as f32, 0.0, 1.0]).collect();
+    folder.write_motion("made.csv", &Motion { info, positions_mm });
+    folder.run(&["import", "made.csv", "-o", "made.take"]).with_code(0);
+    let plot = |output: &str| {
+        let mut command = folder.command(&["plot", "quality", "made.take", "-o", output]);
+        let ran: Ran = command.env("HOME", folder.path("home")).output().unwrap().into();
+        ran.with_code(0).stderr
+    };
+    let stated = |line: &str| {
+        assert_eq!(line.lines().count(), 1, "{line}");
+        PRIVATE.map(|c| line.contains(&format!("U+{:X}", u32::from(c))))
+    };
+    let boxes = plot("boxes.png");
+    assert_mentions(&boxes, &["boxes.png", "fonts-noto-cjk", ".svg"]);
+    assert_eq!(stated(&boxes), [true, true], "{boxes}");
+    std::fs::create_dir_all(folder.path("home/.fonts")).unwrap();
+    folder.write("home/.fonts/own.ttf", font_with("Own", PRIVATE[0]));
+    let one = plot("one.png");
+    assert_eq!(stated(&one), [false, true], "{one}");
+    assert_ne!(folder.read("one.png"), folder.read("boxes.png"));
+    folder.write("home/.fonts/other.ttf", font_with("Other", PRIVATE[1]));
+    assert_eq!(plot("both.png"), "");
+    // An SVG leaves it to the viewer, and names families that have other scripts.
+    assert_eq!(plot("made.svg"), "");
+    assert_mentions(&folder.text("made.svg"), &["DejaVu Sans", "Noto Sans CJK JP"]);
 }
 
 #[test]

@@ -1,16 +1,22 @@
 //! `export` to a page: its positions, its size, and its decoder in JavaScript, which must give the same bits.
 
-use std::{path::Path, process::Command};
+use std::{io::Cursor, path::Path, process::Command};
 
+use mocapd_acquire::pipeline::PipelineConfig;
+use mocapd_codec::Settings;
+use mocapd_drivers::device::PoseFrame;
+use mocapd_simulator::generator::{JumpSpec, Occlusion, RigidBodies};
 use mocapd_take::{
-    interchange::page_motion::{Lattice, decode_block},
+    TakeMap,
+    interchange::page_motion::{Lattice, decode_block, pose_of},
     motion::{Motion, MotionEvent, Position, is_gap},
+    poses::{Pose, PosesByRow},
     record::EventKind,
 };
 use serde_json::{Value, json};
 
 use super::Folder;
-use crate::support::{assert_mentions, jump, rows};
+use crate::support::{TICK_HZ, assert_mentions, config, dense, feed, jump, lossless, rows, start};
 
 /// What a page contains: its overview, and the bytes of its blocks.
 struct Page {
@@ -36,20 +42,57 @@ impl Page {
         self.overview["page"][name].as_f64().unwrap()
     }
 
-    /// The positions by frame, decoded here.
-    fn frames(&self) -> Vec<Vec<Position>> {
-        let n_markers = self.overview["markers"].as_u64().unwrap() as usize;
-        let n_frames = self.overview["frames"].as_u64().unwrap() as usize;
+    fn count(&self, name: &str) -> usize {
+        self.overview[name].as_u64().unwrap() as usize
+    }
+
+    fn n_bodies(&self) -> usize {
+        self.overview["page"]["bodies"].as_array().unwrap().len()
+    }
+
+    fn lattice(&self) -> Lattice {
+        Lattice { added_mm: self.number("added_mm"), step_mm: self.number("step_mm") }
+    }
+
+    /// The trajectories of markers and bodies by block and frame, decoded here.
+    fn decoded(&self) -> Vec<Vec<Vec<Position>>> {
+        let n_columns = self.count("markers") + 2 * self.n_bodies();
         let of_block = self.number("block_frames") as usize;
-        let lattice =
-            Lattice { added_mm: self.number("added_mm"), step_mm: self.number("step_mm") };
-        let mut frames = Vec::new();
-        for block in &self.blocks {
-            let n = of_block.min(n_frames - frames.len());
-            let positions = decode_block(block, n_markers, n, lattice);
-            frames.extend(positions.chunks(n_markers).map(<[Position]>::to_vec));
+        let blocks = self.blocks.iter().enumerate().map(|(i, block)| {
+            let n = of_block.min(self.count("frames") - i * of_block);
+            let positions = decode_block(block, n_columns, n, self.lattice());
+            positions.chunks(n_columns).map(<[Position]>::to_vec).collect()
+        });
+        blocks.collect()
+    }
+
+    /// The positions of the markers by frame.
+    fn frames(&self) -> Vec<Vec<Position>> {
+        let n_markers = self.count("markers");
+        let frames = self.decoded().into_iter().flatten();
+        frames.map(|frame| frame[..n_markers].to_vec()).collect()
+    }
+
+    /// The poses of the bodies in a frame.
+    fn poses(&self, frame: &[Position]) -> Vec<Pose> {
+        let bodies = frame[self.count("markers")..].chunks_exact(2);
+        bodies.map(|body| pose_of([body[0], body[1]], self.lattice())).collect()
+    }
+
+    /// Everything in the order of `decode_page.mjs`.
+    fn values(&self) -> Vec<f32> {
+        let mut values = Vec::new();
+        for block in self.decoded() {
+            for frame in &block {
+                values.extend(frame[..self.count("markers")].as_flattened());
+            }
+            for pose in block.iter().flat_map(|frame| self.poses(frame)) {
+                values.extend([f32::from(pose.state.code()), pose.residual_mm]);
+                values.extend(pose.position_mm);
+                values.extend(pose.quaternion);
+            }
         }
-        frames
+        values
     }
 }
 
@@ -195,6 +238,125 @@ fn a_page_of_a_damaged_take_says_so() {
     assert!(lost > 0 && lost as usize == empty, "{lost} lost, {empty} without a marker");
 }
 
+const BODIES: usize = 5;
+
+/// Occlusions of markers and bodies.
+const OCCLUSION: Occlusion = Occlusion { fraction: 0.1, mean_gap_s: 0.2 };
+
+/// A recorded jump of 20 s at 120 Hz with rigid bodies that are not tracked at times.
+fn with_bodies(codec: Settings) -> Vec<u8> {
+    let motion = jump(9, 120.0, 20.0);
+    let spec =
+        JumpSpec { seconds: Some(20.0), occlusion: Some(OCCLUSION), ..JumpSpec::new(9, 120.0) };
+    let bodies = RigidBodies::new(&spec, BODIES).unwrap();
+    let config = PipelineConfig { bodies: bodies.infos(), ..config(&motion, codec) };
+    let (mut intake, recording) = start(&config, Vec::new());
+    let mut poses = Vec::new();
+    for frame in 0..motion.n_frames() {
+        while intake.is_full() {
+            std::thread::yield_now();
+        }
+        feed(&mut intake, &motion, frame);
+        bodies.poses(frame as u64, 120.0, &mut poses);
+        let (seq, device_ticks) = (frame as u32, frame as u64 * TICK_HZ / 120);
+        if frame % 100 != 99 {
+            intake.poses(&PoseFrame { seq, number: seq, device_ticks, poses: &poses });
+        }
+    }
+    drop(intake);
+    recording.finish().unwrap().1
+}
+
+/// The poses of a take by row.
+fn poses_of(take: &[u8]) -> Vec<Vec<Pose>> {
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let index = PosesByRow::read(Cursor::new(take), &map).unwrap().unwrap();
+    let (mut read, mut poses, mut rows) = (index.rows(0..map.n_rows), Vec::new(), Vec::new());
+    while read.next(&mut Cursor::new(take), 256, &mut poses).unwrap().is_some() {
+        rows.extend(poses.chunks_exact(index.bodies().len()).map(<[Pose]>::to_vec));
+    }
+    rows
+}
+
+/// Where a body has a point of it that is 200 mm away.
+fn tip(pose: &Pose, axis: usize) -> Position {
+    let [w, x, y, z] = pose.quaternion.map(f64::from);
+    let length = 200.0 / (w * w + x * x + y * y + z * z);
+    let column = [
+        [w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
+        [2.0 * (x * y - w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z + w * x)],
+        [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w - x * x - y * y + z * z],
+    ][axis];
+    column.map(|v| (v * length) as f32)
+}
+
+#[test]
+fn rigid_bodies_on_a_page_are_within_the_bounds_that_are_stated() {
+    for (codec, name) in [(dense(0.5), "dense"), (lossless(), "lossless")] {
+        let take = with_bodies(codec);
+        let folder = Folder::new();
+        folder.write("wand.take", &take);
+        let ran = folder.run(&["export", "wand.take", "-o", "wand.html", "--json"]).with_code(0);
+        let page = Page::parse(&folder.text("wand.html"));
+        let angles = page.overview["page"]["angles"].clone();
+        assert_eq!(ran.json()["page"]["angles"], angles);
+        assert_eq!(ran.json()["not_supported"], json!([]), "nothing is left out");
+        let [all, added, most] = ["tolerance_degrees", "added_degrees", "max_added_degrees"]
+            .map(|name| angles[name].as_f64().unwrap());
+        assert!(most > 0.0 && most <= added && added <= all, "{angles}");
+        let given = poses_of(&take);
+        let frames: Vec<_> = page.decoded().into_iter().flatten().collect();
+        assert_eq!((frames.len(), given.len()), (2400, 2400));
+        let bound_mm = page.number("max_added_mm");
+        // The chord of the largest angle, and the rounding of both points.
+        let tip_mm = 400.0 * (most.to_radians() / 2.0).sin() + 1e-4;
+        let mut tracked = 0;
+        for (row, (frame, given)) in frames.iter().zip(&given).enumerate() {
+            for (body, (found, given)) in page.poses(frame).iter().zip(given).enumerate() {
+                assert_eq!(found.state, given.state, "frame {row}, body {body}");
+                if !given.is_tracked() {
+                    continue;
+                }
+                tracked += 1;
+                assert!(distance_mm(found.position_mm, given.position_mm) <= bound_mm);
+                for axis in 0..3 {
+                    let apart = distance_mm(tip(found, axis), tip(given, axis));
+                    assert!(apart <= tip_mm, "frame {row}, body {body}: {apart} mm");
+                }
+            }
+        }
+        assert!(tracked > 8000, "{tracked}");
+        let (bytes, of_take) = (folder.read("wand.html").len(), take.len());
+        assert!(bytes <= 3 * of_take + 150_000, "{name}: {bytes} of {of_take}");
+        println!("{name}: a page of {bytes} bytes of a take of {of_take}");
+    }
+}
+
+#[test]
+fn rigid_bodies_follow_the_part_of_a_page() {
+    let take = with_bodies(dense(0.5));
+    let folder = Folder::new();
+    folder.write("wand.take", &take);
+    folder
+        .run(&["export", "wand.take", "-o", "part.html", "--from", "5s", "--to", "6s"])
+        .with_code(0);
+    let page = Page::parse(&folder.text("part.html"));
+    let given = &poses_of(&take)[600..720];
+    let frames: Vec<_> = page.decoded().into_iter().flatten().collect();
+    assert_eq!(frames.len(), 120);
+    for (frame, given) in frames.iter().zip(given) {
+        for (found, given) in page.poses(frame).iter().zip(given) {
+            assert_eq!(found.state, given.state);
+            assert!(
+                !given.is_tracked() || distance_mm(found.position_mm, given.position_mm) <= 0.5
+            );
+        }
+    }
+    let names = ["trunk", "l_thigh"].map(Value::from);
+    let bodies = page.overview["page"]["bodies"].as_array().unwrap();
+    assert!(names.iter().all(|name| bodies.contains(name)), "{bodies:?}");
+}
+
 /// The decoder of the page, in JavaScript, run by Node.
 #[test]
 fn the_decoder_of_the_page_gives_the_same_bits() {
@@ -208,10 +370,17 @@ fn the_decoder_of_the_page_gives_the_same_bits() {
     let mut far = jump(5, 120.0, 12.0);
     far.positions_mm[7] = [2.5e9, -1.0, f32::MIN_POSITIVE];
     far.positions_mm[700] = [1e30, 0.0, -1e30];
+    let mut pages = Vec::new();
     for (motion, options) in
         [(&jump(4, 240.0, 15.0), &["--tolerance", "0.5mm"][..]), (&far, &["--lossless"])]
     {
-        let folder = folder(motion, options);
+        pages.push(folder(motion, options));
+    }
+    for codec in [dense(0.5), lossless()] {
+        pages.push(Folder::new());
+        pages.last().unwrap().write("jump.take", with_bodies(codec));
+    }
+    for folder in pages {
         folder.run(&["export", "jump.take", "-o", "jump.html"]).with_code(0);
         let page = Page::parse(&folder.text("jump.html"));
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/dashboard/decode_page.mjs");
@@ -224,7 +393,7 @@ fn the_decoder_of_the_page_gives_the_same_bits() {
             .collect();
         // NaN has no sign that decoders agree on.
         let bits = |v: f32| if v.is_nan() { f32::NAN.to_bits() } else { v.to_bits() };
-        let expected: Vec<u32> = page.frames().into_iter().flatten().flatten().map(bits).collect();
+        let expected: Vec<u32> = page.values().into_iter().map(bits).collect();
         let found: Vec<u32> = found.into_iter().map(|v| bits(f32::from_bits(v))).collect();
         assert_eq!(found.len(), expected.len());
         let differ = found.iter().zip(&expected).position(|(a, b)| a != b);

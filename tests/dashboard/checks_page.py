@@ -335,6 +335,10 @@ def phone(browser, _log):
             browser.wait_state("recording")
             browser.wait("rows", "return document.querySelectorAll('#markers-body tr').length === 200")
             assert browser.js("return document.documentElement.scrollWidth") <= PHONE[0]
+            cut = """return [...document.querySelectorAll('.scroll, .tile *, .take-text, button')]
+                .filter((e) => e.checkVisibility() && e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).display !== 'inline')
+                .map((e) => e.textContent.slice(0, 60))"""
+            assert browser.js(cut) == [], browser.js(cut)
             small = """return [...document.querySelectorAll('#controls button, #record, #view ~ div button, #takes .button')]
                 .filter((b) => b.checkVisibility() && b.getBoundingClientRect().height < 40).map((b) => b.textContent)"""
             assert browser.js(small) == []

@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import math
+import subprocess
 import threading
 import time
 import urllib.request
@@ -261,8 +263,8 @@ def bodies_alone(browser, _log):
         assert browser.errors() == []
 
 
-#: A jump on two force plates, and eight electrodes.
-MOTION = ("--generate", "jump:3", "--seconds", "120", "--rate", "120", "--plates", "--emg", "8@1kHz")
+#: A jump on two force plates, eight electrodes, and rigid bodies.
+MOTION = ("--generate", "jump:3", "--seconds", "120", "--rate", "120", "--plates", "--emg", "8@1kHz", "--bodies", "3")
 
 
 def checks(mocapd, mocapd_sim):
@@ -330,6 +332,59 @@ def beside_a_recording(browser, log, mocapd, mocapd_sim):
         assert all(group["stored"] == group["taken"] > 2000 for group in samples["groups"]), samples
         log(f"{ledger['recorded']} frames recorded and none lost, beside {len(sizes)} downloads of {sorted(set(sizes))}")
         assert browser.errors() == []
+        bodies_on_a_page(browser, log, rig)
     finally:
         browser.open("about:blank")
         rig.close()
+
+
+#: The poses of the bodies in a row that is on display.
+POSES = "return mocapdPlayer.motion.row === arguments[0] && mocapdPlayer.motion.bodies.values && [...mocapdPlayer.motion.bodies.values]"
+
+
+def bodies_at(browser, frames):
+    """The poses in these rows, nine numbers for each body, and the line of text of each."""
+    browser.wait("the bodies", "return !document.getElementById('bodies-text').hidden", 20)
+    poses, texts = [], []
+    for frame in frames:
+        browser.js("mocapdPlayer.seek(arguments[0])", frame)
+        poses.append(browser.wait(f"frame {frame}", lambda frame=frame: browser.js(POSES, frame), 20))
+        browser.wait("the text", lambda: "tracked" in browser.text("bodies-text"))
+        texts.append(browser.text("bodies-text"))
+    return poses, texts
+
+
+def bodies_on_a_page(browser, log, rig):
+    """The rigid bodies on a shared page of the first take are those of the service's player, within what the page states."""
+    frames = [0, 1, 77, 300, 301, 555]
+    browser.js("mocapdPlayer.playback.isPlaying && mocapdPlayer.toggle()")
+    expected, texts = bodies_at(browser, frames)
+    file = rig.folder / "first.html"
+    exported = subprocess.run([rig.mocapd, "export", rig.takes / "first.take", "-o", file, "--json"], capture_output=True, text=True, check=True)
+    page = json.loads(exported.stdout)["page"]
+    browser.open(file.as_uri())
+    found, found_texts = bodies_at(browser, frames)
+    assert found_texts == texts, (found_texts, texts)
+    worst = [0.0, 0.0]
+    for all_found, all_expected in zip(found, expected):
+        for at in range(0, len(all_found), 9):
+            a, b = all_found[at:at + 9], all_expected[at:at + 9]
+            assert a[0] == b[0], (a, b)
+            if b[0] != 0:
+                continue
+            worst[0] = max(worst[0], math.dist(a[2:5], b[2:5]))
+            # Of a quaternion and its opposite the nearer one.
+            apart = min(math.dist(a[5:], b[5:]), math.dist(a[5:], [-q for q in b[5:]]))
+            worst[1] = max(worst[1], math.degrees(4 * math.asin(min(1, apart / 2))))
+    angles = page["angles"]
+    assert 0 < worst[0] <= page["added_mm"] and 0 < worst[1] <= angles["added_degrees"] + 1e-4, (worst, page)
+    assert f"{roundup(angles['added_degrees'])}°" in browser.text("foot"), browser.text("foot")
+    log(f"rigid bodies on a shared page: at most {worst[0]:.3f} mm and {worst[1]:.3f}° from those of the take")
+    browser.picture("shared-page-bodies", whole=True)
+    assert browser.errors() == []
+
+
+def roundup(value):
+    """A bound with three digits, never rounded down."""
+    digits = 2 - math.floor(math.log10(value))
+    return f"{math.ceil(value * 10 ** digits - 1e-9) / 10 ** digits:.{max(0, digits)}f}".rstrip("0").rstrip(".")

@@ -348,6 +348,21 @@ fn a_crash_between_two_renames_is_repaired_by_the_next_start() {
 }
 
 #[test]
+fn of_copies_of_a_take_the_one_that_was_moved_gets_its_notes() {
+    for (moved, others) in [("a", ["b", "c"]), ("b", ["a", "c"]), ("c", ["a", "b"])] {
+        let mut folder = Folder::new(&["a", "b", "c"]);
+        folder.rate(moved, TakeRating::Good, "of this one");
+        folder.engine = None;
+        // The time of a change has steps of some milliseconds.
+        std::thread::sleep(Duration::from_millis(30));
+        fs::rename(folder.path(&format!("{moved}.take")), folder.path("m.take")).unwrap();
+        folder.restart();
+        assert_eq!(folder.listed("m").notes.unwrap().text, "of this one");
+        assert!(others.iter().all(|name| folder.listed(name).notes.is_none()), "{moved}");
+    }
+}
+
+#[test]
 fn takes_leave_the_trash_after_their_time_and_an_event_says_so() {
     let mut folder = Folder::new(&["new", "old"]);
     folder.rate("old", TakeRating::Bad, "");

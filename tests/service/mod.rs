@@ -7,6 +7,7 @@ pub(crate) mod fake;
 mod finished;
 pub(crate) mod http;
 mod idle;
+mod killed;
 mod outputs;
 mod publish;
 mod publish_network;

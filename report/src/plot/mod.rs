@@ -1,8 +1,9 @@
-//! Plots of takes, as SVG, and rendering to PNG.
+//! Plots of takes, as SVG and PNG.
 //!
 //! Colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind people can distinguish;
 //! shapes or dashes always repeat what a colour means.
 
+mod png;
 mod pose;
 mod quality;
 mod recorded;
@@ -12,22 +13,18 @@ mod study;
 mod trace;
 mod trajectory;
 
-use std::{ops::Range, sync::Arc};
+use std::ops::Range;
 
+use crate::ReportError;
 use plotters::{
     chart::ChartContext,
     coord::{Shift, types::RangedCoordf64},
     prelude::*,
     style::text_anchor::{HPos, Pos, VPos},
 };
-use resvg::{
-    tiny_skia::{Pixmap, Transform},
-    usvg::{Options, Tree, fontdb},
-};
-
-use crate::ReportError;
 
 pub use self::{
+    png::{PngPicture, png},
     pose::{MOMENTS_MAX, PosePlot, pose},
     quality::{MarkerQuality, QualityPlot, quality},
     recorded::{PlotChannel, plot_channels},
@@ -71,7 +68,9 @@ fn sheet(
         Ok::<(), Box<dyn std::error::Error>>(())
     })();
     drawn.map_err(|error| ReportError::Drawing(error.to_string()))?;
-    Ok(text)
+    // Labels of a script that the usual fonts lack name those that have it.
+    let families = png::families(&text);
+    Ok(if families == FONT { text } else { text.replace(FONT, &families) })
 }
 
 /// The size, colour and horizontal alignment of text.
@@ -195,36 +194,6 @@ fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
     low - margin..high + margin
 }
 
-/// Pixels of a PNG per unit of the SVG: sharp in print and on high-density screens.
-const SCALE: f32 = 2.0;
-
-/// Maximum number of pixels of a PNG: 400 MB.
-const PIXELS_MAX: f32 = 1e8;
-
-/// Renders an SVG to PNG.
-///
-/// # Errors
-/// `Drawing` if the SVG is malformed or too large.
-pub fn png(svg: &str) -> Result<Vec<u8>, ReportError> {
-    let bad = |error: &dyn std::fmt::Display| ReportError::Drawing(error.to_string());
-    let mut fonts = fontdb::Database::new();
-    for font in [dejavu::sans::regular(), dejavu::sans::bold()] {
-        fonts.load_font_data(font.to_vec());
-    }
-    fonts.set_sans_serif_family("DejaVu Sans");
-    let options = Options { fontdb: Arc::new(fonts), ..Options::default() };
-    let tree = Tree::from_str(svg, &options).map_err(|error| bad(&error))?;
-    let size = tree.size();
-    let (width, height) = (size.width() * SCALE, size.height() * SCALE);
-    if width * height > PIXELS_MAX {
-        return Err(bad(&"the picture is too large for a PNG: use .svg"));
-    }
-    let mut pixels = Pixmap::new(width.ceil() as u32, height.ceil() as u32)
-        .ok_or_else(|| bad(&"the picture is empty"))?;
-    resvg::render(&tree, Transform::from_scale(SCALE, SCALE), &mut pixels.as_mut());
-    pixels.encode_png().map_err(|error| bad(&error))
-}
-
 #[cfg(test)]
 mod tests_of_chart {
     use super::*;
@@ -249,39 +218,6 @@ mod tests_of_chart {
 }
 
 #[cfg(test)]
-mod tests_of_png {
-    use super::*;
-
-    /// How many pixels of a PNG are not white, by its decoded bytes.
-    fn inked(svg: &str) -> usize {
-        let pixels = Pixmap::decode_png(&png(svg).unwrap()).unwrap();
-        pixels.pixels().iter().filter(|pixel| pixel.red() < 128 && pixel.alpha() > 0).count()
-    }
-
-    #[test]
-    fn text_is_drawn_without_an_installed_font() {
-        let svg = |text: &str| {
-            format!(
-                "<svg width='200' height='40' xmlns='http://www.w3.org/2000/svg'>\
-                 <rect width='200' height='40' fill='white'/>\
-                 <text x='5' y='25' font-family='Nowhere, sans-serif' font-size='20'>{text}</text></svg>"
-            )
-        };
-        assert_eq!(inked(&svg("")), 0);
-        assert!(inked(&svg("mm/s")) > 200);
-        // Also what is not Latin.
-        assert!(inked(&svg("λ° ж")) > 200);
-    }
-
-    #[test]
-    fn malformed_and_too_large_pictures_are_refused() {
-        assert!(png("<svg").is_err());
-        let large = "<svg width='99999' height='99999' xmlns='http://www.w3.org/2000/svg'></svg>";
-        assert!(png(large).unwrap_err().to_string().contains(".svg"));
-    }
-}
-
-#[cfg(test)]
 mod tests {
     use super::*;
 
@@ -291,7 +227,7 @@ mod tests {
             sheet((100, 40), |area| text(area, "a<b>&\"\u{1}\n", (5, 20), left_aligned(BODY, INK)));
         let svg = svg.unwrap();
         assert!(!svg.contains("a<b>") && svg.contains("a&lt;b&gt;&amp;"), "{svg}");
-        assert!(png(&svg).is_ok());
+        assert!(png(&svg, Default::default).is_ok());
     }
 
     #[test]

@@ -4,12 +4,11 @@
 //! middle of an hour costs as much as one at its beginning. The number of samples that a call decodes and the size of its
 //! result are bounded; a caller keeps the map of a take that was cut off, whose chunks have to be read for it.
 
-mod bodies;
 mod compare;
-mod face;
 mod forces;
 mod gaps;
 mod overview;
+mod poses;
 mod window;
 
 use std::io::{Read, Seek};
@@ -17,12 +16,11 @@ use std::io::{Read, Seek};
 use mocapd_take::{TakeError, TakeMap, TakeTail};
 
 pub use self::{
-    bodies::{BodyList, PoseWindow, TakeBodies},
     compare::{CompareError, LargestError, TakeDifference, read_difference},
-    face::FaceWindow,
     forces::{ForceWindow, PlateList, PlateOverview, TakeForces},
     gaps::{BINS, GapBins, lost_runs, read_gaps},
     overview::{PlaybackEvent, TakeOverview},
+    poses::{BodyList, FaceWindow, PoseWindow, TakeBodies},
     window::{
         EVERY_MAX, FrameWindow, HEADER_BYTES, SECONDS_MAX, WINDOW_BYTES_MAX, WindowError,
         WindowRequest,

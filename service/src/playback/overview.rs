@@ -11,7 +11,7 @@ use mocapd_take::{
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{face::labels, window::frames_max};
+use super::window::{frames_max, labels};
 use crate::{
     live::{LiveFace, LiveLimb},
     subject::{FaceOverlay, live_limbs, with_limbs},

@@ -222,6 +222,11 @@ pub(super) fn frame_at(time_s: f64, rate_hz: f64) -> u64 {
 /// Frames by which a time may miss that of a frame.
 const FRAME_TOLERANCE: f64 = 1e-6;
 
+/// The labels of a take's markers.
+pub(super) fn labels(map: &TakeMap) -> Vec<String> {
+    map.channels.iter().map(|channel| channel.label.clone()).collect()
+}
+
 /// The rows from the first to the last of a request, within the take.
 pub(super) fn rows_of(map: &TakeMap, request: &WindowRequest) -> Result<Range<u64>, WindowError> {
     let rate_hz = map.header.rate_hz;

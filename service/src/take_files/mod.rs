@@ -10,6 +10,7 @@ use std::{
     collections::HashMap,
     fs::{self, DirEntry},
     io,
+    os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -128,15 +129,20 @@ pub fn repair(folder: &Path) -> Vec<String> {
     messages
 }
 
-/// A take without notes that has this identity, of those with each size.
+/// A take without notes that has this identity, of those with each size: of several copies the one that was moved last.
 fn find_take<'a>(
     takes: &'a HashMap<u64, Vec<PathBuf>>,
     identity: &TakeIdentity,
 ) -> Option<&'a PathBuf> {
-    takes.get(&identity.take_bytes)?.iter().find(|take| {
+    let is_it = |take: &&PathBuf| {
         notes_path(take).symlink_metadata().is_err()
             && TakeIdentity::of(take).is_ok_and(|found| found == *identity)
-    })
+    };
+    // A rename changes the status of a file, and not its content.
+    let changed = |take: &&PathBuf| {
+        take.symlink_metadata().map_or((0, 0), |found| (found.ctime(), found.ctime_nsec()))
+    };
+    takes.get(&identity.take_bytes)?.iter().filter(is_it).max_by_key(changed)
 }
 
 /// Removes temporary files that a killed process left.

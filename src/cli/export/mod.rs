@@ -50,7 +50,7 @@ pub(crate) struct Args {
     #[arg(required = true, value_name = "TAKE")]
     takes: Vec<PathBuf>,
     /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf, .mot (force plates), .html (a page that plays
-    /// the motion) or, if built in, .parquet or
+    /// the motion and the rigid bodies) or, if built in, .parquet or
     /// .mcap. All but .trc, .tsv, .mot and .html have the sampled channels and the poses of rigid bodies, too: .csv and
     /// .parquet in files beside it. It must not exist. For several takes the folder to write into, with `--to FORMAT`; a file there that has
     /// the same content is left as it is. With `--to bids` the dataset to create or to add to. `-` writes to standard

@@ -11,14 +11,19 @@ use mocapd_service::{
     playback::{GapBins, TakeOverview, lost_runs},
 };
 use mocapd_take::{
-    interchange::page_motion,
-    motion::{FrameSource, frame_at, is_gap},
+    TakeMap,
+    interchange::page_motion::{self, Lattice},
+    motion::{FrameSource, MotionInfo, frame_at, is_gap},
+    poses::PoseBody,
 };
 use serde::Serialize;
 use serde_json::json;
 
 use super::ExportPlan;
 use crate::cli::{batch::Job, remote};
+
+/// Longest name of a rigid body on a page, in characters.
+const NAME_CHARS_MAX: usize = 200;
 
 /// How far positions on a page can be from those of the recording or the imported file, in millimetres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -31,11 +36,42 @@ pub(super) struct PageAccuracy {
     added_mm: f64,
     /// What it added at most, measured.
     max_added_mm: f64,
+    /// For rigid bodies; null without any.
+    angles: Option<AngleAccuracy>,
+}
+
+/// How far rotations of rigid bodies on a page can be from those that the device sent, in degrees.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct AngleAccuracy {
+    /// The largest angle: the sum of the following two.
+    tolerance_degrees: f64,
+    /// The largest angle that the take allows.
+    take_tolerance_degrees: f64,
+    /// What coding for the page may add.
+    added_degrees: f64,
+    /// What it added at most, measured.
+    max_added_degrees: f64,
+}
+
+impl AngleAccuracy {
+    /// The bounds for a take with rigid bodies; `None` without any.
+    fn of(map: &TakeMap, info: &MotionInfo, lattice: Lattice) -> Option<Self> {
+        info.recording.as_ref().filter(|recording| !recording.bodies().is_empty())?;
+        let bounds = map.pose_groups().filter_map(|samples| samples.group.pose_bounds());
+        let take_tolerance_degrees = bounds.map(|[_, degrees]| degrees).fold(0.0, f64::max);
+        let added_degrees = lattice.added_degrees();
+        Some(Self {
+            tolerance_degrees: take_tolerance_degrees + added_degrees,
+            take_tolerance_degrees,
+            added_degrees,
+            max_added_degrees: 0.0,
+        })
+    }
 }
 
 impl fmt::Display for PageAccuracy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { tolerance_mm, take_tolerance_mm, added_mm, max_added_mm } = self;
+        let Self { tolerance_mm, take_tolerance_mm, added_mm, max_added_mm, angles } = self;
         write!(
             f,
             "positions within {} mm of the original: those of the take within {} mm, and the page adds at most {} mm (the largest \
@@ -44,6 +80,14 @@ impl fmt::Display for PageAccuracy {
             rounded_up(*take_tolerance_mm, BOUND_DIGITS),
             rounded_up(*added_mm, BOUND_DIGITS),
             rounded_up(*max_added_mm, MEASURED_DIGITS)
+        )?;
+        let Some(angles) = angles else { return Ok(()) };
+        write!(
+            f,
+            "; rotations of rigid bodies within {} degrees, of which the page adds at most {} (the largest that it added is {})",
+            rounded_up(angles.tolerance_degrees, BOUND_DIGITS),
+            rounded_up(angles.added_degrees, BOUND_DIGITS),
+            rounded_up(angles.max_added_degrees, MEASURED_DIGITS)
         )
     }
 }
@@ -91,7 +135,11 @@ impl ExportPlan<'_> {
             take_tolerance_mm,
             added_mm: lattice.added_mm,
             max_added_mm: 0.0,
+            angles: AngleAccuracy::of(map, info, lattice),
         };
+        let bodies = info.recording.as_ref().map_or(&[][..], |recording| recording.bodies());
+        let name_of = |body: &PoseBody| body.name.chars().take(NAME_CHARS_MAX).collect();
+        let bodies: Vec<String> = bodies.iter().map(name_of).collect();
         SharedPage::new()?.write(out, |out| -> anyhow::Result<String> {
             let coded =
                 page_motion::write(frames, lattice, out, |frame, positions, is_damaged| {
@@ -102,6 +150,9 @@ impl ExportPlan<'_> {
                     gaps.add_frame(frame, missing as u64, is_lost);
                 })?;
             accuracy.max_added_mm = coded.max_added_mm;
+            if let Some(angles) = &mut accuracy.angles {
+                angles.max_added_degrees = coded.max_added_degrees;
+            }
             if let Some(map) = frames.take() {
                 // What was found while the frames were decoded, too.
                 overview.set_problems(&map.problems);
@@ -113,6 +164,8 @@ impl ExportPlan<'_> {
                 "max_added_mm": accuracy.max_added_mm,
                 "step_mm": lattice.step_mm,
                 "block_frames": coded.block_frames,
+                "bodies": bodies,
+                "angles": accuracy.angles,
                 "gaps": gaps,
             });
             Ok(overview.to_string())

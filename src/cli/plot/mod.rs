@@ -7,11 +7,13 @@ mod sizes;
 
 use std::{
     path::{Path, PathBuf},
+    sync::{Arc, OnceLock},
     time::Duration,
 };
 
 use anyhow::{Context, bail};
 use clap::Subcommand;
+use fontdb::Database;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files::Kept;
 use mocapd_report::{
@@ -26,7 +28,7 @@ use serde::Serialize;
 use crate::cli::{
     batch::{self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Job, outputs},
     motion_files::{Original, file_name, read_original, read_picture_source, write_new},
-    output::plain_path,
+    output::{notify, plain_path},
     paths::{self, InputFormatName, ends_in},
     values::{TimeOrFormat, split_to, time_or_format},
 };
@@ -47,6 +49,9 @@ pub(crate) enum Plot {
     /// Plot each marker's gaps, noise and, with --against, error
     Quality(PictureArgs),
 }
+
+/// Most characters that a message names: enough to know the script.
+const NAMED_CHARACTERS_MAX: usize = 3;
 
 pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
     match plot {
@@ -75,7 +80,42 @@ pub(crate) fn check_output(path: &Path) -> anyhow::Result<()> {
 /// # Errors
 /// If it cannot be drawn or written.
 pub(crate) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
-    if ends_in(path, "png") { write_new(path, &png(svg)?) } else { write_new(path, svg.as_bytes()) }
+    if !ends_in(path, "png") {
+        return write_new(path, svg.as_bytes());
+    }
+    write_new(path, &rendered(svg, &|message| notify(&format!("{}: {message}", path.display())))?)
+}
+
+/// A picture as PNG; reports characters that no font has.
+fn rendered(svg: &str, notify: &dyn Fn(&str)) -> anyhow::Result<Vec<u8>> {
+    static INSTALLED: OnceLock<Arc<Database>> = OnceLock::new();
+    let installed = || {
+        let load = || {
+            let mut fonts = Database::new();
+            fonts.load_system_fonts();
+            Arc::new(fonts)
+        };
+        Arc::clone(INSTALLED.get_or_init(load))
+    };
+    let picture = png(svg, installed)?;
+    if let Some(message) = without_font(&picture.missing) {
+        notify(&message);
+    }
+    Ok(picture.bytes)
+}
+
+/// What to do about characters that no font has.
+fn without_font(missing: &[char]) -> Option<String> {
+    let named = missing.iter().take(NAMED_CHARACTERS_MAX);
+    let named: Vec<String> = named.map(|&c| format!("{c} (U+{:04X})", u32::from(c))).collect();
+    let more = missing.len().checked_sub(named.len()).filter(|n| *n > 0);
+    let more = more.map_or_else(String::new, |n| format!(" and {n} more"));
+    (!missing.is_empty()).then(|| {
+        format!(
+            "no installed font has {}{more}, drawn as boxes: install one, such as Debian's fonts-noto-cjk for Chinese, Japanese and Korean, or fonts-noto-core for most others; or write .svg",
+            named.join(", ")
+        )
+    })
 }
 
 /// Reads the original of a take; warns if the two do not match.
@@ -243,7 +283,10 @@ impl PictureArgs {
         let original = self.against.as_ref().map(|path| original(job, &take, path)).transpose()?;
         let picture = Picture { job, name: file_name(&job.input.name), take, original, end };
         let svg = draw(&picture)?;
-        let bytes = if format == PictureFormat::Png { png(&svg)? } else { svg.into_bytes() };
+        let bytes = match format {
+            PictureFormat::Png => rendered(&svg, &|message| job.notify_of(output, message))?,
+            PictureFormat::Svg => svg.into_bytes(),
+        };
         let ((), kept) = outputs::write_whole(output, in_folder, |out| {
             out.write_all(&bytes).with_context(|| format!("cannot write {}", output.display()))
         })?;

@@ -321,7 +321,9 @@ impl Format {
             SampledPlace::Restored if self == Self::Mot => poses.into_iter().collect(),
             SampledPlace::Restored => {
                 let groups = recording.groups().iter();
-                groups.map(|found| c3d::name_of(&found.group)).chain(poses).collect()
+                let groups = groups.map(|found| c3d::name_of(&found.group));
+                // A page has the poses.
+                groups.chain(poses.filter(|_| self != Self::Html)).collect()
             }
         }
     }

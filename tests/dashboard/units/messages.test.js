@@ -83,8 +83,8 @@ test("the upload of a take says where it is, or why not", () => {
 test("the summary of a take contains known facts only", () => {
   const take = { name: "a", bytes: 61_234, modified_unix_ms: 0, is_open: false, health: "unknown", seconds: 0, markers: 0 };
   isTrue(takeSummary(take, 1e12).startsWith("61.2 kB"), "no unknown length");
-  isTrue(takeSummary({ ...take, seconds: 5, markers: 1 }, 1e12).startsWith("0:05.0 · 1 marker · "), "length and markers");
-  isTrue(takeSummary({ ...take, ending: "device gone" }, 1e12).includes(" · ended: device gone"), "how it ended");
+  isTrue(takeSummary({ ...take, seconds: 5, markers: 1 }, 1e12).startsWith("0:05.0\u00a0· 1 marker\u00a0· "), "length and markers");
+  isTrue(takeSummary({ ...take, ending: "device gone" }, 1e12).includes("\u00a0· ended: device gone"), "how it ended");
   isTrue(!takeSummary({ ...take, ending: "" }, 1e12).includes("ended"), "no unknown ending");
   equal(health({ ...take, is_open: true }), ["none", "being written"]);
   equal([health({ health: "cut off" })[0], health({ health: "from tomorrow" })], ["bad", ["watch", "from tomorrow"]]);

@@ -1,4 +1,5 @@
-import { axesOf, bodiesCount, bodiesText, bodyLines } from "/bodies.js";
+import { axesOf, bodiesText } from "/bodies.js";
+import { bodiesCount, bodyLines } from "/body_list.js";
 import { Comparison, distances } from "/comparison.js";
 import { curveColumns } from "/curves.js";
 import { downloadPath } from "/downloads.js";
@@ -6,6 +7,7 @@ import { Forces } from "/forces.js";
 import { axisTime } from "/format.js";
 import { comparisonText } from "/overlays.js";
 import { Motion } from "/motion.js";
+import { split } from "/motion_decoder.js";
 import { frameText } from "/player.js";
 import { parseBodies, parseForces, parsePoses } from "/service_source.js";
 import { LiveParser } from "/stream.js";
@@ -173,4 +175,16 @@ test("the markers whose gap begins are named, and downloads have their formats",
   equal(gapsThatBegin([...nan, 1, 1, 1, ...nan], [1, 1, 1, 1, 1, 1, ...nan]), [0]);
   equal(gapsThatBegin([...nan, 1, 1, 1], null), [0]);
   equal([downloadPath("a b", "take"), downloadPath("a b", "c3d")], ["/v1/takes/a%20b/download", "/v1/takes/a%20b/download?format=c3d"]);
+});
+
+test("a decoded block of a shared page has markers, and the poses of rigid bodies", () => {
+  const step = 0.5;
+  // Two frames of a marker and a body: half a turn about z, and lost.
+  const block = new Float32Array([1, 2, 3, 10, 20, 30, 0, 0, 800, 4, 5, 6, NaN, NaN, NaN, 1 * step, 0, 0]);
+  const { positions, poses } = split(block, 1, 1, step);
+  equal([...positions], [1, 2, 3, 4, 5, 6]);
+  equal([...poses].map((value) => (Number.isNaN(value) ? null : value)), [0, null, 10, 20, 30, 0, 0, 0, 1, 1, null, null, null, null, null, null, null, null]);
+  equal(bodiesText(["wand"], poses.subarray(9)), "0 of 1 rigid body tracked; without a pose: wand (lost)");
+  equal(split(block, 6, 0, step).poses, null);
+  isTrue(split(block, 6, 0, step).positions === block);
 });

@@ -174,6 +174,38 @@ test("a window that cannot be read is reported once, and playback does not wait 
   equal(buffer.isWaitingFor(0), false);
 });
 
+test("a jump ends the requests for windows that are not wanted any more, but none that is awaited", async () => {
+  const asked = [];
+  const window = (firstRow, _rows, _every, signal) => new Promise((_, reject) => {
+    const request = { firstRow, isCancelled: false };
+    asked.push(request);
+    signal.addEventListener("abort", () => {
+      request.isCancelled = true;
+      reject(new Error("cancelled"));
+    });
+  });
+  const errors = [];
+  const onFailed = (error) => errors.push(error.message);
+  const buffer = new FrameBuffer({ window, canCancel: true }, { ...overview, frames: 1_000_000 }, { onFailed });
+  const shown = () => asked.map(({ firstRow, isCancelled }) => [firstRow / buffer.windowFrames, isCancelled]);
+  const rowOf = (index) => index * buffer.windowFrames;
+  buffer.want(rowOf(100));
+  equal(shown(), [[100, false], [101, false]]);
+  buffer.want(rowOf(101));
+  equal(shown(), [[100, false], [101, false]], "both are wanted still");
+  buffer.want(rowOf(500));
+  equal(shown(), [[100, true], [101, true], [500, false], [501, false]]);
+  buffer.fetch(rowOf(700));
+  buffer.want(rowOf(600));
+  equal(shown().slice(2), [[500, true], [501, true], [700, false], [600, false]]);
+  await new Promise((resolve) => setTimeout(resolve, 5));
+  equal(errors, [], "what was cancelled has not failed");
+  const kept = new FrameBuffer({ window }, { ...overview, frames: 1_000_000 });
+  kept.want(0);
+  kept.want(rowOf(900));
+  equal(shown().slice(6), [[0, false], [1, false]], "of other sources at most two are loaded at once");
+});
+
 test("takes of very many markers load only what a display shows while they play", () => {
   const asked = [];
   const source = { window: (firstRow, rows, every) => { asked.push(every); return new Promise(() => {}); } };

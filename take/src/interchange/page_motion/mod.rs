@@ -2,13 +2,33 @@
 //!
 //! The format is simple, so that a decoder is a page of JavaScript (`web/motion_decoder.js`): it is not that of takes, and
 //! larger. `docs/sharing.md` specifies it. Its error comes on top of that of the take that is coded, and is measured for
-//! every sample.
+//! every sample. Rigid bodies are trajectories, too: that of their origin, and that of a vector that is their rotation.
 
 use std::io::{self, Write};
 
 use mocapd_codec::range::{BinaryCoder, Bit, RangeDecoder, RangeEncoder};
 
-use crate::motion::{FrameSource, GAP, Position, is_gap};
+use super::frame_poses::FramePoses;
+use crate::{
+    motion::{FrameSource, GAP, Position, is_gap},
+    poses::{Pose, PoseState},
+};
+
+/// Trajectories of a rigid body in a block: its place and its turn.
+const OF_BODY: usize = 2;
+
+/// Millimetres that stand for 1 in a turn, the vector part of a unit quaternion over 1 plus its real part. A rotation is at
+/// most four times as far from another one, in radians, as their turns: an error of the bound in millimetres is one of the
+/// angle by which a point moves that far which is 200 mm away, as in takes.
+const TURN_MM: f64 = 800.0;
+
+/// Longest turn in units of [`TURN_MM`]: that of 253 degrees. A rotation has two, one of which is at most 1; a body that keeps
+/// turning changes from one to the other where it is much longer than that, so that none that is near half a turn does so
+/// often.
+const TURN_MAX: f64 = 2.0;
+
+/// What rounding turns to f32 may add to an angle, in degrees: half the distance of floats below 2048 mm, on three axes.
+const ROUNDING_DEGREES: f64 = 3e-5;
 
 /// Samples of a block: some 100 000 numbers, which a browser decodes in about ten milliseconds.
 const BLOCK_SAMPLES: usize = 1 << 15;
@@ -80,12 +100,23 @@ impl Lattice {
         point.map(|steps| (f64::from(steps) * self.step_mm) as f32)
     }
 
+    /// The largest angle in degrees that coding may add to the rotation of a rigid body.
+    #[must_use]
+    pub fn added_degrees(self) -> f64 {
+        degrees(self.added_mm)
+    }
+
     fn error_mm(self, point: [i32; 3], position: Position) -> f64 {
         let coded = self.position(point);
         let squares =
             coded.iter().zip(position).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2));
         squares.sum::<f64>().sqrt()
     }
+}
+
+/// The angle of a rotation whose turn is wrong by this distance.
+fn degrees(mm: f64) -> f64 {
+    (4.0 * mm / TURN_MM).to_degrees() + ROUNDING_DEGREES
 }
 
 /// A motion that was coded.
@@ -97,19 +128,21 @@ pub struct CodedMotion {
     pub block_frames: usize,
     /// The largest distance between a coded position and the one given, in millimetres.
     pub max_added_mm: f64,
+    /// The largest angle between a coded rotation of a rigid body and the one given, in degrees, rounded up; 0 without bodies.
+    pub max_added_degrees: f64,
     /// Bytes of all blocks.
     pub bytes: u64,
 }
 
-/// Frames of a block of so many markers.
+/// Frames of a block of so many markers and rigid bodies.
 #[must_use]
-pub fn block_frames(n_markers: usize) -> usize {
+pub fn block_frames(n_markers: usize, n_bodies: usize) -> usize {
     let [low, high] = BLOCK_FRAMES;
-    (BLOCK_SAMPLES / n_markers.max(1)).clamp(low, high)
+    (BLOCK_SAMPLES / (n_markers + OF_BODY * n_bodies).max(1)).clamp(low, high)
 }
 
-/// Codes all frames of a source and writes each block as a line of base64. `each` receives the number of
-/// every frame, its positions, and whether it was damaged in the file.
+/// Codes all frames of a source, with the poses of its rigid bodies, and writes each block as a line of base64. `each` receives
+/// the number of every frame, its positions, and whether it was damaged in the file.
 ///
 /// # Errors
 /// `Io` if reading or writing fails.
@@ -119,11 +152,15 @@ pub fn write(
     out: &mut dyn Write,
     mut each: impl FnMut(u64, &[Position], bool),
 ) -> io::Result<CodedMotion> {
-    let n_markers = frames.info().markers.len();
-    let block_frames = block_frames(n_markers);
+    let info = frames.info().clone();
+    let n_markers = info.markers.len();
+    let mut bodies = BodyTrajectories::open(FramePoses::open(&info), lattice);
+    let n_bodies = info.recording.as_ref().map_or(0, |recording| recording.bodies().len());
+    let n_columns = n_markers + OF_BODY * n_bodies;
+    let block_frames = block_frames(n_markers, n_bodies);
     let mut coded = CodedMotion { block_frames, ..CodedMotion::default() };
     let mut row = vec![GAP; n_markers];
-    let mut block = Vec::with_capacity(block_frames * n_markers);
+    let mut block = Vec::with_capacity(block_frames * n_columns);
     let mut bytes = Vec::new();
     loop {
         block.clear();
@@ -131,6 +168,9 @@ pub fn write(
         while n_frames < block_frames && frames.next_frame(&mut row)? {
             each(coded.frames, &row, frames.is_lost());
             block.extend_from_slice(&row);
+            if let Some(bodies) = &mut bodies {
+                bodies.put_frame(&mut block)?;
+            }
             coded.frames += 1;
             n_frames += 1;
         }
@@ -138,8 +178,12 @@ pub fn write(
             return Ok(coded);
         }
         bytes.clear();
-        let error_mm = encode_block(&block, n_markers, n_frames, lattice, &mut bytes);
-        coded.max_added_mm = coded.max_added_mm.max(error_mm);
+        let [of_places, of_turns] =
+            encode_block(&block, [n_markers, n_bodies], n_frames, lattice, &mut bytes);
+        coded.max_added_mm = coded.max_added_mm.max(of_places);
+        if n_bodies > 0 {
+            coded.max_added_degrees = coded.max_added_degrees.max(degrees(of_turns));
+        }
         coded.bytes += bytes.len() as u64;
         let mut line = base64(&bytes);
         line.push('\n');
@@ -147,53 +191,120 @@ pub fn write(
     }
 }
 
-/// Codes a block, and returns the largest error in millimetres.
+/// The poses of rigid bodies as trajectories, two for each.
+struct BodyTrajectories<'a> {
+    poses: FramePoses<'a>,
+    lattice: Lattice,
+    /// The last turn of each body.
+    turns: Vec<[f64; 3]>,
+}
+
+impl<'a> BodyTrajectories<'a> {
+    fn open(poses: Option<FramePoses<'a>>, lattice: Lattice) -> Option<Self> {
+        poses.map(|poses| Self { poses, lattice, turns: Vec::new() })
+    }
+
+    /// Appends the places and turns of the next frame's bodies.
+    fn put_frame(&mut self, block: &mut Vec<Position>) -> io::Result<()> {
+        let poses = self.poses.next_frame()?;
+        self.turns.resize(poses.len(), [0.0; 3]);
+        for (pose, turn) in poses.iter().zip(&mut self.turns) {
+            block.extend(trajectories_of(pose, turn, self.lattice));
+        }
+        Ok(())
+    }
+}
+
+/// The place and the turn of a body. Without a pose, the place is a gap, and the turn is the number of the state, in steps.
+/// `before` is the last turn of the body, and is replaced.
+fn trajectories_of(pose: &Pose, before: &mut [f64; 3], lattice: Lattice) -> [Position; OF_BODY] {
+    if !pose.is_tracked() {
+        return [GAP, lattice.position([i32::from(pose.state.code()), 0, 0])];
+    }
+    let [w, x, y, z] = pose.quaternion.map(f64::from);
+    let length = ((w * w + x * x) + (y * y + z * z)).sqrt();
+    // A quaternion and its opposite are the same rotation.
+    let turns = [1.0, -1.0].map(|sign| [x, y, z].map(|v| sign * v / (length + sign * w)));
+    let far = |turn: &[f64; 3]| turn.iter().zip(*before).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+    let is_short =
+        |turn: &&[f64; 3]| turn.iter().map(|v| v * v).sum::<f64>() <= TURN_MAX * TURN_MAX;
+    let nearest = turns.iter().filter(is_short).min_by(|a, b| far(a).total_cmp(&far(b)));
+    *before = nearest.copied().unwrap_or_default();
+    [pose.position_mm, before.map(|v| (v * TURN_MM) as f32)]
+}
+
+/// The pose of a body from its trajectories in a frame, as every decoder computes it. Pages have no residuals.
+#[must_use]
+pub fn pose_of([place, turn]: [Position; OF_BODY], lattice: Lattice) -> Pose {
+    if is_gap(place) {
+        let code = (f64::from(turn[0]) / lattice.step_mm).round();
+        let state = PoseState::of_code(code as u8);
+        let is_wrong = state == PoseState::Tracked;
+        return Pose::without(if is_wrong { PoseState::Other } else { state });
+    }
+    let [x, y, z] = turn.map(|v| f64::from(v) / TURN_MM);
+    let square = (x * x + y * y) + z * z;
+    let quaternion = [1.0 - square, 2.0 * x, 2.0 * y, 2.0 * z];
+    Pose {
+        state: PoseState::Tracked,
+        position_mm: place,
+        quaternion: quaternion.map(|v| (v / (1.0 + square)) as f32),
+        residual_mm: f32::NAN,
+    }
+}
+
+/// Codes a block of markers and bodies, and returns the largest errors of positions and of turns, in millimetres.
 fn encode_block(
     positions: &[Position],
-    n_markers: usize,
+    [n_markers, n_bodies]: [usize; 2],
     n_frames: usize,
     lattice: Lattice,
     out: &mut Vec<u8>,
-) -> f64 {
+) -> [f64; 2] {
+    let n_columns = n_markers + OF_BODY * n_bodies;
     let mut samples = vec![PageSample::Missing; positions.len()];
-    let columns: Vec<MarkerCoding> = (0..n_markers)
+    let mut errors_mm = [0.0_f64; 2];
+    let columns: Vec<MarkerCoding> = (0..n_columns)
         .map(|column| {
-            let given = || positions.iter().skip(column).step_by(n_markers);
+            let given = || positions.iter().skip(column).step_by(n_columns);
             let (of, coded) = MarkerCoding::of(given, lattice);
-            let places = samples.iter_mut().skip(column).step_by(n_markers);
-            places.zip(coded).for_each(|(place, sample)| *place = sample);
+            let is_turn = column >= n_markers && (column - n_markers) % OF_BODY == 1;
+            let largest = &mut errors_mm[usize::from(is_turn)];
+            let places = samples.iter_mut().skip(column).step_by(n_columns);
+            for ((place, sample), position) in places.zip(coded).zip(given()) {
+                if let PageSample::Point(point) = sample {
+                    *largest = largest.max(lattice.error_mm(point, *position));
+                }
+                *place = sample;
+            }
             of
         })
         .collect();
     let has_exact = samples.iter().any(|sample| matches!(sample, PageSample::Exact(_)));
-    let errors_mm = samples.iter().zip(positions).map(|(sample, position)| match sample {
-        PageSample::Point(point) => lattice.error_mm(*point, *position),
-        PageSample::Missing | PageSample::Exact(_) => 0.0,
-    });
-    let error_mm = errors_mm.fold(0.0, f64::max);
     let mut coder = RangeEncoder::new(out, usize::MAX);
     let mut source = samples.into_iter();
     let given = Given { has_exact, columns };
-    code_block(&mut coder, n_markers, n_frames, Some(&given), |coded| match coded {
+    code_block(&mut coder, n_columns, n_frames, Some(&given), |coded| match coded {
         None => source.next().unwrap_or(PageSample::Missing),
         Some(sample) => sample,
     });
     // There is no limit that it could exceed.
     let _is_whole = coder.finish();
-    error_mm
+    errors_mm
 }
 
-/// Decodes a block of a page into one position per frame and marker: a reference for decoders in other languages.
+/// Decodes a block of a page into one position per frame and trajectory, of which a marker has one, and a rigid body two behind
+/// those of all markers: a reference for decoders in other languages.
 #[must_use]
 pub fn decode_block(
     bytes: &[u8],
-    n_markers: usize,
+    n_columns: usize,
     n_frames: usize,
     lattice: Lattice,
 ) -> Vec<Position> {
     let mut coder = RangeDecoder::new(bytes);
-    let mut positions = Vec::with_capacity(n_markers * n_frames);
-    code_block(&mut coder, n_markers, n_frames, None, |sample| {
+    let mut positions = Vec::with_capacity(n_columns * n_frames);
+    code_block(&mut coder, n_columns, n_frames, None, |sample| {
         if let Some(sample) = sample {
             positions.push(match sample {
                 PageSample::Missing => GAP,
@@ -401,14 +512,14 @@ impl Models {
 /// decoder ignores, and then receives the sample as it was coded.
 fn code_block<C: BinaryCoder>(
     coder: &mut C,
-    n_markers: usize,
+    n_columns: usize,
     n_frames: usize,
     given: Option<&Given>,
     mut next: impl FnMut(Option<PageSample>) -> PageSample,
 ) {
     let mut models = Models::new();
     let has_exact = coder.bit(&mut models.has_exact, given.is_some_and(|given| given.has_exact));
-    let columns: Vec<MarkerCoding> = (0..n_markers)
+    let columns: Vec<MarkerCoding> = (0..n_columns)
         .map(|i| {
             let of = given.map_or(MarkerCoding { presence: 0, order: 1 }, |given| given.columns[i]);
             let presence = Models::of_three(coder, &mut models.presence, of.presence);
@@ -419,7 +530,7 @@ fn code_block<C: BinaryCoder>(
             MarkerCoding { presence, order }
         })
         .collect();
-    let mut histories = vec![History::default(); n_markers];
+    let mut histories = vec![History::default(); n_columns];
     let mut before = Before::default();
     for _ in 0..n_frames {
         for (column, history) in columns.iter().zip(&mut histories) {
@@ -525,75 +636,4 @@ pub fn base64(bytes: &[u8]) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use mocapd_testkit::random::Random;
-
-    use super::*;
-
-    /// A walk of `n` markers with gaps, and positions far away.
-    fn walk(seed: u64, n: usize, frames: usize) -> Vec<Position> {
-        let mut random = Random::new(seed);
-        let mut unit = || random.below(2001) as f32 / 1000.0 - 1.0;
-        let mut at = vec![[0.0_f32; 3]; n];
-        let mut positions = Vec::new();
-        for frame in 0..frames {
-            for (marker, place) in at.iter_mut().enumerate() {
-                *place = place.map(|v| v + 9.0 * unit());
-                let is_missing = marker == 1 || (marker == 2 && frame % 17 < 5);
-                positions.push(if is_missing { GAP } else { *place });
-            }
-        }
-        positions[0] = [1e30, -3.5, 0.0];
-        positions
-    }
-
-    fn error_mm(a: Position, b: Position) -> f64 {
-        a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2)).sum::<f64>().sqrt()
-    }
-
-    #[test]
-    fn a_block_is_decoded_within_its_bound_and_keeps_every_gap() {
-        for (seed, n, frames) in [(1, 5, 300), (2, 1, 40), (3, 3, 1)] {
-            let given = walk(seed, n, frames);
-            for added_mm in [0.001, 0.5, 40.0] {
-                let lattice = Lattice::within(added_mm);
-                let mut bytes = Vec::new();
-                let stated = encode_block(&given, n, frames, lattice, &mut bytes);
-                let found = decode_block(&bytes, n, frames, lattice);
-                assert_eq!(found.len(), given.len());
-                assert_eq!(found[0], given[0], "too far away for the lattice");
-                let mut worst = 0.0_f64;
-                for (a, b) in given.iter().zip(&found) {
-                    assert_eq!(is_gap(*a), is_gap(*b));
-                    if !is_gap(*a) {
-                        worst = worst.max(error_mm(*a, *b));
-                    }
-                }
-                assert!(worst <= added_mm && worst == stated, "{worst} {stated} {added_mm}");
-            }
-        }
-    }
-
-    #[test]
-    fn arbitrary_bytes_decode_to_as_many_positions() {
-        let mut random = Random::new(7);
-        for n in 0..200 {
-            let bytes: Vec<u8> = (0..n).map(|_| random.below(256) as u8).collect();
-            assert_eq!(decode_block(&bytes, 3, 20, Lattice::within(1.0)).len(), 60);
-        }
-    }
-
-    #[test]
-    fn base64_as_in_the_rfc() {
-        for (bytes, text) in [
-            ("", ""),
-            ("f", "Zg=="),
-            ("fo", "Zm8="),
-            ("foo", "Zm9v"),
-            ("foob", "Zm9vYg=="),
-            ("foobar", "Zm9vYmFy"),
-        ] {
-            assert_eq!(base64(bytes.as_bytes()), text);
-        }
-    }
-}
+mod tests;

@@ -1,4 +1,5 @@
-//! The rigid bodies of a take for a player: their names, and windows of their poses.
+//! What moves with the markers of a take, for a player: windows of the poses of its rigid bodies, which the take has, and of
+//! the face of its subject, which is fitted to the markers on it.
 
 use std::io::{Read, Seek};
 
@@ -14,13 +15,16 @@ use super::{
     WINDOW_SAMPLES_MAX,
     window::{
         DAMAGED, EVERY_MAX, HEADER_BYTES, SHORTENED, WINDOW_BYTES_MAX, WindowError, WindowRequest,
-        put_header, rows_of,
+        decode_rows, labels, put_header, rows_of,
     },
 };
-use crate::live::{POSE_VALUES, pose_values};
+use crate::{
+    live::{FacePose, POSE_VALUES, pose_values},
+    subject::FaceOverlay,
+};
 
-/// The signature of a window of poses: "mocapd bodies", version 1.
-const MAGIC: &[u8; 4] = b"MPB1";
+/// The signature of a window of poses of rigid bodies: "mocapd bodies", version 1.
+const BODIES_MAGIC: &[u8; 4] = b"MPB1";
 
 /// Maximum number of bodies that a player shows: as many as a recorder records. A response for one frame has to be small.
 const SHOWN_MAX: usize = BODIES_MAX;
@@ -151,8 +155,75 @@ impl PoseWindow {
         let n_bytes = HEADER_BYTES as usize + 4 * POSE_VALUES * self.poses.len();
         let mut out = Vec::with_capacity(n_bytes);
         let words = [self.n_bodies, self.n_frames, self.every, self.flags];
-        put_header(&mut out, MAGIC, self.first_row, words);
+        put_header(&mut out, BODIES_MAGIC, self.first_row, words);
         for value in self.poses.as_flattened() {
+            out.extend_from_slice(&value.to_le_bytes());
+        }
+        out
+    }
+}
+
+/// The signature of a window of poses of the face: "mocapd poses", version 1.
+const FACE_MAGIC: &[u8; 4] = b"MPP1";
+
+/// Numbers of a pose of the face: three factors of a vertex and an offset for each axis.
+const FACE_VALUES: usize = 12;
+
+/// Maximum number of poses of the face in a window: each is fitted, which takes some hundredths of a millisecond.
+const FACES_MAX: u64 = 4096;
+
+/// Where no pose of the face is known.
+const UNKNOWN: FacePose = [[f32::NAN; 4]; 3];
+
+/// The poses of the face in some frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FaceWindow {
+    first_row: u64,
+    every: u32,
+    flags: u32,
+    poses: Vec<FacePose>,
+}
+
+impl FaceWindow {
+    /// Fits the face of the take's subject to its markers in the frames of a window. There are no poses without a face whose
+    /// markers are mapped.
+    ///
+    /// # Errors
+    /// Those of [`WindowError`].
+    pub fn read(
+        input: &mut (impl Read + Seek),
+        map: &TakeMap,
+        request: &WindowRequest,
+    ) -> Result<Self, WindowError> {
+        let rows = rows_of(map, request)?;
+        let every = request.every.clamp(1, EVERY_MAX);
+        let mut window = Self { first_row: rows.start, every, flags: 0, poses: Vec::new() };
+        let Some(face) = FaceOverlay::new(map.subject.as_ref(), &labels(map)) else {
+            return Ok(window);
+        };
+        let n_markers = map.channels.len().max(1);
+        let faces_max = FACES_MAX.min((WINDOW_BYTES_MAX - HEADER_BYTES) / (4 * FACE_VALUES) as u64);
+        let worked_max = WINDOW_SAMPLES_MAX / n_markers as u64;
+        let rows_max = faces_max.saturating_mul(every.into()).min(worked_max.max(1));
+        let end = rows.end.min(rows.start.saturating_add(rows_max));
+        window.flags |= if end < rows.end { SHORTENED } else { 0 };
+        let (positions, is_damaged) = decode_rows(input, map, &(rows.start..end), every)?;
+        window.flags |= if is_damaged { DAMAGED } else { 0 };
+        let frames = positions.chunks_exact(n_markers);
+        window.poses.extend(frames.map(|frame| face.pose(frame).unwrap_or(UNKNOWN)));
+        Ok(window)
+    }
+
+    /// The window as bytes, little endian: the four bytes `MPP1`, u32 1, u64 first row, u32 number of frames, u32 rows from one
+    /// frame to the next, u32 flags, u32 zero; then the frames, each twelve f32 as in the live stream, NaN where the pose is
+    /// not known.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut out =
+            Vec::with_capacity(HEADER_BYTES as usize + 4 * FACE_VALUES * self.poses.len());
+        let words = [1, self.poses.len() as u32, self.every, self.flags];
+        put_header(&mut out, FACE_MAGIC, self.first_row, words);
+        for value in self.poses.iter().flatten().flatten() {
             out.extend_from_slice(&value.to_le_bytes());
         }
         out
