@@ -3,12 +3,12 @@
 //! Colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind people can distinguish;
 //! shapes or dashes always repeat what a colour means.
 
+mod bodies;
 mod pose;
 mod quality;
 mod recorded;
 mod sampled;
 mod sizes;
-mod study;
 mod trace;
 mod trajectory;
 
@@ -28,12 +28,12 @@ use resvg::{
 use crate::ReportError;
 
 pub use self::{
+    bodies::{BODIES_MAX, BodiesPlot, bodies, plot_bodies},
     pose::{MOMENTS_MAX, PosePlot, pose},
     quality::{MarkerQuality, QualityPlot, quality},
     recorded::{PlotChannel, plot_channels},
     sampled::{AnalogPlot, CHANNELS_MAX, ForcesPlot, PLATES_MAX, analog, forces},
-    sizes::{SizeLine, SizePanel, sizes},
-    study::by_phase,
+    sizes::{SizeLine, SizePanel, by_phase, sizes},
     trajectory::{TrajectoryPlot, trajectory},
 };
 
