@@ -10,9 +10,9 @@ use plotters::style::RGBColor;
 
 use super::{
     BODY, DIM, INK, TITLE, left_aligned,
+    recorded::Trace,
     sampled::{Dash, HEAD, Panels, STYLES, TIME_AXIS, WIDTH, legend, span_s, start_s},
     sheet, shortened, text,
-    trace::Trace,
 };
 use crate::{
     ReportError,

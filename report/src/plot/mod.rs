@@ -9,7 +9,6 @@ mod quality;
 mod recorded;
 mod sampled;
 mod sizes;
-mod trace;
 mod trajectory;
 
 use std::{ops::Range, sync::Arc};

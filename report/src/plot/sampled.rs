@@ -12,9 +12,8 @@ use plotters::prelude::*;
 use super::{
     Area, Axes, BLUE, BODY, DIM, DrawResult, GREEN, INK, ORANGE, PURPLE, SMALL, TITLE, VERMILION,
     centred, left_aligned, panel, range,
-    recorded::{self, PlotChannel, channel_traces, plot_channels},
+    recorded::{self, PlotChannel, Trace, channel_traces, plot_channels},
     sheet, shortened, text,
-    trace::Trace,
 };
 use crate::{
     ReportError,
