@@ -145,8 +145,9 @@ class Plate:
         return np.stack([fx - split, fx + split, fy, fy, *vertical], axis=1)
 
 
-def plate_records(plates, used=None):
-    """The FORCE_PLATFORM group of plates whose channels follow each other in the file."""
+def plate_records(plates, used=None, per_mm=1.0):
+    """The FORCE_PLATFORM group of plates whose channels follow each other in the file, with lengths in a unit of which
+    there are ``per_mm`` in a millimetre."""
     widths = [8 if plate.kind == 3 else 6 for plate in plates]
     most = max(widths)
     channel = np.zeros((most, len(plates)), dtype=int)
@@ -157,11 +158,13 @@ def plate_records(plates, used=None):
     records += word(FORCE_PLATFORM, "USED", len(plates) if used is None else used)
     records += words(FORCE_PLATFORM, "TYPE", [plate.kind for plate in plates])
     records += words(FORCE_PLATFORM, "ZERO", [0, 0])
-    records += array(FORCE_PLATFORM, "CORNERS", np.stack([plate.corners_mm.T for plate in plates], axis=2))
-    records += array(FORCE_PLATFORM, "ORIGIN", np.stack([plate.sensor_mm for plate in plates], axis=1))
+    records += array(FORCE_PLATFORM, "CORNERS", per_mm * np.stack([plate.corners_mm.T for plate in plates], axis=2))
+    records += array(FORCE_PLATFORM, "ORIGIN", per_mm * np.stack([plate.sensor_mm for plate in plates], axis=1))
     data = struct.pack(f"<{channel.size}H", *channel.ravel(order="F"))
     records += parameter(FORCE_PLATFORM, "CHANNEL", 2, list(channel.shape), data)
     calibration = np.zeros((most, most, len(plates)))
     for number, plate in enumerate(plates):
         calibration[:6, :6, number] = plate.calibration if plate.kind == 4 else np.eye(6)
+    # Moments are in newtons times the unit of length.
+    calibration[3:6] *= per_mm
     return records + array(FORCE_PLATFORM, "CAL_MATRIX", calibration)

@@ -92,7 +92,7 @@ enum Command {
     Diff(diff::Args),
     /// Play takes, C3D, TRC, TSV or CSV files in a browser, on this machine
     View(view::Args),
-    /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, analog channels, force plates, marker quality
+    /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, analog channels, force plates, rigid bodies, marker quality
     #[command(subcommand)]
     Plot(plot::Plot),
     /// Repeat the study of Shi et al. 2012 on your takes: its tables and figures, and file sizes

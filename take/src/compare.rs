@@ -2,6 +2,7 @@
 
 mod analog;
 mod content;
+mod log;
 mod recorded;
 mod times;
 
@@ -10,7 +11,11 @@ use std::{fmt, io};
 pub use self::{
     analog::{AnalogDifference, ChannelDifference, compare_analog},
     content::{ContentDifference, EventDifference, FieldDifference},
-    recorded::{SampledDifference, compare_recorded, compare_samples},
+    log::{LogError, SentAccount, SentComparison, SentLog, compare_log},
+    recorded::{
+        BodyDifference, PoseDifference, SampledDifference, compare_poses, compare_recorded,
+        compare_samples,
+    },
     times::{TimesDifference, compare_times},
 };
 use crate::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};

@@ -243,6 +243,10 @@ fn info_and_verify() {
     let head = "PathFileType\nDataRate\tNumFrames\tNumMarkers\tUnits\n100\t2\t2\tmm\nFrame#\tTime\ta\t\t\tb\n";
     folder.write("zeros.trc", format!("{head}1\t0\t1\t2\t3\t9\t9\t9\n2\t0.01\t2\t2\t3\t0\t0\t0\n"));
     folder.run(&["import", "zeros.trc", "-o", "zeros.take"]).with_code(0);
+    // Logs of a device, of which the recording knows nothing.
+    let head = "run,group,number,first,first_in_run,n,device_ticks,dropped,host_ns";
+    folder.write("batches.csv", format!("{head}\n1,1,0,0,0,16,0,0,0\n1,3,0,0,0,16,0,0,0\n"));
+    folder.write("frames.csv", "run,seq,device_ticks,present,dropped,host_ns,unasked\n");
     check(
         "`mocapd verify`",
         &[
@@ -257,6 +261,9 @@ fn info_and_verify() {
             verify(&["zeros.take", "--against", "zeros.trc"]),
             verify(&["walk.take", "--against", "walk.c3d"]),
             verify(&["sampled.take", "--against", "sampled.take"]),
+            verify(&["poses.take", "--against", "poses.take"]),
+            verify(&["sampled.take", "--against", "batches.csv"]),
+            verify(&["sampled.take", "--against", "frames.csv"]),
         ],
     );
 

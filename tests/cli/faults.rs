@@ -89,6 +89,30 @@ fn agrees(name: &str) {
     sampled::take_holds_what_was_sent(&folder, &played);
     poses::take_holds_what_was_sent(&folder, &script, &played);
     contradictions_are_reported(&folder, &played, &expect);
+    logs_account_for_the_take(&folder, &played, name == "lying-counter");
+}
+
+/// `verify --against` the device's logs finds every frame, sample and pose in the take, or stated as lost.
+fn logs_account_for_the_take(folder: &Folder, played: &Played, counter_lies: bool) {
+    let ledgers = played.report["sample_ledger"]["groups"].as_array().unwrap();
+    for (name, log) in ["frames.csv", "batches.csv"].into_iter().zip(&played.logs) {
+        folder.write(name, log.as_bytes());
+        let ran = folder.run(&["verify", "a.take", "--against", name, "--json"]);
+        let sent = &ran.json()["sent"];
+        // Numbers that were wrong when they were sent tell nothing.
+        if name == "frames.csv" && counter_lies {
+            assert_eq!(sent["complete"], false, "{name}: {sent:#}");
+            continue;
+        }
+        assert_eq!(sent["complete"], true, "{name}: {sent:#}");
+        for account in sent["accounts"].as_array().unwrap() {
+            let recorded = match account["group"].as_u64() {
+                None => &played.report["ledger"]["recorded"],
+                Some(group) => &ledgers.iter().find(|of| of["group"] == group).unwrap()["stored"],
+            };
+            assert_eq!(&account["recorded"], recorded, "{name}: {account:#}");
+        }
+    }
 }
 
 /// `record` and the commands that read the take explain an exit code of 3; a ledger that closes causes no such

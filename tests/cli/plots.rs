@@ -1,12 +1,20 @@
 //! `plot`: plots of normal and unusual takes.
 
+use std::sync::Arc;
+
 use mocapd_acquire::files::{FileError, NameTaken};
-use mocapd_simulator::generator::JumpSpec;
+use mocapd_simulator::{
+    device::{Device, DeviceSettings},
+    generator::JumpSpec,
+};
 use mocapd_take::motion::{GAP, Marker, Motion, MotionInfo};
 use mocapd_testkit::font::font_with;
 
-use super::{Folder, Ran};
-use crate::support::{assert_mentions, mentions};
+use super::{
+    Folder,
+    faults::played::{bodies, record_from},
+};
+use crate::support::{assert_mentions, jump, mentions};
 
 fn folder() -> Folder {
     let folder = Folder::new();
@@ -219,4 +227,71 @@ fn a_skeleton_file_defines_the_lines() {
         &folder.refuses(&args, 2),
         &["bones.csv", "line 1", "toe", "mocapd subject body"],
     );
+}
+
+#[test]
+fn rigid_bodies_are_counted_and_plotted_under_a_trajectory() {
+    let folder = folder();
+    let queue_bytes = Some(64 << 20);
+    let settings = DeviceSettings {
+        queue_bytes,
+        bodies: Some(Arc::new(bodies())),
+        ..DeviceSettings::default()
+    };
+    let device = Device::new(jump(1, 240.0, 2.0), settings).unwrap();
+    let (ran, _) = record_from(&folder, device, [None, None], &["-o", "bodies.take"]);
+    ran.with_code(0);
+
+    let info = folder.run(&["info", "bodies.take", "--json"]).with_code(0).json();
+    let (found, n_frames) = (&info["poses"]["bodies"], info["poses"]["frames"].as_f64().unwrap());
+    let names: Vec<&str> =
+        found.as_array().unwrap().iter().map(|body| body["name"].as_str().unwrap()).collect();
+    let shares: Vec<f64> = found
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|body| {
+            let share = body["tracked_share"].as_f64().unwrap();
+            assert_eq!(body["frames_tracked"].as_f64().unwrap(), (share * n_frames).round());
+            share
+        })
+        .collect();
+    // A tenth of the poses is missing, in gaps of a fifth of a second.
+    let mean = shares.iter().sum::<f64>() / shares.len() as f64;
+    assert!(shares.len() == 10 && (0.8..0.98).contains(&mean), "{shares:?}");
+    let least = (0..10).min_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap();
+    let text = folder.run(&["info", "bodies.take", "--markers"]).with_code(0).stdout;
+    let share = format!("least {}, in {:.1} % of the frames", names[least], 100.0 * shares[least]);
+    assert_mentions(&text, &["10 of 10 bodies tracked", &share, "rigid body"]);
+
+    let svg = drawn(&folder, &["bodies", "bodies.take", "--from", "200ms", "--to", "1.8s"]);
+    let found = texts(&svg);
+    assert!(found.iter().any(|text| text.starts_with("4 of 10 bodies, 240 Hz")), "{found:?}");
+    assert_eq!(found.iter().filter(|text| text.starts_with("marker ")).count(), 1);
+    for name in &names[..4] {
+        let position = format!("position of {name} (mm), tracked in ");
+        assert!(found.iter().any(|text| text.starts_with(&position)), "{name}: {found:?}");
+        assert!(found.contains(&format!("rotation of {name} (degrees)")), "{name}: {found:?}");
+    }
+    // By name and by number; a marker may be chosen.
+    let chosen = format!("{},3", names[9]);
+    let svg =
+        drawn(&folder, &["bodies", "bodies.take", "--bodies", &chosen, "--marker", "r_wrist"]);
+    let rotations: Vec<String> =
+        texts(&svg).into_iter().filter(|text| text.starts_with("rotation of")).collect();
+    assert_eq!(rotations, [9, 2].map(|i| format!("rotation of {} (degrees)", names[i])));
+    assert_mentions(&svg, &["marker r_wrist"]);
+    for (args, code, facts) in [
+        (&["--bodies", "nobody"][..], 2, &["nobody", names[0]][..]),
+        (&["--bodies", "1,2,3,4,5,6,7"], 2, &["7", "6", "--bodies"]),
+        (&["--from", "9s"], 2, &["--from"]),
+        (&["--against", "jump.csv"], 2, &["--against"]),
+    ] {
+        let args = [&["plot", "bodies", "bodies.take", "-o", "new.svg"], args].concat();
+        assert_mentions(&folder.refuses(&args, code), facts);
+    }
+    for file in ["jump.take", "jump.csv"] {
+        let line = folder.refuses(&["plot", "bodies", file, "-o", "new.svg"], 1);
+        assert_mentions(&line, &["no rigid bodies"]);
+    }
 }

@@ -17,7 +17,7 @@ use super::{
     Folder,
     faults::played::{bodies, record_from, sources},
 };
-use crate::support::jump;
+use crate::support::{assert_mentions, jump};
 
 const RATE_HZ: f64 = 240.0;
 
@@ -111,6 +111,20 @@ fn a_take_that_is_played_is_recorded_again_bit_for_bit() {
     assert!(found.0.len() == 10 && found.1 == expected.1);
     let missing = expected.1.iter().filter(|pose| !pose.contains("Tracked")).count();
     assert!(missing > 100, "{missing}");
+
+    let verify = ["verify", "second.take", "--against", "first.take", "--json"];
+    let report = folder.run(&verify).with_code(0).json();
+    let (sampled, poses) = (&report["against"]["sampled"], &report["against"]["poses"]);
+    assert_eq!([&sampled["samples_differing"], &sampled["groups_missing"]], [0, 0], "{sampled}");
+    assert!(sampled["samples"].as_u64().unwrap() > 30_000, "{sampled}");
+    let n_tracked = expected.1.len() - missing;
+    assert_eq!(poses["poses"], n_tracked as u64, "{poses}");
+    for what in ["poses_differing", "beyond_stated", "states_differing", "poses_missing"] {
+        assert_eq!(poses[what], 0, "{poses}");
+    }
+    assert_eq!(poses["bodies"].as_array().unwrap().len(), 10);
+    let text = folder.run(&verify[..4]).with_code(0).stdout;
+    assert_mentions(&text, &["sampled channels, all exact", "rigid bodies, all exact"]);
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
     python check_forces.py --mocapd target/release/mocapd [--takes FOLDER]
 
-The files are those of the folder and generated ones. The .mot is read as OpenSim's Storage reads it: whatever that would refuse or misread is an error. One line for each file
+The files are those of the folder and generated ones, these also as ezc3d writes them. The .mot is read as OpenSim's
+Storage reads it: whatever that would refuse or misread is an error. One line for each file
 with force plates; the last line is `N passed, N failed`; exit code 1 when one failed.
 
 ezc3d 1.7.2 gives the centre of pressure of unloaded plates as well; below 20 N the .mot has zeros. Plates whose type
@@ -94,6 +95,15 @@ def run(*command):
     return result.stdout
 
 
+def rewritten(path, folder):
+    """The file as ezc3d writes it."""
+    import ezc3d
+
+    written = folder / f"{path.stem}-by-ezc3d.c3d"
+    ezc3d.c3d(str(path)).write(str(written))
+    return written
+
+
 def has_plates(path):
     import ezc3d
 
@@ -112,7 +122,9 @@ def main():
     passed = failed = 0
     with tempfile.TemporaryDirectory() as own:
         recorded = sorted(arguments.takes.glob("*.c3d")) if arguments.takes else []
-        for path in filter(has_plates, [*recorded, *generated.sampled(Path(own))]):
+        made = list(filter(has_plates, [*generated.sampled(Path(own)), *generated.plates_with_matrices(Path(own))]))
+        made += [rewritten(path, Path(own)) for path in made]
+        for path in [*filter(has_plates, recorded), *made]:
             with tempfile.TemporaryDirectory() as folder:
                 try:
                     wrong = complaints(arguments.mocapd, path, Path(folder))

@@ -77,3 +77,34 @@ def sampled(folder):
     yield file("signed", [plate(2, 0)], scales, [0, 0, 11, 0, 0, 3, -100, 7], scale=0.1)
     yield file("unsigned", [], scales[-2:], [32768, 40000], unsigned, scale=0.1)
     yield file("float", [plate(4, 37)], [1.0] * 6 + [0.5, 0.1], [0] * 8)
+
+
+def plates_with_matrices(folder):
+    """Paths of C3D files with force plates of type 4, each with a matrix of its own in which every cell counts: two of
+    them, in millimetres and in metres, and one behind a plate of type 2, whose matrix does not count."""
+    n_frames, ratio = 40, 5
+    time = np.arange(n_frames * ratio) / (100 * ratio)
+    rise = np.clip(np.sin(9 * time), 0, None)
+    points = c3d_files.walk(n_frames)
+    plates = []
+    for number, (kind, turn_deg) in enumerate([(2, 90), (4, 37), (4, -110)]):
+        load = np.stack([30 * rise * (number - 1), -70 * rise * np.cos(9 * time), (700 + 90 * number) * rise], axis=1)
+        at = np.stack([300 + 700 * number + 90 * time, 220 - 80 * time, 0 * time], axis=1)
+        plate = c3d_files.Plate(kind, (300.0 + 700 * number, 200.0, 0.0), turn_deg, load, at, (6 - 5 * number) * rise)
+        cells = np.arange(36).reshape(6, 6) + 10 * number
+        plate.calibration = np.diag([50.0 + number, 52, 190, 9000, 9300, 4100]) + 4 * np.sin(cells)
+        plates.append(plate)
+    def file(name, plates, unit="mm"):
+        per_mm = {"mm": 1.0, "m": 1e-3}[unit]
+        stored = np.concatenate([plate.channels() for plate in plates], axis=1)
+        units = [u for plate in plates for u in (["V"] * 6 if plate.kind == 4 else ["N"] * 3 + ["Nmm"] * 3)]
+        labels = [f"{name}{number}" for plate in range(len(plates)) for name, number in zip("abcdef", [plate + 1] * 6)]
+        records = c3d_files.channel_records(len(labels), labels=labels, units=units)
+        records += c3d_files.plate_records(plates, per_mm=per_mm)
+        path = folder / f"{name}.c3d"
+        path.write_bytes(c3d_files.c3d_file(points * per_mm, stored, ratio, records, unit=unit))
+        return path
+
+    yield file("matrices", plates[1:])
+    yield file("matrices-in-metres", plates[1:], unit="m")
+    yield file("matrix-behind-another", plates[:2])

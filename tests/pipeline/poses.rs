@@ -15,6 +15,7 @@ use mocapd_drivers::device::{
 use mocapd_take::{
     TakeMap,
     chunk::{self, ChunkParse, types},
+    compare::{PoseDifference, compare_poses},
     edit::{EditContext, SourceTake, concat, cut, repack},
     motion::Motion,
     poses::{Pose as StoredPose, PoseState},
@@ -578,4 +579,105 @@ fn numbers_wrap_and_a_full_ring_costs_all_bodies_the_same_frames() {
     assert_eq!((ledger.taken, ledger.jumps, ledger.duplicates), (8_000, 0, 0));
     assert_eq!(ledger.lost(), ledger.lost_ring_full);
     assert_eq!(assert_true(&take, 0, None) as u64, ledger.stored * u64::from(BODIES));
+}
+
+/// A recording of three seconds, with what `change` makes of the poses of a frame: it returns whether they arrive.
+fn recorded(codec: Settings, frames: u32, change: impl Fn(u32, &mut [Pose]) -> bool) -> Vec<u8> {
+    let motion = jump(9, 200.0, 3.0);
+    let (mut intake, pipeline) = start(&with_bodies(&motion, codec), Vec::new());
+    for frame in 0..frames {
+        feed_all(&mut intake, &motion, [frame as usize]);
+        let mut poses: Vec<Pose> = bodies().iter().filter_map(|body| pose(body, frame)).collect();
+        if change(frame, &mut poses) {
+            let device_ticks = ticks(frame);
+            intake.poses(&PoseFrame { seq: frame, number: frame, device_ticks, poses: &poses });
+        }
+    }
+    intake.finish();
+    pipeline.finish().unwrap().1
+}
+
+fn difference(take: &[u8], original: &[u8]) -> PoseDifference {
+    let map = |take: &[u8]| TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let (ours, theirs) = (map(take), map(original));
+    compare_poses((&ours, &mut Cursor::new(take)), (&theirs, &mut Cursor::new(original)))
+        .unwrap()
+        .unwrap()
+}
+
+#[test]
+fn poses_of_two_takes_are_compared_within_what_both_state() {
+    let as_sent = |_: u32, _: &mut [Pose]| true;
+    let [exact, bounded, coarse] =
+        [lossless(), dense(0.5), dense(5.0)].map(|codec| recorded(codec, 600, as_sent));
+    let same = difference(&exact, &exact);
+    assert!(same.is_within() && same.poses_differing == 0 && same.poses > 5000, "{same:?}");
+    assert_eq!(same.bodies.len(), usize::from(BODIES));
+    assert!(same.bodies.iter().all(|body| body.stated_max_error_mm == 0.0));
+    for (take, original, at_most_mm) in
+        [(&bounded, &exact, 0.5), (&exact, &bounded, 0.5), (&coarse, &bounded, 5.5)]
+    {
+        let found = difference(take, original);
+        assert!(found.is_within() && found.poses_differing > 5000, "{found:?}");
+        assert_eq!(found.poses, same.poses);
+        for body in &found.bodies {
+            assert!(body.stated_max_error_mm <= at_most_mm + 1e-6, "{body:?}");
+            assert!(body.max_error_mm > 0.5 * body.stated_max_error_mm, "{body:?}");
+            assert!(body.max_error_degrees > 0.5 * body.stated_max_error_degrees, "{body:?}");
+        }
+    }
+}
+
+#[test]
+fn every_difference_of_poses_is_found() {
+    let as_sent = |_: u32, _: &mut [Pose]| true;
+    let [exact, bounded] = [lossless(), dense(0.5)].map(|codec| recorded(codec, 600, as_sent));
+    let at = |change: fn(&mut Pose)| {
+        move |frame: u32, poses: &mut [Pose]| {
+            if frame == 300 {
+                change(&mut poses[4]);
+            }
+            true
+        }
+    };
+    let moved = recorded(lossless(), 600, at(|pose| pose.position_mm[1] += 1.0));
+    for take in [&bounded, &exact] {
+        let found = difference(take, &moved);
+        assert_eq!((found.beyond_stated, found.is_within()), (1, false), "{found:?}");
+        assert!(found.bodies[4].max_error_mm > 0.5, "{found:?}");
+    }
+    let turned = recorded(lossless(), 600, at(|pose| pose.quaternion = [0.6, 0.0, 0.8, 0.0]));
+    let found = difference(&bounded, &turned);
+    assert!(found.beyond_stated == 1 && found.bodies[4].max_error_degrees > 1.0, "{found:?}");
+    // The same rotation by other numbers is no difference within bounds.
+    let opposite =
+        recorded(lossless(), 600, at(|pose| pose.quaternion = pose.quaternion.map(|x| -x)));
+    assert!(difference(&bounded, &opposite).is_within());
+    let found = difference(&exact, &opposite);
+    assert_eq!((found.poses_differing, found.beyond_stated), (1, 1), "{found:?}");
+    assert!(found.bodies[4].max_error_degrees < 1e-6, "{found:?}");
+    let far = recorded(lossless(), 600, at(|pose| pose.residual_mm += 0.1));
+    assert_eq!(difference(&bounded, &far).beyond_stated, 1);
+    let unseen =
+        recorded(lossless(), 600, at(|pose| *pose = Pose::without(pose.body, PoseStatus::Lost)));
+    assert_eq!(difference(&exact, &unseen).states_differing, 1);
+
+    let lacks_one = recorded(lossless(), 600, |frame, _| frame != 300);
+    let found = difference(&lacks_one, &exact);
+    assert!(found.is_within() && found.poses_lost == u64::from(BODIES), "{found:?}");
+    let short = recorded(lossless(), 500, as_sent);
+    for (a, b) in [(&short, &exact), (&exact, &short)] {
+        let found = difference(a, b);
+        assert!(!found.is_within() && found.poses_missing == 100 * u64::from(BODIES), "{found:?}");
+    }
+    // What a take lacks that was cut off is lost.
+    let found = difference(&exact[..exact.len() / 2], &exact);
+    assert!(found.is_within() && found.poses_lost > 1000 && found.poses > 1000, "{found:?}");
+    let (without, pipeline) = start(&config(&jump(9, 200.0, 3.0), lossless()), Vec::new());
+    without.finish();
+    let without = pipeline.finish().unwrap().1;
+    for (a, b) in [(&without, &exact), (&exact, &without)] {
+        let found = difference(a, b);
+        assert!(!found.is_within() && found.bodies_missing == 11, "{found:?}");
+    }
 }

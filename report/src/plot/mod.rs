@@ -3,14 +3,13 @@
 //! Colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind people can distinguish;
 //! shapes or dashes always repeat what a colour means.
 
+mod bodies;
 mod png;
 mod pose;
 mod quality;
 mod recorded;
 mod sampled;
 mod sizes;
-mod study;
-mod trace;
 mod trajectory;
 
 use std::ops::Range;
@@ -24,13 +23,13 @@ use plotters::{
 };
 
 pub use self::{
+    bodies::{BODIES_MAX, BodiesPlot, bodies, plot_bodies},
     png::{PngPicture, png},
     pose::{MOMENTS_MAX, PosePlot, pose},
     quality::{MarkerQuality, QualityPlot, quality},
     recorded::{PlotChannel, plot_channels},
     sampled::{AnalogPlot, CHANNELS_MAX, ForcesPlot, PLATES_MAX, analog, forces},
-    sizes::{SizeLine, SizePanel, sizes},
-    study::by_phase,
+    sizes::{SizeLine, SizePanel, by_phase, sizes},
     trajectory::{TrajectoryPlot, trajectory},
 };
 

@@ -12,9 +12,8 @@ use plotters::prelude::*;
 use super::{
     Area, Axes, BLUE, BODY, DIM, DrawResult, GREEN, INK, ORANGE, PURPLE, SMALL, TITLE, VERMILION,
     centred, left_aligned, panel, range,
-    recorded::{self, PlotChannel, channel_traces, plot_channels},
+    recorded::{self, PlotChannel, Trace, channel_traces, plot_channels},
     sheet, shortened, text,
-    trace::Trace,
 };
 use crate::{
     ReportError,
@@ -27,11 +26,11 @@ pub const CHANNELS_MAX: usize = 12;
 /// Maximum number of force plates on a sheet, each with two panels.
 pub const PLATES_MAX: usize = 4;
 
-const WIDTH: u32 = 1280;
-const HEAD: i32 = 74;
+pub(super) const WIDTH: u32 = 1280;
+pub(super) const HEAD: i32 = 74;
 /// Height of a panel, and of the axis of times below the last.
 const PANEL: u32 = 128;
-const TIME_AXIS: u32 = 42;
+pub(super) const TIME_AXIS: u32 = 42;
 /// Width of the view from above.
 const LEFT: i32 = 480;
 
@@ -92,7 +91,7 @@ pub fn analog(plot: &AnalogPlot<'_>) -> Result<String, ReportError> {
         text(area, &caption, (24, 52), left_aligned(BODY, DIM))?;
         let (_, body) = area.split_vertically(HEAD);
         let curves: Vec<Trace> = traces.iter().map(|(trace, _)| trace.clone()).collect();
-        let panels = Panels::new(&body, traces.len(), span_s(&curves));
+        let panels = Panels::new(&body, (traces.len(), PANEL), span_s(&curves));
         for (i, (trace, &channel)) in curves.iter().zip(plot.channels).enumerate() {
             panels.draw(i, &channel_title(all.get(channel)), &[(trace, BLUE, Dash::Solid)])?;
         }
@@ -128,7 +127,7 @@ fn check_channels(channels: &[usize]) -> Result<(), ReportError> {
 }
 
 /// The time of the first frame of a part of a take.
-fn start_s(part: &MotionInfo, rows: (u64, u64)) -> f64 {
+pub(super) fn start_s(part: &MotionInfo, rows: (u64, u64)) -> f64 {
     rows.0 as f64 / part.rate_hz
 }
 
@@ -186,7 +185,7 @@ pub fn forces(plot: &ForcesPlot<'_>) -> Result<String, ReportError> {
         let (left, right) = body.split_horizontally(LEFT);
         from_above(&left, plot, &traces)?;
         let times = traces.first().map_or(0.0..1.0, |of| span_s(&of.force_n));
-        let panels = Panels::new(&right, n_panels, times);
+        let panels = Panels::new(&right, (n_panels, PANEL), times);
         for (i, of) in traces.iter().enumerate() {
             let force = of.force_n.iter().zip(STYLES).map(|(t, (colour, dash))| (t, colour, dash));
             panels.draw(
@@ -219,11 +218,11 @@ pub fn forces(plot: &ForcesPlot<'_>) -> Result<String, ReportError> {
 }
 
 /// Colour and dashes of the x, y and z axis.
-const STYLES: [(RGBColor, Dash); 3] =
+pub(super) const STYLES: [(RGBColor, Dash); 3] =
     [(BLUE, Dash::Long), (ORANGE, Dash::Short), (VERMILION, Dash::Solid)];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Dash {
+pub(super) enum Dash {
     Solid,
     Long,
     Short,
@@ -379,7 +378,7 @@ fn marker_path(plot: &ForcesPlot<'_>) -> Vec<Option<[f64; 3]>> {
 }
 
 /// From the first sample of any trace to the last of any.
-fn span_s(traces: &[Trace]) -> Range<f64> {
+pub(super) fn span_s(traces: &[Trace]) -> Range<f64> {
     let spans = traces.iter().map(Trace::span_s);
     spans.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0.0..1.0)
 }
@@ -389,27 +388,33 @@ fn rounded(rate_hz: f64) -> f64 {
 }
 
 /// Panels one below another with a common axis of times.
-struct Panels<'a> {
+pub(super) struct Panels<'a> {
     areas: Vec<Area<'a>>,
     times: Range<f64>,
 }
 
 impl<'a> Panels<'a> {
-    fn new(area: &Area<'a>, n: usize, times: Range<f64>) -> Self {
+    /// `n` panels of a height.
+    pub(super) fn new(area: &Area<'a>, (n, height): (usize, u32), times: Range<f64>) -> Self {
         let mut areas = Vec::with_capacity(n);
         let mut rest = area.clone();
         for _ in 1..n {
-            let (top, below) = rest.split_vertically(PANEL as i32);
+            let (top, below) = rest.split_vertically(height as i32);
             areas.push(top);
             rest = below;
         }
-        let (last, _) = rest.split_vertically((PANEL + TIME_AXIS) as i32);
+        let (last, _) = rest.split_vertically((height + TIME_AXIS) as i32);
         areas.push(last);
         Self { areas, times }
     }
 
     /// Draws curves in a panel.
-    fn draw(&self, index: usize, title: &str, traces: &[(&Trace, RGBColor, Dash)]) -> DrawResult {
+    pub(super) fn draw(
+        &self,
+        index: usize,
+        title: &str,
+        traces: &[(&Trace, RGBColor, Dash)],
+    ) -> DrawResult {
         let Some(area) = self.areas.get(index) else { return Ok(()) };
         let axes = Axes {
             x: self.times.clone(),
@@ -438,7 +443,7 @@ impl<'a> Panels<'a> {
     }
 }
 
-fn legend(area: &Area<'_>) -> DrawResult {
+pub(super) fn legend(area: &Area<'_>) -> DrawResult {
     let y = 26;
     for (axis, (colour, dash)) in STYLES.into_iter().enumerate() {
         let x = WIDTH as i32 - 240 + 80 * axis as i32;

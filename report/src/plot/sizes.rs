@@ -1,4 +1,4 @@
-//! Size of a take against the tolerance, by resampler.
+//! Plots against the tolerance: the size of a take, by resampler, and SR2, by phase.
 
 use plotters::{
     coord::combinators::{BindKeyPoints, IntoLogRange},
@@ -6,10 +6,14 @@ use plotters::{
 };
 
 use super::{
-    Area, BLUE, BODY, DIM, DrawResult, FONT, GREEN, GRID, INK, PURPLE, TITLE, VERMILION,
-    left_aligned, sheet, shortened, text,
+    Area, Axes, BLUE, BODY, DIM, DrawResult, FONT, GREEN, GRID, INK, ORANGE, PURPLE, SKY, TITLE,
+    VERMILION, left_aligned, panel, sheet, shortened, text,
 };
-use crate::ReportError;
+use crate::{
+    ReportError,
+    phases::Phase,
+    study::{self, Findings, Method, Piece},
+};
 
 const PANEL: (u32, u32) = (640, 560);
 /// Width of the column of line names, right of a panel.
@@ -120,10 +124,10 @@ fn draw(
 }
 
 /// The end point of a line on the sheet, its name and its colour.
-pub(super) type End<'a> = ((i32, i32), &'a str, RGBColor);
+type End<'a> = ((i32, i32), &'a str, RGBColor);
 
 /// Draws the names of lines next to their ends.
-pub(super) fn names_at_ends(area: &Area<'_>, ends: &[End<'_>]) -> DrawResult {
+fn names_at_ends(area: &Area<'_>, ends: &[End<'_>]) -> DrawResult {
     let origin = area.get_base_pixel();
     let heights = spread(&ends.iter().map(|(end, ..)| end.1).collect::<Vec<_>>());
     for (((x, end_y), name, colour), y) in ends.iter().zip(heights) {
@@ -158,4 +162,77 @@ fn with_unit(bytes: f64) -> String {
         b if b >= 1e3 => format!("{} kB", b / 1e3),
         b => format!("{b} B"),
     }
+}
+
+const PHASES_SIZE: (u32, u32) = (1280, 600);
+/// Width of the column of their names.
+const PHASE_NAMES: u32 = 130;
+
+/// The colours of the columns of table 1.
+const PHASE_COLOURS: [RGBColor; 7] = [BLUE, SKY, VERMILION, ORANGE, GREEN, PURPLE, INK];
+
+/// Draws SR2 against the tolerance as SVG, one line per phase: the study (table 1) and the paper.
+///
+/// # Errors
+/// `Nothing` if no phase was measured.
+pub fn by_phase(findings: &Findings) -> Result<String, ReportError> {
+    let here = |piece: Piece, mm: f64| findings.sum(piece, Method::WorstSample, mm)?.counts.sr2();
+    let found = lines(&findings.tolerances_mm, here);
+    if found.iter().all(|(_, points, _)| points.is_empty()) {
+        return Err(ReportError::Nothing("no phase was measured: nothing to draw".to_owned()));
+    }
+    let published = lines(&study::TOLERANCES_MM, study::sr2);
+    let all = || found.iter().chain(&published).flat_map(|line| &line.1);
+    let most = all().map(|point| point.1).fold(1.0, f64::max);
+    let widest = all().map(|point| point.0).fold(1.0, f64::max);
+    sheet(PHASES_SIZE, |area| {
+        text(area, "SR2 by phase and tolerance", (24, 26), left_aligned(TITLE, INK))?;
+        let caption = "Ratio of stored items (positions and times), original to asynchronous resampling (Shi et al. 2012, eq. 8)";
+        text(area, caption, (24, 52), left_aligned(BODY, DIM))?;
+        let (_, body) = area.split_vertically(66);
+        let halves = [("these takes", &found), ("the paper", &published)];
+        for (area, (title, lines)) in body.split_evenly((1, 2)).iter().zip(halves) {
+            draw_phases(area, title, lines, widest, most)?;
+        }
+        Ok(())
+    })
+}
+
+type PhaseLine = (String, Vec<(f64, f64)>, RGBColor);
+
+fn lines(tolerances_mm: &[f64], sr2: impl Fn(Piece, f64) -> Option<f64>) -> Vec<PhaseLine> {
+    let line = |(&piece, &colour): (&Piece, &RGBColor)| {
+        let points = tolerances_mm.iter().filter_map(|&mm| Some((mm, sr2(piece, mm)?)));
+        let name =
+            if piece == Piece::Phase(Phase::Flight) { "flight".to_owned() } else { piece.name() };
+        (name, points.collect(), colour)
+    };
+    study::COLUMNS.iter().zip(&PHASE_COLOURS).map(line).collect()
+}
+
+fn draw_phases(
+    area: &Area<'_>,
+    title: &str,
+    lines: &[PhaseLine],
+    widest: f64,
+    most: f64,
+) -> DrawResult {
+    text(area, title, (90, 14), left_aligned(BODY, INK))?;
+    let axes = Axes {
+        x: 0.0..widest * 1.02,
+        y: 0.0..most * 1.05,
+        x_title: "tolerance (mm)",
+        y_title: "SR2",
+        margins: [28, PHASE_NAMES, 6, 6],
+    };
+    let mut chart = panel(area, &axes)?;
+    let mut ends = Vec::new();
+    for (name, points, colour) in lines.iter().filter(|line| !line.1.is_empty()) {
+        chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
+        chart.draw_series(points.iter().map(|&at| Circle::new(at, 3, colour.filled())))?;
+        if let Some(end) = points.last() {
+            ends.push((chart.backend_coord(end), name.as_str(), *colour));
+        }
+    }
+    names_at_ends(area, &ends)
 }

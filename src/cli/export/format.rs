@@ -50,7 +50,8 @@ pub(super) struct FormatArgs {
     #[arg(long)]
     subtract_baseline: bool,
     /// For c3d: resample the sampled channels of a recording that do not have a whole number of samples in each frame, or
-    /// another one than others, with a low-pass (docs/formats.md); without it they are left out
+    /// another one than others, with a low-pass (docs/formats.md); without it they are left out. For mot: the force plates
+    /// of groups that are slower than others
     #[arg(long)]
     pub(super) resample: bool,
     /// For html: largest distance of a position from the original, that of the take included: 1mm, 500um [default: twice the
@@ -157,9 +158,9 @@ impl FormatArgs {
         if self.subtract_baseline && format != Format::Mot {
             return usage("--subtract-baseline is for .mot: omit it");
         }
-        if self.resample && format != Format::C3d {
+        if self.resample && !matches!(format, Format::C3d | Format::Mot) {
             return usage(
-                "--resample is for .c3d: omit it, other formats have the samples and their times",
+                "--resample is for .c3d and .mot: omit it, other formats have the samples and their times",
             );
         }
         if self.tolerance.is_some() && format != Format::Html {

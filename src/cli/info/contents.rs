@@ -1,12 +1,15 @@
 //! What a take holds besides its markers, in the report of `info`: sampled channels, poses of rigid bodies, and its
 //! subject.
 
-use std::fmt::Write;
+use std::{
+    fmt::Write,
+    io::{Read, Seek},
+};
 
 use mocapd_body::skeleton::Bone;
 use mocapd_service::subject::{face, skeleton};
 use mocapd_take::{
-    TakeMap,
+    TakeError, TakeMap,
     foreign::ForeignPart,
     record::{SampledChannel, Subject},
     sampled::{GroupSamples, LostSamples, SampledPart},
@@ -30,6 +33,8 @@ pub(super) struct SampledGroupReport {
     /// Samples of each channel, lost ones included.
     samples: u64,
     samples_lost: u64,
+    /// The share of samples that are not lost, 0 to 1; `None` for a group without samples.
+    recorded_share: Option<f64>,
     stored_bytes: u64,
     channels: Vec<SampledChannelReport>,
 }
@@ -54,6 +59,9 @@ impl SampledGroupReport {
 
     fn new(found: &GroupSamples) -> Self {
         let lost = found.lost();
+        let samples_lost =
+            lost.iter().fold(0, |sum: u64, LostSamples { n, .. }| sum.saturating_add(*n));
+        let samples = found.n_samples();
         let group = &found.group;
         let channel = |(i, channel): (usize, &SampledChannel)| SampledChannelReport {
             name: channel.name.clone(),
@@ -69,10 +77,9 @@ impl SampledGroupReport {
             rate_hz: group.rate_hz,
             samples_per_frame: group.samples_per_frame,
             first_frame: group.first_frame,
-            samples: found.n_samples(),
-            samples_lost: lost
-                .iter()
-                .fold(0, |sum: u64, LostSamples { n, .. }| sum.saturating_add(*n)),
+            samples,
+            samples_lost,
+            recorded_share: share(samples.saturating_sub(samples_lost), samples),
             stored_bytes: found.stored_bytes,
             channels: group.channels.iter().enumerate().map(channel).collect(),
         }
@@ -85,10 +92,14 @@ pub(super) fn channels_text(groups: &[&SampledGroupReport]) -> String {
     let Some(first) = groups.first() else { return String::new() };
     let n_channels = groups.iter().map(|group| group.channels.len() as u64).sum();
     let stored = groups.iter().map(|group| group.stored_bytes).sum();
-    let samples_lost: u64 = groups.iter().map(|group| group.samples_lost).max().unwrap_or(0);
-    let lost = match samples_lost {
-        0 => String::new(),
-        n => format!(", {} of each lost", count(n, "sample")),
+    let lost = groups.iter().max_by_key(|group| group.samples_lost);
+    let lost = match lost.filter(|group| group.samples_lost > 0) {
+        None => String::new(),
+        Some(group) => format!(
+            ", {} of each lost ({} recorded)",
+            count(group.samples_lost, "sample"),
+            percent(group.recorded_share)
+        ),
     };
     format!(
         ": {} at {}, {} of each{lost}, {} in the take",
@@ -147,11 +158,31 @@ pub(super) struct PosesReport {
     stored_bytes: u64,
 }
 
+/// Most poses that are counted without being asked for: statistics do not tell how many bodies were tracked, so all must be
+/// decoded, at some ten million a minute of processor time.
+const POSES_COUNTED: u64 = 1 << 16;
+
 /// A rigid body. Names may be empty, and may repeat.
 #[derive(Debug, Serialize)]
 struct BodyReport {
     name: String,
     number: u32,
+    /// Frames in which it has a pose; `None` if they were not counted.
+    frames_tracked: Option<u64>,
+    /// Their share of the frames with poses, lost ones included, 0 to 1; `None` also if there are none.
+    tracked_share: Option<f64>,
+}
+
+/// A part of a whole, 0 to 1; `None` of nothing.
+fn share(part: u64, whole: u64) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+/// A share as text. What lacks anything is not 100 %.
+fn percent(share: Option<f64>) -> String {
+    let percent = 100.0 * share.unwrap_or(0.0);
+    let shown = if percent < 100.0 { percent.min(99.9) } else { percent };
+    format!("{shown:.1} %")
 }
 
 impl PosesReport {
@@ -169,7 +200,12 @@ impl PosesReport {
         Some(Self {
             bodies: groups()
                 .flat_map(|group| group.group.numbered_bodies())
-                .map(|(number, name)| BodyReport { name: name.to_owned(), number })
+                .map(|(number, name)| BodyReport {
+                    name: name.to_owned(),
+                    number,
+                    frames_tracked: None,
+                    tracked_share: None,
+                })
                 .collect(),
             rate_hz: first.group.rate_hz,
             frames: first.n_samples(),
@@ -180,6 +216,73 @@ impl PosesReport {
             max_error_degrees: degrees,
             stored_bytes: groups().map(|group| group.stored_bytes).sum(),
         })
+    }
+
+    /// Whether the poses are so few that counting them takes at most about half a second.
+    pub(super) fn are_few(&self) -> bool {
+        self.frames.saturating_mul(self.bodies.len() as u64) <= POSES_COUNTED
+    }
+
+    /// Counts the frames in which each body of the take was tracked.
+    ///
+    /// # Errors
+    /// If the take cannot be read.
+    pub(super) fn count_tracked(
+        &mut self,
+        take: &TakeMap,
+        input: &mut (impl Read + Seek),
+    ) -> Result<(), TakeError> {
+        let mut bodies = self.bodies.iter_mut();
+        for group in take.pose_groups() {
+            let mut of_group: Vec<&mut BodyReport> =
+                bodies.by_ref().take(group.group.bodies().count()).collect();
+            let mut counts = vec![0; of_group.len()];
+            group.read_poses(input, |_, _, poses| {
+                for of_frame in poses.unwrap_or_default().chunks_exact(counts.len().max(1)) {
+                    for (count, pose) in counts.iter_mut().zip(of_frame) {
+                        *count += u64::from(pose.is_tracked());
+                    }
+                }
+                Ok(())
+            })?;
+            for (body, count) in of_group.iter_mut().zip(counts) {
+                body.frames_tracked = Some(count);
+                body.tracked_share = share(count, group.n_samples());
+            }
+        }
+        Ok(())
+    }
+
+    /// How many bodies were tracked, and which one the least.
+    pub(super) fn tracked_text(&self) -> String {
+        if self.bodies.iter().any(|body| body.frames_tracked.is_none()) {
+            return "--markers counts the frames in which each body was tracked".to_owned();
+        }
+        let tracked = || self.bodies.iter().filter(|body| body.frames_tracked > Some(0));
+        let all = count_of(self.bodies.len() as u64, ["body", "bodies"]);
+        let mut out = format!("{} of {all} tracked", thousands(tracked().count() as u64));
+        // The first of equals, unless all are equal.
+        let most = tracked().map(|body| body.frames_tracked).max().unwrap_or_default();
+        let fewer = tracked().filter(|body| body.frames_tracked < most);
+        if let Some(least) = fewer.min_by_key(|body| body.frames_tracked) {
+            let (name, share) = (plain(&least.name), percent(least.tracked_share));
+            out += &format!("; least {name}, in {share} of the frames");
+        }
+        out
+    }
+
+    /// Appends a table of the bodies.
+    pub(super) fn body_table(&self, out: &mut String) {
+        let names: Vec<String> =
+            self.bodies.iter().map(|body| plain(&body.name).to_string()).collect();
+        let widths = names.iter().map(|name| name.chars().count());
+        let width = widths.max().unwrap_or(0).clamp(10, LABEL_COLUMNS_MAX);
+        writeln!(out, "{:<width$} {:>10} {:>9}", "rigid body", "frames", "tracked").ok();
+        for (name, body) in names.iter().zip(&self.bodies) {
+            let frames = thousands(body.frames_tracked.unwrap_or_default());
+            let share = percent(body.tracked_share);
+            writeln!(out, "{name:<width$} {frames:>10} {share:>9}").ok();
+        }
     }
 
     /// A line of text.
@@ -199,7 +302,7 @@ impl PosesReport {
         };
         format!(
             "{} at {}, {}{lost}, {within}, {} in the take: {}",
-            count(self.bodies.len() as u64, "body").replace("bodys", "bodies"),
+            count_of(self.bodies.len() as u64, ["body", "bodies"]),
             rate(self.rate_hz),
             count(self.frames, "frame"),
             bytes(self.stored_bytes),

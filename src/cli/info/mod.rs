@@ -50,7 +50,8 @@ pub(crate) struct Args {
     /// Format of standard input, and of files whose extension does not show it
     #[arg(long, value_name = "FORMAT")]
     format: Option<InputFormatName>,
-    /// List the markers: samples, gaps, kept samples and the largest error of each; --json always does
+    /// List the markers: samples, gaps, kept samples and the largest error of each; the sampled channels, and the rigid
+    /// bodies with the frames in which each was tracked, for which their poses are decoded; --json always lists the rest
     #[arg(long)]
     markers: bool,
     /// Print one JSON document, or one per line for several files
@@ -68,7 +69,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     })
 }
 
-/// Reads a take. Its samples are decoded only if it does not state their statistics, or if anything in it is damaged.
+/// Reads a take. Its samples are decoded only if it does not state their statistics, or if anything in it is damaged; poses
+/// of rigid bodies, whose states no statistics tell, if they are few, or the user wants a list.
 ///
 /// # Errors
 /// When it cannot be read, or is not a take.
@@ -82,6 +84,10 @@ fn take_info(job: &Job<'_>, all_markers: bool) -> anyhow::Result<FileReport> {
     drop(phase);
     let mut report = InfoReport::new(&job.input.name, &summary, file_bytes);
     report.store = StoreReport::of(&job.input.path, &summary)?;
+    if let Some(poses) = report.poses.as_mut().filter(|poses| all_markers || poses.are_few()) {
+        let mut file = BufReader::new(remote::open(&job.input.path)?);
+        poses.count_tracked(&summary.take, &mut file).with_context(reading)?;
+    }
     if !job.is_json {
         report.problems.iter().for_each(|problem| job.notify(problem));
     }

@@ -82,6 +82,9 @@ pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
     if all_markers {
         marker_table(report, &mut out);
         contents::channel_table(&report.sampled_groups, &mut out);
+        if let Some(poses) = &report.poses {
+            poses.body_table(&mut out);
+        }
     }
     let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
     out.push_str(&ledger::damage_by_marker(&damaged.collect::<Vec<_>>()));
@@ -136,6 +139,7 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     }
     if let Some(poses) = &report.poses {
         line("poses", &poses.text());
+        line("", &poses.tracked_text());
     }
     for part in &report.foreign_parts {
         let groups = report.sampled_groups.iter().filter(|group| group.kind == part.kind);

@@ -46,6 +46,8 @@ pub(crate) enum Plot {
     Analog(sampled::AnalogArgs),
     /// Plot the force plates of an imported C3D file or of a recording: forces and centres of pressure, beside the trajectory of a marker
     Forces(sampled::ForcesArgs),
+    /// Plot the rigid bodies of a recording: position and rotation of each, under the trajectory of a marker
+    Bodies(sampled::BodiesArgs),
     /// Plot each marker's gaps, noise and, with --against, error
     Quality(PictureArgs),
 }
@@ -60,6 +62,7 @@ pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
         Plot::Sizes(args) => sizes::run(args),
         Plot::Analog(args) => sampled::run_analog(args),
         Plot::Forces(args) => sampled::run_forces(args),
+        Plot::Bodies(args) => sampled::run_bodies(args),
         Plot::Quality(args) => draw_quality(args),
     }
 }
@@ -146,8 +149,8 @@ pub(crate) struct PictureArgs {
     /// `-` writes to standard output [default: beside each file]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Format of the plots: svg or png [default: by the extension of the output, else svg]; or, for `trajectory`, `analog`
-    /// and `forces`, a time: plot frames before it
+    /// Format of the plots: svg or png [default: by the extension of the output, else svg]; or, for `trajectory`, `analog`,
+    /// `forces` and `bodies`, a time: plot frames before it
     #[arg(long, value_name = "FORMAT|TIME", allow_hyphen_values = true, value_parser = time_or_format::<PictureFormat>(), hide_possible_values = true)]
     to: Vec<TimeOrFormat<PictureFormat>>,
     #[command(flatten)]

@@ -1,10 +1,14 @@
-//! `plot analog` and `plot forces`: the sampled channels of an imported C3D file or of a recording.
+//! `plot analog`, `plot forces` and `plot bodies`: the sampled channels of an imported C3D file or of a recording, and its
+//! rigid bodies.
 
 use std::time::Duration;
 
 use anyhow::bail;
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_report::plot::{AnalogPlot, CHANNELS_MAX, ForcesPlot, analog, forces, plot_channels};
+use mocapd_report::plot::{
+    AnalogPlot, BODIES_MAX, BodiesPlot, CHANNELS_MAX, ForcesPlot, analog, bodies, forces,
+    plot_bodies, plot_channels,
+};
 use mocapd_service::units;
 use mocapd_take::motion::{MotionInfo, frame_at};
 
@@ -41,6 +45,21 @@ pub(crate) struct ForcesArgs {
     from: Option<Duration>,
 }
 
+#[derive(Debug, clap::Args)]
+pub(crate) struct BodiesArgs {
+    #[command(flatten)]
+    picture: PictureArgs,
+    /// Names of the rigid bodies, or their numbers from 1, up to 6 [default: the first four]
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
+    bodies: Vec<String>,
+    /// Label of the marker whose trajectory is drawn above [default: the marker with the longest path]
+    #[arg(long, value_name = "LABEL")]
+    marker: Option<String>,
+    /// Plot frames from this time on: 10s, 500ms, 2min
+    #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
+    from: Option<Duration>,
+}
+
 pub(super) fn run_analog(args: &AnalogArgs) -> anyhow::Result<Outcome> {
     refuse_original(&args.picture)?;
     args.picture.run(TimeSpan::Range, |picture| {
@@ -69,6 +88,30 @@ pub(super) fn run_forces(args: &ForcesArgs) -> anyhow::Result<Outcome> {
             channels: &channels,
             rows: rows(picture, args.from)?,
             up: up(motion),
+        })?)
+    })
+}
+
+pub(super) fn run_bodies(args: &BodiesArgs) -> anyhow::Result<Outcome> {
+    refuse_original(&args.picture)?;
+    if args.bodies.len() > BODIES_MAX {
+        let n = args.bodies.len();
+        bail!(UsageError(format!("--bodies has {n} rigid bodies: give up to {BODIES_MAX}")));
+    }
+    args.picture.run(TimeSpan::Range, |picture| {
+        let info = kept_info(picture)?;
+        let motion = &picture.take.motion;
+        let names = plot_bodies(&info);
+        let has_marker = !motion.info.markers.is_empty() || args.marker.is_some();
+        let marker =
+            has_marker.then(|| marker(&picture.take, args.marker.as_deref())).transpose()?;
+        Ok(bodies(&BodiesPlot {
+            name: &picture.name,
+            info: &info,
+            motion,
+            bodies: &indices_of(&args.bodies, &names, "rigid body")?,
+            marker,
+            rows: rows(picture, args.from)?,
         })?)
     })
 }
@@ -110,23 +153,25 @@ fn channels(info: &MotionInfo, given: &[String]) -> anyhow::Result<Vec<usize>> {
     if given.is_empty() || all.is_empty() {
         return Ok((0..all.len().min(CHANNELS_MAX)).collect());
     }
+    let names: Vec<String> = all.into_iter().map(|channel| channel.name).collect();
+    indices_of(given, &names, "analog channel")
+}
+
+/// The indices of things with these names, or with these numbers from 1; none of an empty list, of which a plot says so.
+fn indices_of(given: &[String], names: &[String], what: &str) -> anyhow::Result<Vec<usize>> {
     let index = |wanted: &String| {
-        let by_label = all.iter().position(|channel| channel.name == wanted.trim());
+        let by_name = names.iter().position(|name| name == wanted.trim());
         let number = wanted.trim().parse::<usize>().ok().and_then(|number| number.checked_sub(1));
-        by_label.or(number.filter(|&index| index < all.len())).ok_or_else(|| {
-            let labels: Vec<&str> =
-                all.iter().take(CHANNELS_MAX).map(|c| c.name.as_str()).collect();
-            let others = all.len().saturating_sub(labels.len());
-            let others = match others {
+        by_name.or(number.filter(|&index| index < names.len())).ok_or_else(|| {
+            let listed: Vec<&str> = names.iter().take(CHANNELS_MAX).map(String::as_str).collect();
+            let others = match names.len().saturating_sub(listed.len()) {
                 0 => String::new(),
                 n => format!(" and {}", count(n as u64, "other")),
             };
-            let message = format!(
-                "no analog channel is called '{wanted}': there are {}{others}",
-                labels.join(", ")
-            );
+            let message =
+                format!("no {what} is called '{wanted}': there are {}{others}", listed.join(", "));
             UsageError(message).into()
         })
     };
-    given.iter().map(index).collect()
+    if names.is_empty() { Ok(Vec::new()) } else { given.iter().map(index).collect() }
 }

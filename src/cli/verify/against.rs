@@ -1,9 +1,13 @@
 //! `verify --against`: a take compared with its original, and with `--cutoff` its velocities and accelerations with
-//! theirs, as JSON (docs/json.md) and as text.
+//! theirs, or a recording with the log of a simulated device, as JSON (docs/json.md) and as text.
 
-use std::{io::BufReader, path::Path, sync::Arc};
+use std::{
+    io::{BufRead, BufReader},
+    path::Path,
+    sync::Arc,
+};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{self, SparseFile};
 use mocapd_report::{
@@ -13,8 +17,9 @@ use mocapd_report::{
 use mocapd_take::{
     TakeFrames,
     compare::{
-        AnalogDifference, ChannelDifference, Difference, SampledDifference, compare,
-        compare_analog, compare_samples,
+        AnalogDifference, BodyDifference, ChannelDifference, Difference, PoseDifference,
+        SampledDifference, SentAccount, SentComparison, SentLog, compare, compare_analog,
+        compare_log, compare_poses, compare_samples,
     },
     foreign::analog::is_needed,
     interchange::ReadOptions,
@@ -26,7 +31,7 @@ use crate::cli::{
     motion_files::{MotionSource, open_motion, read_options, read_original, read_take},
     output::plain,
     paths, remote,
-    values::{count, thousands},
+    values::{count, count_of, thousands},
 };
 
 /// Maximum number of labels that the text lists; the JSON has all of them.
@@ -39,8 +44,10 @@ pub(crate) struct AgainstReport {
     ambiguities: Vec<AmbiguityReport>,
     /// The analog samples; `None` unless both have some.
     analog: Option<AnalogDifference>,
-    /// The sampled channels of recordings; `None` unless both have some.
+    /// The sampled channels of recordings; `None` if there are none to compare.
     sampled: Option<SampledDifference>,
+    /// The poses of rigid bodies; `None` if there are none to compare.
+    poses: Option<PoseDifference>,
     #[serde(flatten)]
     difference: Difference,
 }
@@ -80,15 +87,16 @@ pub(crate) fn against(
     };
     let cut_off = !take_frames.map().finished;
     let (mut ambiguities, mut notes) = (Vec::new(), Vec::new());
-    let mut sampled = None;
+    let (mut sampled, mut poses) = (None, None);
     let (difference, exact, analog) = if paths::is_take(original) {
         let (original_path, original) = (original, open(original)?);
         let exact = original.map().header.tolerance_mm == 0.0;
         let analog = analog_of(original.info())?;
         let mut files = [open_file(take)?, open_file(original_path)?];
         let [ours, theirs] = &mut files;
-        sampled = compare_samples((take_frames.map(), ours), (original.map(), theirs))
-            .with_context(comparing)?;
+        let maps = [take_frames.map(), original.map()];
+        sampled = compare_samples((maps[0], ours), (maps[1], theirs)).with_context(comparing)?;
+        poses = compare_poses((maps[0], ours), (maps[1], theirs)).with_context(comparing)?;
         (compare(take_frames, original), exact, analog)
     } else {
         let options = read_options(&take_frames);
@@ -112,10 +120,113 @@ pub(crate) fn against(
     notes.append(&mut difference.notes);
     difference.notes = notes;
     let report = AgainstReport::new(difference, tolerance_mm);
-    let is_analog_within = analog.as_ref().is_none_or(AnalogDifference::is_within)
-        && sampled.as_ref().is_none_or(SampledDifference::is_within);
-    let within_tolerance = report.within_tolerance && is_analog_within;
-    Ok(AgainstReport { within_tolerance, ambiguities, analog, sampled, ..report })
+    let is_rest_within = analog.as_ref().is_none_or(AnalogDifference::is_within)
+        && sampled.as_ref().is_none_or(SampledDifference::is_within)
+        && poses.as_ref().is_none_or(PoseDifference::is_within);
+    let within_tolerance = report.within_tolerance && is_rest_within;
+    Ok(AgainstReport { within_tolerance, ambiguities, analog, sampled, poses, ..report })
+}
+
+/// How a recording accounts for what a simulated device sent.
+#[derive(Debug, Serialize)]
+pub(super) struct SentReport {
+    /// What the log has rows of.
+    log: &'static str,
+    complete: bool,
+    #[serde(flatten)]
+    found: SentComparison,
+}
+
+/// The log of a simulated device; `None` if the file is another one.
+///
+/// # Errors
+/// If it cannot be read.
+pub(super) fn sent_log(path: &Path) -> anyhow::Result<Option<SentLog>> {
+    if !paths::ends_in(path, "csv") {
+        return Ok(None);
+    }
+    let mut file = open_file(path)?;
+    let reading = || format!("cannot read {}", path.display());
+    if !SentLog::is_one(file.fill_buf().with_context(reading)?) {
+        return Ok(None);
+    }
+    Ok(Some(SentLog::read(file).with_context(reading)?))
+}
+
+impl SentReport {
+    /// Compares a take with the log of the device.
+    ///
+    /// # Errors
+    /// If the take cannot be read; a usage error for one that is no recording.
+    pub(super) fn new(take: &Path, log: &SentLog) -> anyhow::Result<Self> {
+        let reading = || format!("cannot read {}", take.display());
+        let frames = TakeFrames::open(open_file(take)?).with_context(reading)?;
+        if frames.map().header.device.is_none() {
+            bail!(UsageError(format!(
+                "{} is no recording: the log of a device is for takes of it",
+                take.display()
+            )));
+        }
+        let found = compare_log(frames.map(), open_file(take)?, log).with_context(reading)?;
+        let of = if log.is_of_frames() { "frames" } else { "batches" };
+        Ok(Self { log: of, complete: found.is_complete(), found })
+    }
+
+    pub(super) fn is_complete(&self) -> bool {
+        self.complete
+    }
+
+    /// The end of a line about the take.
+    pub(super) fn short(&self) -> String {
+        let verdict = if self.complete { "accounts for" } else { "DOES NOT ACCOUNT for" };
+        format!("; {verdict} the {} that the device sent", self.log)
+    }
+
+    /// A line for the frames or for each group, and one for each kind of difference.
+    pub(super) fn text(&self) -> String {
+        let mut out = String::new();
+        for account in &self.found.accounts {
+            out += &account_text(account);
+        }
+        for group in &self.found.groups_missing {
+            out += &format!("  in only one of take and log: group {group} of sampled channels\n");
+        }
+        out
+    }
+}
+
+/// From this number on groups have poses: no device gives it.
+const POSE_GROUPS: u32 = 16;
+
+fn account_text(account: &SentAccount) -> String {
+    let what = match account.group {
+        None => "frames".to_owned(),
+        Some(group) if group >= POSE_GROUPS => format!("frames with poses of group {group}"),
+        Some(group) => format!("samples of group {group}"),
+    };
+    let counted = [
+        (account.dropped, "dropped by the device"),
+        (account.lost, "did not arrive"),
+        (account.arrived_lost, "arrived, but the take states them as lost"),
+        (account.outside, "sent before or after those of the take"),
+    ];
+    let (sent, recorded) = (thousands(account.sent), thousands(account.recorded));
+    let mut out =
+        format!("against the log of the device: {sent} {what} sent, {recorded} in the take");
+    for (n, which) in counted.iter().filter(|(n, _)| *n > 0) {
+        out += &format!(", {} {which}", thousands(*n));
+    }
+    out.push('\n');
+    for (n, which) in [
+        (account.unknown, "in the take, but NOT SENT, or not whole"),
+        (account.unaccounted, "NEITHER in the take nor stated as lost"),
+        (account.times_unknown, "at times that the log DOES NOT HAVE"),
+    ] {
+        if n > 0 {
+            out += &format!("  {which}: {} {what}\n", thousands(n));
+        }
+    }
+    out
 }
 
 /// The file of a take.
@@ -134,7 +245,8 @@ fn note_of(options: &ReadOptions) -> Option<String> {
 impl AgainstReport {
     pub(crate) fn new(difference: Difference, tolerance_mm: f64) -> Self {
         let within_tolerance = difference.is_within(tolerance_mm);
-        Self { within_tolerance, ambiguities: Vec::new(), analog: None, sampled: None, difference }
+        let (analog, sampled, poses) = (None, None, None);
+        Self { within_tolerance, ambiguities: Vec::new(), analog, sampled, poses, difference }
     }
 
     /// Whether the take agrees with the original within the tolerance.
@@ -170,6 +282,7 @@ impl AgainstReport {
         }
         out += &self.analog.as_ref().map(analog_text).unwrap_or_default();
         out += &self.sampled.as_ref().map(sampled_text).unwrap_or_default();
+        out += &self.poses.as_ref().map(poses_text).unwrap_or_default();
         if found.frames_lost > 0 {
             let frames = count(found.frames_lost, "frame");
             out += &format!("  not compared, lost in the take: {frames}\n");
@@ -226,6 +339,50 @@ fn sampled_text(found: &SampledDifference) -> String {
     if groups_missing > 0 {
         let groups = count(groups_missing as u64, "group");
         out += &format!("  in only one of the two: {groups} of sampled channels\n");
+    }
+    out
+}
+
+/// A line about the poses of rigid bodies, one for each body with an error, and one for each kind of difference.
+fn poses_text(found: &PoseDifference) -> String {
+    let poses = count(found.poses, "pose");
+    let mut out = match (found.poses_differing, found.beyond_stated) {
+        (0, _) => format!("  {poses} of rigid bodies, all exact\n"),
+        (n, 0) => format!(
+            "  {poses} of rigid bodies, {} not bit-identical, within the errors that the takes state\n",
+            thousands(n)
+        ),
+        (_, n) => format!(
+            "  {poses} of rigid bodies, {} NOT WITHIN the errors that the takes state\n",
+            thousands(n)
+        ),
+    };
+    let differs = |of: &&BodyDifference| of.max_error_mm > 0.0 || of.max_error_degrees > 0.0;
+    for body in found.bodies.iter().filter(differs) {
+        out += &format!(
+            "    {}: max error {:.4} mm, stated {:.4}, and {:.4} degrees, stated {:.4}\n",
+            plain(&body.name),
+            body.max_error_mm,
+            body.stated_max_error_mm,
+            body.max_error_degrees,
+            body.stated_max_error_degrees
+        );
+    }
+    if found.states_differing > 0 {
+        let poses = count(found.states_differing, "pose");
+        out += &format!("  of a body tracked in only one of the two, or lost otherwise: {poses}\n");
+    }
+    if found.poses_lost > 0 {
+        let poses = count(found.poses_lost, "pose");
+        out += &format!("  not compared, lost in the take: {poses} of rigid bodies\n");
+    }
+    if found.poses_missing > 0 {
+        let poses = count(found.poses_missing, "pose");
+        out += &format!("  in only one of the two: {poses} of rigid bodies\n");
+    }
+    if found.bodies_missing > 0 {
+        let bodies = count_of(found.bodies_missing as u64, ["rigid body", "rigid bodies"]);
+        out += &format!("  in only one of the two: {bodies}\n");
     }
     out
 }

@@ -22,7 +22,7 @@ use serde::Serialize;
 
 pub(super) use self::against::{AgainstReport, against};
 use self::{
-    against::{DerivativesReport, derivatives},
+    against::{DerivativesReport, SentReport, derivatives, sent_log},
     limbs::{LimbsReport, limbs_of},
 };
 use super::{
@@ -46,7 +46,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FORMAT")]
     format: Option<InputFormatName>,
     /// The original: a .c3d, .trc, .tsv or .csv file, or another .take; or a folder with an original of the
-    /// same name for each take
+    /// same name for each take; or for a recording the log of the simulated device, of `mocapd-sim serve --log` or
+    /// `--batch-log`
     #[arg(long, value_name = "FILE")]
     against: Option<PathBuf>,
     /// With --against, also report errors of velocities and accelerations, low-passed at this cutoff: 6Hz
@@ -80,6 +81,7 @@ struct VerifyReport {
     /// The clock line, fitted again to the observations in the take and compared with the stored one.
     clock: Option<LineDeviation>,
     against: Option<AgainstReport>,
+    sent: Option<SentReport>,
     derivatives: Option<DerivativesReport>,
     limbs: Option<LimbsReport>,
 }
@@ -129,7 +131,16 @@ fn verify(args: &Args, job: &Job<'_>) -> anyhow::Result<FileReport> {
         verdict.problems.iter().filter(is_printed).map(ToString::to_string).collect();
     let mut report = VerifyReport::new(&job.input.name, &summary, verdict);
     let original = args.against.as_ref().map(|original| original_of(original, job)).transpose()?;
-    if let Some(original) = &original {
+    if let Some(original) = &original
+        && let Some(log) = sent_log(original)?
+    {
+        if args.cutoff.is_some() {
+            bail!(UsageError(
+                "--cutoff is for motions, but the original is a log: omit it".to_owned()
+            ));
+        }
+        report.sent = Some(SentReport::new(take, &log)?);
+    } else if let Some(original) = &original {
         report.against = Some(against(take, original, summary.take.header.tolerance_mm)?);
         if let Some(cutoff_hz) = args.cutoff {
             report.derivatives = Some(derivatives(take, original, cutoff_hz)?);
@@ -228,6 +239,7 @@ impl VerifyReport {
             stated_max_error_mm: summary.max_error_mm(),
             clock,
             against: None,
+            sent: None,
             derivatives: None,
             limbs: None,
         }
@@ -236,10 +248,14 @@ impl VerifyReport {
     /// Why the check failed, if a comparison or the take itself shows that it is wrong.
     fn failure(&self, original: Option<&Path>) -> Option<String> {
         let take = self.take.display();
-        if let Some(original) = original
-            && !self.against.as_ref().is_some_and(AgainstReport::is_within)
-        {
-            return Some(format!("{take} differs from {}", original.display()));
+        if let Some(original) = original {
+            let original = original.display();
+            if self.against.as_ref().is_some_and(|against| !against.is_within()) {
+                return Some(format!("{take} differs from {original}"));
+            }
+            if self.sent.as_ref().is_some_and(|sent| !sent.is_complete()) {
+                return Some(format!("{take} does not account for everything in {original}"));
+            }
         }
         let contradiction = self.contradictions.first()?;
         Some(format!("{take} contradicts itself: {contradiction}"))
@@ -248,7 +264,8 @@ impl VerifyReport {
     /// The report in one line.
     fn line(&self) -> String {
         let against = self.against.as_ref().map_or_else(String::new, AgainstReport::short);
-        format!("{}{against}\n", self.head())
+        let sent = self.sent.as_ref().map_or_else(String::new, SentReport::short);
+        format!("{}{against}{sent}\n", self.head())
     }
 
     fn head(&self) -> String {
@@ -286,6 +303,7 @@ impl VerifyReport {
         if let Some(against) = &self.against {
             out += &against.text(self.tolerance_mm);
         }
+        out += &self.sent.as_ref().map(SentReport::text).unwrap_or_default();
         out += &self.derivatives.as_ref().map(DerivativesReport::text).unwrap_or_default();
         out += &self.limbs.as_ref().map(LimbsReport::text).unwrap_or_default();
         out

@@ -55,7 +55,7 @@ impl TimesDifference {
 
 /// The outcome of a row: recorded or lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum RowOutcome {
+pub(super) enum RowOutcome {
     Recorded(RowTime),
     Lost(LossCauses),
 }
@@ -84,10 +84,10 @@ pub fn compare_times<R: Read + Seek, S: Read + Seek>(
 }
 
 /// Consecutive rows with one outcome: a row that was recorded, or lost ones.
-type OutcomeRun = (Range<u64>, RowOutcome);
+pub(super) type OutcomeRun = (Range<u64>, RowOutcome);
 
 /// The outcomes of a recording's rows, in order.
-struct RowOutcomes<R> {
+pub(super) struct RowOutcomes<R> {
     traversal: TakeTraversal<R>,
     /// The rest of the current run.
     current: Option<OutcomeRun>,
@@ -96,13 +96,13 @@ struct RowOutcomes<R> {
 }
 
 impl<R: Read + Seek> RowOutcomes<R> {
-    fn new(input: R, map: &TakeMap) -> Result<Self, TakeError> {
+    pub(super) fn new(input: R, map: &TakeMap) -> Result<Self, TakeError> {
         let traversal = TakeTraversal::from_map(input, map, Decode::Groups(Vec::new()))?;
         Ok(Self { traversal, current: None, waiting: Vec::new().into_iter() })
     }
 
     /// The next run, which stays the next until its rows are [passed](Self::pass).
-    fn next(&mut self) -> Result<Option<OutcomeRun>, TakeError> {
+    pub(super) fn next(&mut self) -> Result<Option<OutcomeRun>, TakeError> {
         while self.current.is_none() {
             self.current = self.waiting.next();
             if self.current.is_none() {
@@ -116,7 +116,7 @@ impl<R: Read + Seek> RowOutcomes<R> {
     }
 
     /// Passes the rows before `row`.
-    fn pass(&mut self, row: u64) {
+    pub(super) fn pass(&mut self, row: u64) {
         if let Some((rows, _)) = &mut self.current {
             rows.start = rows.start.max(row);
         }

@@ -4,19 +4,23 @@
 //! reaction forces in its own examples: a header of `name`, `version`, `nRows`, `nColumns` and `inDegrees`, a line
 //! `endheader`, and a table between tabs. `docs/formats.md` describes the columns.
 
-use std::io::Write;
+use std::io::{self, Write};
 
 use super::{
-    InterchangeError, Result, c3d, check_frame_count, counted, sampled_table::SampledTable,
+    InterchangeError, Result, c3d, check_frame_count, counted,
+    recorded_rows::RecordedRows,
+    sampled_table::{SampledKind, SampledTable},
     unsupported, write_frames,
 };
 use crate::{
     TakeError,
     foreign::{
         analog::AnalogSamples,
-        force_plates::{Baseline, ForcePlates, PlateLoad, PlateLoads},
+        force_plates::{Baseline, ForcePlate, ForcePlates, PlateLoad, PlateLoads},
     },
     motion::{FrameSource, MotionInfo},
+    record::SampledChannel,
+    sampled::{FILTER, Recording, Resampler, reach},
 };
 
 /// Columns of a plate: force, point and torque.
@@ -29,8 +33,11 @@ const COLUMNS: [&str; 3] = ["ground_force_{}_v", "ground_force_{}_p", "ground_to
 /// and all its columns are 0, because `OpenSim` would apply the rest of the force at the wrong place. Its splines turn
 /// a single NaN into a column of them, so a sample that is missing is 0 as well.
 ///
+/// If the plates of a recording are in several groups, the times are those of the fastest one. Groups of the same rate have
+/// their nearest samples there, others are resampled if the [recording allows it](Recording::resamples).
+///
 /// # Errors
-/// `Unsupported` if the take has no force plates that can be used, or no baseline; `Io` if reading or writing fails.
+/// `Unsupported` if the take has no force plates that can be used, or no baseline, or plates of different rates; `Io` if reading or writing fails.
 pub fn write(
     frames: &mut dyn FrameSource,
     out: &mut dyn Write,
@@ -38,24 +45,14 @@ pub fn write(
 ) -> Result<Vec<String>> {
     let info = frames.info().clone();
     let tables = SampledTable::all(&info)?.into_iter();
-    let mut recorded: Vec<_> =
-        tables.filter(|t| t.is_recorded() && t.kind().is_of_plates()).collect();
-    match (recorded.pop(), recorded.is_empty(), baseline) {
-        (None, ..) => {}
-        (Some(table), true, Baseline::AsStored) => {
-            return write_recorded(table, frames, &info, out);
-        }
-        (Some(_), false, _) => {
-            return unsupported(
-                "the channels of the force plates are in several groups, which have times of their own, but .mot has one \
-                 column of times: export to csv, which writes a file for each group",
-            );
-        }
-        (Some(_), true, Baseline::Subtracted) => {
+    let recorded: Vec<_> = tables.filter(|t| t.is_recorded() && t.kind().is_of_plates()).collect();
+    if let (false, Some(recording)) = (recorded.is_empty(), &info.recording) {
+        if baseline == Baseline::Subtracted {
             return unsupported(
                 "a recording states no frames without load: export without --subtract-baseline",
             );
         }
+        return write_recorded((recorded, recording), frames, &info, out);
     }
     let opened = PlateLoads::open(&info, baseline).map_err(of_take)?;
     let usable = opened.filter(|loads| !loads.plates().plates.is_empty());
@@ -92,14 +89,26 @@ pub fn write(
     Ok(remarks)
 }
 
-/// Writes the loads of the plates of a recording, at the times of their samples.
+/// Writes the loads of the plates of a recording, at the times of the samples of its fastest group of plates.
 fn write_recorded(
-    mut table: SampledTable<'_>,
+    (mut tables, recording): (Vec<SampledTable<'_>>, &Recording),
     frames: &dyn FrameSource,
     info: &MotionInfo,
     out: &mut dyn Write,
 ) -> Result<Vec<String>> {
-    let numbers: Vec<usize> = table.plates().iter().map(|plate| plate.number).collect();
+    let rate_hz = tables.iter().map(SampledTable::rate_hz).fold(0.0, f64::max);
+    let fastest = tables.iter().position(|table| table.rate_hz() >= rate_hz).unwrap_or(0);
+    let mut table = tables.remove(fastest);
+    let others = tables.iter().map(|other| OtherGroup::open(other, recording, info, rate_hz));
+    let mut others = others.collect::<Result<Vec<_>>>()?;
+    let of_others = others.iter().flat_map(OtherGroup::plates);
+    let numbers: Vec<usize> =
+        table.plates().iter().chain(of_others).map(|plate| plate.number).collect();
+    // Plates are in the order of their numbers, whatever groups they are in.
+    let mut order: Vec<usize> = (0..numbers.len()).collect();
+    order.sort_by_key(|&index| numbers.get(index));
+    let numbers: Vec<usize> =
+        order.iter().filter_map(|&index| numbers.get(index).copied()).collect();
     let mut counts = vec![LoadCounts::default(); numbers.len()];
     // OpenSim needs ascending times, which a device does not have whose clock begins again.
     let mut n_rows = 0;
@@ -110,18 +119,19 @@ fn write_recorded(
     }
     let n_left_out = table.n_rows() - n_rows;
     out.write_all(&header(n_rows, &numbers))?;
-    let (mut line, mut last_s) = (Vec::new(), f64::NEG_INFINITY);
+    let (mut line, mut loads, mut last_s) = (Vec::new(), Vec::new(), f64::NEG_INFINITY);
     table.for_each_row(frames, |time, row| {
         if time.time_s <= last_s {
             return Ok(());
         }
         last_s = time.time_s;
         line.clear();
+        loads.clear();
         write!(line, "{last_s}")?;
-        for (load, counts) in row.as_chunks::<3>().0.as_chunks::<4>().0.iter().zip(&mut counts) {
-            let [force_n, moment_nm, cop_mm, free_moment_nm] =
-                load.map(|vector| vector.map(f64::from));
-            let load = PlateLoad { force_n, moment_nm, cop_mm, free_moment_nm };
+        loads.extend(loads_of(row));
+        others.iter_mut().try_for_each(|other| other.push(time.frames, &mut loads))?;
+        for (&index, counts) in order.iter().zip(&mut counts) {
+            let load = loads.get(index).copied().unwrap_or(NO_LOAD);
             counts.add(&load, info);
             put_load(&mut line, &load)?;
         }
@@ -131,12 +141,181 @@ fn write_recorded(
     out.flush()?;
     let of_plates =
         numbers.iter().zip(&counts).flat_map(|(number, counts)| counts.remarks(*number));
-    let warnings = info.recording.as_ref().map(c3d::warnings_of).unwrap_or_default();
-    let mut remarks: Vec<String> = warnings.into_iter().chain(of_plates).collect();
+    let of_groups = others.iter().map(|other| other.remark(info.rate_hz, rate_hz));
+    let warnings = c3d::warnings_of(recording).into_iter();
+    let mut remarks: Vec<String> = warnings.chain(of_groups).chain(of_plates).collect();
     remarks.extend((n_left_out > 0).then(|| {
         format!("{} left out, because their times do not ascend.", counted(n_left_out, "row"))
     }));
     Ok(remarks)
+}
+
+/// The loads of a row of a table: twelve numbers each.
+fn loads_of(row: &[f32]) -> impl Iterator<Item = PlateLoad> {
+    row.as_chunks::<3>().0.as_chunks::<4>().0.iter().map(|load| {
+        let [force_n, moment_nm, cop_mm, free_moment_nm] = load.map(|of| of.map(f64::from));
+        PlateLoad { force_n, moment_nm, cop_mm, free_moment_nm }
+    })
+}
+
+/// The load where a plate has no sample.
+const NO_LOAD: PlateLoad = PlateLoad {
+    force_n: [f64::NAN; 3],
+    moment_nm: [f64::NAN; 3],
+    cop_mm: [f64::NAN; 3],
+    free_moment_nm: [f64::NAN; 3],
+};
+
+/// Difference of two rates, as a share of them, that is rounding.
+const SAME_RATE: f64 = 1e-6;
+
+/// The plates of another group, at the times of the fastest one.
+struct OtherGroup<'a> {
+    name: String,
+    plates: Vec<ForcePlate>,
+    first_row: f64,
+    source: OtherSource<'a>,
+}
+
+/// How their loads are found.
+enum OtherSource<'a> {
+    /// Each time has the nearest sample, at most half a period away.
+    Nearest(Box<NearestRows<'a>>),
+    /// By the filter.
+    Resampled { samples: Box<Resampler<'a>>, channels: &'a [SampledChannel], stored: Vec<f32> },
+}
+
+/// The rows of a group, of which the nearest ones to ascending times are taken.
+struct NearestRows<'a> {
+    rows: RecordedRows<'a>,
+    /// The last row that was read: its place in frames, and its values.
+    held: Option<(f64, Vec<f32>)>,
+    /// Half a period of the samples, in frames.
+    half: f64,
+    /// The largest distance from a time, in frames.
+    farthest: f64,
+}
+
+impl NearestRows<'_> {
+    /// The row that is nearest to a time; `None` if none is within half a period.
+    fn at(&mut self, frames: f64) -> io::Result<Option<&[f32]>> {
+        while let Some(next) = self.rows.peek()? {
+            let is_nearer = self
+                .held
+                .as_ref()
+                .is_none_or(|(at, _)| (next - frames).abs() <= (at - frames).abs());
+            if !is_nearer {
+                break;
+            }
+            let mut values = self.held.take().map(|(_, values)| values).unwrap_or_default();
+            values.clear();
+            self.rows.take(&mut values);
+            self.held = Some((next, values));
+        }
+        let Some((at, values)) = &self.held else { return Ok(None) };
+        let distance = (at - frames).abs();
+        // Times are rounded to nanoseconds.
+        if distance > self.half * (1.0 + 1e-3) {
+            return Ok(None);
+        }
+        self.farthest = self.farthest.max(distance);
+        Ok(Some(values))
+    }
+}
+
+impl<'a> OtherGroup<'a> {
+    /// # Errors
+    /// `Unsupported` if the rates differ, and the user did not allow resampling; those of reading the take.
+    fn open(
+        table: &SampledTable<'_>,
+        recording: &'a Recording,
+        info: &MotionInfo,
+        rate_hz: f64,
+    ) -> Result<Self> {
+        let SampledKind::ForcePlates(Some(number)) = table.kind() else {
+            return unsupported(
+                "the force plates of a group have no number: please report this bug",
+            );
+        };
+        let index = recording.groups().iter().position(|found| found.group.number == number);
+        let group = index.and_then(|index| Some((index, recording.groups().get(index)?)));
+        let Some((index, found)) = group else {
+            return unsupported(
+                "the force plates are in a group that is not there: please report this bug",
+            );
+        };
+        let (name, plates, own_hz) =
+            (c3d::name_of(&found.group), table.plates().to_vec(), found.group.rate_hz);
+        let rows = info.rows();
+        let first_row = rows.start as f64;
+        if (own_hz - rate_hz).abs() <= SAME_RATE * rate_hz {
+            let rows =
+                RecordedRows::new(info, recording, index, plates.clone()).map_err(of_take)?;
+            let half = 0.5 * info.rate_hz / own_hz;
+            let nearest = NearestRows { rows, held: None, half, farthest: 0.0 };
+            let source = OtherSource::Nearest(Box::new(nearest));
+            return Ok(Self { name, plates, first_row, source });
+        }
+        if !recording.resamples() {
+            return Err(InterchangeError::Unsupported(format!(
+                "the force plates are in groups of {rate_hz} and {own_hz} Hz, but .mot has one column of times: \
+                 export with --resample, or to csv, which writes a file for each group"
+            )));
+        }
+        let reach_s = (reach(own_hz, rate_hz) + 1) as f64 / own_hz;
+        let more = (reach_s * info.rate_hz).ceil() as u64 + 1;
+        let wider = rows.start.saturating_sub(more)..rows.end.saturating_add(more);
+        let samples = recording.samples(index, &wider).map_err(of_take)?;
+        let channels = samples.channels();
+        let samples = Box::new(Resampler::new(samples, own_hz, rate_hz));
+        let source = OtherSource::Resampled { samples, channels, stored: Vec::new() };
+        Ok(Self { name, plates, first_row, source })
+    }
+
+    fn plates(&self) -> &[ForcePlate] {
+        &self.plates
+    }
+
+    /// Appends the loads at a time, in frames from the first one.
+    fn push(&mut self, frames: f64, loads: &mut Vec<PlateLoad>) -> io::Result<()> {
+        let missing = std::iter::repeat_n(NO_LOAD, self.plates.len());
+        match &mut self.source {
+            OtherSource::Nearest(nearest) => match nearest.at(frames)? {
+                Some(values) => loads.extend(loads_of(values)),
+                None => loads.extend(missing),
+            },
+            OtherSource::Resampled { samples, channels, stored } => {
+                stored.clear();
+                if !samples.at(self.first_row + frames, stored)? {
+                    loads.extend(missing);
+                    return Ok(());
+                }
+                let value = |&channel: &usize| {
+                    let found = channels.get(channel).zip(stored.get(channel));
+                    found.map_or(f64::NAN, |(channel, &stored)| channel.value(stored))
+                };
+                loads.extend(self.plates.iter().map(|plate| {
+                    let values: Vec<f64> = plate.channels.iter().map(value).collect();
+                    plate.load(&values)
+                }));
+            }
+        }
+        Ok(())
+    }
+
+    /// What happened to its samples.
+    fn remark(&self, frames_hz: f64, rate_hz: f64) -> String {
+        let name = &self.name;
+        match &self.source {
+            OtherSource::Nearest(nearest) => format!(
+                "The samples of {name} are those nearest to the times of the fastest group of plates, up to {:.3} ms away.",
+                nearest.farthest / frames_hz * 1e3
+            ),
+            OtherSource::Resampled { .. } => {
+                format!("{name} was resampled to {rate_hz} Hz: {FILTER}.")
+            }
+        }
+    }
 }
 
 /// The header and the line of column names.
@@ -157,7 +336,7 @@ fn header(n_rows: u64, plates: &[usize]) -> Vec<u8> {
 }
 
 /// Appends the nine cells of a load.
-fn put_load(out: &mut Vec<u8>, load: &PlateLoad) -> std::io::Result<()> {
+fn put_load(out: &mut Vec<u8>, load: &PlateLoad) -> io::Result<()> {
     let is_loaded = load.cop_mm.iter().all(|v| v.is_finite());
     let [force, point, torque] = if is_loaded {
         [load.force_n, load.cop_mm.map(|v| v / 1000.0), load.free_moment_nm]

@@ -109,6 +109,20 @@ impl GroupSamples {
         first.zip(last).map_or(0..0, |(first, last)| first.first..last.end())
     }
 
+    /// The numbers of the samples that the file has, in order.
+    pub(crate) fn stored_ranges(&self) -> Vec<Range<u64>> {
+        let mut all: Vec<Range<u64>> = Vec::new();
+        let Ok(()) = self.runs(|run| {
+            let SampleRun::Block(chunk) = run else { return Ok(()) };
+            match all.last_mut().filter(|last| last.end == chunk.span.first) {
+                Some(last) => last.end = chunk.span.end(),
+                None => all.push(chunk.span.first..chunk.span.end()),
+            }
+            Ok::<_, Infallible>(())
+        });
+        all
+    }
+
     /// A ledger states that the take had this many samples by then.
     fn state(&mut self, ledger: &GroupLedger) {
         if is_recorded(&self.group.kind) && ledger.taken <= SAMPLES_MAX {

@@ -5,7 +5,8 @@ use std::io::Cursor;
 use mocapd_codec::{Settings, Tolerance, sampled::SampledEncoder};
 use mocapd_take::{
     TakeFrames, TakeWriter,
-    interchange::{Format, SampledKind, SampledTable, write_c3d},
+    foreign::force_plates::Baseline,
+    interchange::{Format, SampledKind, SampledTable, mot::write as write_mot, write_c3d},
     motion::{FrameSource, MotionInfo},
     record::{Channel, Device, Header, Ledger, SampledChannel, SampledGroup, StatedPlate},
     sampled::{SampleAnchor, SampleContent, SampleSpan, SampleTimeLine},
@@ -19,8 +20,9 @@ const TICK_HZ: u64 = 100_000;
 const ROW: u64 = 1000;
 const SAMPLE: u64 = 100;
 
-/// Consecutive samples of the only group, with the times of the first and of the sample at which a batch begins.
+/// Consecutive samples of a group, with the times of the first and of the sample at which a batch begins.
 struct Block {
+    group: u32,
     first: u64,
     run_start: u64,
     ticks: u64,
@@ -29,7 +31,7 @@ struct Block {
 }
 
 fn block(first: u64, run_start: u64, ticks: u64, samples: Vec<Vec<f32>>) -> Block {
-    Block { first, run_start, ticks, samples }
+    Block { group: 0, first, run_start, ticks, samples }
 }
 
 /// A recording of one marker at 100 Hz whose rows have these ticks, and of a group at 1000 Hz; what is written after each
@@ -37,6 +39,16 @@ fn block(first: u64, run_start: u64, ticks: u64, samples: Vec<Vec<f32>>) -> Bloc
 fn take(
     rows: &[u64],
     channels: &[(&str, &str)],
+    plates: &[StatedPlate],
+    blocks: impl FnMut(usize) -> Vec<Block>,
+) -> Vec<u8> {
+    take_of_groups(rows, &[(1000.0, channels)], plates, blocks)
+}
+
+/// The same with several groups, of which each has a rate.
+fn take_of_groups(
+    rows: &[u64],
+    groups: &[(f64, &[(&str, &str)])],
     plates: &[StatedPlate],
     mut blocks: impl FnMut(usize) -> Vec<Block>,
 ) -> Vec<u8> {
@@ -53,17 +65,19 @@ fn take(
         scale: 0.5,
         ..SampledChannel::default()
     };
-    let channels: Vec<SampledChannel> = channels.iter().map(channel).collect();
-    let part_channels = channels.len() as u32;
-    take.sampled_group(&SampledGroup {
-        rate_hz: 1000.0,
-        channels,
-        part_channels,
-        ..SampledGroup::default()
-    })
-    .unwrap();
+    for (number, (rate_hz, channels)) in (0..).zip(groups) {
+        let channels: Vec<SampledChannel> = channels.iter().map(channel).collect();
+        take.sampled_group(&SampledGroup {
+            number,
+            rate_hz: *rate_hz,
+            part_channels: channels.len() as u32,
+            channels,
+            ..SampledGroup::default()
+        })
+        .unwrap();
+    }
     let mut front = StretchHeaderWriter::with_times(50, TimelineEncoder::new(TICK_HZ, 100.0));
-    let mut encoder = SampledEncoder::new();
+    let mut encoders: Vec<SampledEncoder> = groups.iter().map(|_| SampledEncoder::new()).collect();
     for (i, part) in rows.chunks(50).enumerate() {
         let mut timeline = Timeline::default();
         let first_row = i as u64 * 50;
@@ -76,15 +90,16 @@ fn take(
         let mut payload = Vec::new();
         front.put(span, &timeline, &[], true, &mut payload);
         take.stretch(span, &payload, &StretchTally::default()).unwrap();
-        for Block { first, run_start, ticks, samples } in blocks(i) {
+        for Block { group, first, run_start, ticks, samples } in blocks(i) {
             let n = samples[0].len() as u64;
             let anchor = SampleAnchor { number: first, run_start, device_ticks: ticks, segment: 0 };
-            let later = (n > 10).then_some((first + n - 10, ticks + (n - 10) * SAMPLE));
-            take.sample_time(0, &anchor, later).unwrap();
+            let period = TICK_HZ / groups[group as usize].0 as u64;
+            let later = (n > 10).then_some((first + n - 10, ticks + (n - 10) * period));
+            take.sample_time(group, &anchor, later).unwrap();
             let mut coded = Vec::new();
             let columns: Vec<&[f32]> = samples.iter().map(Vec::as_slice).collect();
-            encoder.encode(&columns, true, &mut coded).unwrap();
-            let span = SampleSpan { group: 0, first, n, content: SampleContent::Key };
+            encoders[group as usize].encode(&columns, true, &mut coded).unwrap();
+            let span = SampleSpan { group, first, n, content: SampleContent::Key };
             take.samples(&span, &coded).unwrap();
         }
     }
@@ -106,6 +121,117 @@ fn open(take: Vec<u8>) -> TakeFrames<Cursor<Vec<u8>>> {
     let mut frames = TakeFrames::open(Cursor::new(take.clone())).unwrap();
     frames.open_recording(Cursor::new(take), false).unwrap();
     frames
+}
+
+/// The time of a line, and its other cells.
+type MotRow = (f64, Vec<f64>);
+
+/// The table of a `.mot`: its times and the other columns of each line, with the names of these; and what was said of it.
+fn mot(frames: &mut dyn FrameSource) -> (Vec<String>, Vec<MotRow>, Vec<String>) {
+    let mut file = Vec::new();
+    let remarks = write_mot(frames, &mut file, Baseline::AsStored).unwrap();
+    let text = String::from_utf8(file).unwrap();
+    let (head, table) = text.split_once("endheader\n").unwrap();
+    let mut lines = table.lines();
+    let names: Vec<String> = lines.next().unwrap().split('\t').map(str::to_owned).collect();
+    let rows: Vec<MotRow> = lines
+        .map(|line| {
+            let mut cells = line.split('\t').map(|cell| cell.parse::<f64>().unwrap());
+            (cells.next().unwrap(), cells.collect())
+        })
+        .collect();
+    assert!(head.contains(&format!("nRows={}\nnColumns={}\n", rows.len(), names.len())), "{head}");
+    assert!(rows.iter().all(|(_, cells)| cells.len() + 1 == names.len()));
+    assert!(rows.is_sorted_by(|a, b| a.0 < b.0));
+    (names, rows, remarks)
+}
+
+/// Plates of two amplifiers, of which the second one is at `rate_hz`, and took its samples `late` ticks after the others.
+fn two_amplifiers(rate_hz: u64, late: u64, loses: bool) -> Vec<u8> {
+    let plate = |number: u8, group: u32| StatedPlate {
+        number,
+        code: 2,
+        group,
+        channels: (0..6).collect(),
+        corners_mm: [
+            [300.0, 200.0, 0.0],
+            [-300.0, 200.0, 0.0],
+            [-300.0, -200.0, 0.0],
+            [300.0, -200.0, 0.0],
+        ],
+        origin_mm: [0.0; 3],
+    };
+    let newtons = ["N", "N", "N", "N m", "N m", "N m"].map(|unit| ("c", unit));
+    let groups = [(rate_hz as f64, &newtons[..]), (1000.0, &newtons[..])];
+    // The force rises by 1 N in each millisecond; the plates differ by their shear force.
+    let column = |group: u32, first: u64, n: u64| {
+        let period = if group == 0 { TICK_HZ / rate_hz } else { SAMPLE };
+        let late = if group == 0 { late } else { 0 };
+        let force = |number: u64| {
+            let ms = (number * period + late) as f32 / SAMPLE as f32;
+            2.0 * (100.0 + ms)
+        };
+        let mut samples = vec![vec![0.0; n as usize]; 6];
+        samples[0] = vec![if group == 0 { 20.0 } else { 60.0 }; n as usize];
+        samples[2] = (first..first + n).map(force).collect();
+        Block { group, first, run_start: 0, ticks: first * period + late, samples }
+    };
+    take_of_groups(&even_rows(200), &groups, &[plate(2, 0), plate(1, 1)], move |stretch| {
+        let n = rate_hz / 2;
+        let slow = column(0, stretch as u64 * n, n);
+        let fast = column(1, stretch as u64 * 500, 500);
+        if loses && stretch == 2 { vec![fast] } else { vec![slow, fast] }
+    })
+}
+
+#[test]
+fn plates_of_several_groups_are_in_one_mot_at_the_times_of_the_fastest() {
+    // The same rate, 0.3 ms later.
+    let mut frames = open(two_amplifiers(1000, 30, false));
+    let (names, rows, remarks) = mot(&mut frames);
+    assert_eq!((&names[1][..], &names[10][..]), ("ground_force_1_vx", "ground_force_2_vx"));
+    assert_eq!(remarks.len(), 1, "{remarks:?}");
+    assert!(remarks[0].contains("group 1") && remarks[0].contains("0.300 ms"), "{remarks:?}");
+    for (i, (time_s, cells)) in rows.iter().enumerate() {
+        let ms = time_s * 1000.0;
+        // The fastest is the first of equals.
+        assert!((ms - (i as f64 + 0.3)).abs() < 1e-6, "{time_s}");
+        assert!((cells[11] - (100.0 + ms)).abs() < 1e-3, "{i}: {cells:?}");
+        let is_last = i + 1 == rows.len();
+        assert!(is_last || (cells[2] - (100.0 + i as f64)).abs() < 1e-3, "{i}: {cells:?}");
+        assert_eq!((cells[9], cells[0]), (10.0, 30.0), "{i}");
+    }
+    assert_eq!(rows.len(), 2000);
+    // Another rate needs resampling.
+    let take = two_amplifiers(250, 0, false);
+    let mut frames = open(take.clone());
+    let error = write_mot(&mut frames, &mut Vec::new(), Baseline::AsStored).unwrap_err();
+    assert!(error.to_string().contains("--resample"), "{error}");
+    let mut frames = TakeFrames::open(Cursor::new(take.clone())).unwrap();
+    frames.open_recording(Cursor::new(take), true).unwrap();
+    let (_, rows, remarks) = mot(&mut frames);
+    assert!(
+        remarks.iter().any(|said| said.contains("group 0") && said.contains("sinc")),
+        "{remarks:?}"
+    );
+    assert_eq!(rows.len(), 2000);
+    for (i, (_, cells)) in rows.iter().enumerate().filter(|(i, _)| (200..1700).contains(i)) {
+        let force = 100.0 + i as f64;
+        assert!((cells[2] - force).abs() < 1e-3, "{i}: {cells:?}");
+        assert!((cells[11] - force).abs() < 0.05, "{i}: {cells:?}");
+    }
+}
+
+#[test]
+fn a_mot_of_several_groups_has_zeros_where_one_of_them_lost_samples() {
+    let mut frames = open(two_amplifiers(1000, 0, true));
+    let (_, rows, remarks) = mot(&mut frames);
+    assert_eq!(rows.len(), 2000);
+    assert!(rows.iter().all(|(_, cells)| cells[2] > 0.0));
+    let n_without = rows.iter().filter(|(_, cells)| cells[11] == 0.0).count();
+    assert_eq!(n_without, 500);
+    let said = remarks.iter().find(|said| said.contains("500 samples"));
+    assert!(said.is_some_and(|said| said.contains("Force plate 2")), "{remarks:?}");
 }
 
 /// The rows of a table, and their times in seconds.

@@ -39,6 +39,8 @@ pub(super) struct Played {
     pub(super) fates: Vec<FrameFate>,
     /// Every batch of samples, likewise.
     pub(super) batches: Vec<BatchFate>,
+    /// The logs of frames and of batches.
+    pub(super) logs: [String; 2],
 }
 
 fn motion() -> Motion {
@@ -123,7 +125,8 @@ pub(super) fn play(folder: &Folder, script: &Script) -> Played {
     let [log, batch_log] = logs.map(|log| log.text());
     let report = ran.json();
     let info = folder.run(&["info", "a.take", "--json"]).json();
-    Played { ran, report, info, sent, fates: fates(&log), batches: batch_fates(&batch_log) }
+    let (fates, batches) = (fates(&log), batch_fates(&batch_log));
+    Played { ran, report, info, sent, fates, batches, logs: [log, batch_log] }
 }
 
 /// Reads the log file back.
