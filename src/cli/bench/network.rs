@@ -5,7 +5,7 @@
 
 use std::{
     collections::HashMap,
-    fs::{self, File},
+    fs,
     io::{Read, Write},
     net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
     path::{Path, PathBuf},
@@ -215,14 +215,15 @@ impl RecordingService {
             quoted(&directory.display().to_string()),
             quoted(&folder.path().join("socket").display().to_string()),
         );
-        fs::write(folder.path().join("config.toml"), config)?;
-        let log = File::create(folder.path().join("log"))?;
+        let mut file = tempfile::Builder::new().suffix(".toml").tempfile_in(folder.path())?;
+        file.write_all(config.as_bytes())?;
+        let log = tempfile::NamedTempFile::new_in(folder.path())?;
         let process = Command::new(own)
             .args(["run", "--config"])
-            .arg(folder.path().join("config.toml"))
+            .arg(file.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(log)
+            .stderr(log.reopen()?)
             .spawn()
             .context("cannot start the service")?;
         let (own, process) = (own.to_owned(), KilledProcess(process));
@@ -230,7 +231,7 @@ impl RecordingService {
         let until = Instant::now() + PATIENCE;
         while !service.ctl(&["status"]).is_ok_and(|status| status["state"] == "armed") {
             if Instant::now() > until {
-                let log = fs::read_to_string(service.folder.path().join("log"))?;
+                let log = fs::read_to_string(log.path())?;
                 bail!("the service does not start: {}", log.lines().last().unwrap_or_default());
             }
             thread::sleep(Duration::from_millis(50));
