@@ -14,8 +14,8 @@ pub(crate) const FIRST_UNLABELLED: u16 = LABELS_MAX as u16;
 /// Largest number of unlabelled markers at once: reflections in a bright room, several times the markers of a subject.
 pub(crate) const UNLABELLED_MAX: usize = 1024;
 
-/// A channel is given to another unlabelled marker only when so many have been used: as many as a recording has room for
-/// beside the announced ones.
+/// A channel is given to another unlabelled marker only when so many have been used. More are used only while so many are seen at
+/// once, so that neither a take's table nor the room for new labels is used up by reflections that come and go.
 const FRESH_CHANNELS: usize = 64;
 
 /// The labelled markers. A label keeps its channel for as long as the driver lives, also when the vendor's list changes.

@@ -529,6 +529,19 @@ fn bench_pipeline() {
 }
 
 #[test]
+fn bench_network() {
+    let folder = Folder::new();
+    let bench =
+        ["bench", "network", "--markers", "5", "--seconds", "500ms", "--runs", "1", "--json"];
+    let ran = folder.run(&bench).with_code(0);
+    assert_eq!(ran.stderr, "");
+    let report = ran.json();
+    check("`mocapd bench network`", std::slice::from_ref(&report));
+    assert!(report["published"][0]["frames_received"].as_u64() > Some(60), "{report}");
+    assert!(folder.content().is_empty(), "its takes are removed");
+}
+
+#[test]
 fn the_exit_codes_are_those_of_the_help() {
     let help = Folder::new().run(&["--help"]).with_code(0).stdout;
     for code in ["0 done", "1 failed", "2 usage", "3 done but data was lost"] {

@@ -143,6 +143,25 @@ fn a_recording_equals_what_was_sent_bit_for_bit() {
     assert!(fates.iter().all(|fate| fate.fate == Fate::Whole) && fates.len() == 960);
 }
 
+#[test]
+fn more_unlabelled_markers_than_a_group_has_channels_are_all_recorded() {
+    let folder = Folder::new();
+    let spec = JumpSpec { seconds: Some(1.0), n_markers: 300, ..JumpSpec::new(3, RATE_HZ) };
+    let mut motion = spec.generate().unwrap().motion;
+    motion.info.markers.iter_mut().skip(50).for_each(|marker| marker.labelled = false);
+    let served = Served::new(motion.clone(), QtmSettings::default());
+    let report = record(&folder, &served.uri, "a.take", &[]).with_code(0).json();
+    assert_eq!(
+        (&report["ledger"]["recorded"], &report["ledger"]["markers_dropped"]),
+        (&240.into(), &0.into())
+    );
+    let (rows, problems) = rows(&folder.read("a.take"));
+    assert_eq!((rows.len(), problems.len()), (240, 0));
+    for (index, row) in rows.iter().enumerate() {
+        assert_eq!(present(row), present(motion.frame(index)), "row {index}");
+    }
+}
+
 /// The ledger of a recording under a script, against the simulator's log.
 #[track_caller]
 fn ledger_agrees(transport: usize, name: &str, text: &str) -> (Value, String) {

@@ -1,9 +1,14 @@
 """Talks to `mocapd-sim serve --protocol qtm`, and to the service with `[publish.qtm]`, with clients that are not ours:
-Qualisys's own, qtm-rt, and motioncapture, which reads rigid bodies with the C++ SDK.
+Qualisys's own for Python, qtm-rt, and for Node.js, npm's qualisys-rt; the crate qualisys; and motioncapture, which reads rigid bodies
+with the C++ SDK.
 
-    python check_qtm.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--seconds 60]
+    npm ci --prefix FOLDER                      # with package.json and package-lock.json of tests/oracle/npm in FOLDER
+    cargo build -p mocapd-drivers --example qtm_client
+    python check_qtm.py --mocapd-sim target/release/mocapd-sim --mocapd target/release/mocapd [--npm FOLDER] \\
+        [--crate-client target/debug/examples/qtm_client] [--seconds 60]
 
-qtm-rt has no streams over UDP: they are requested through its connection, and its own parser reads the datagrams.
+Clients of npm and the crate that are not named are not run. qtm-rt has no streams over UDP: they are requested through its
+connection, and its own parser reads the datagrams.
 With --memory it measures instead what eight clients at 200 markers and 1000 Hz add to the memory of the service.
 One line a check; the last line is `N passed, N failed`; exit code 1 when one failed.
 """
@@ -13,6 +18,8 @@ import asyncio
 import concurrent.futures
 import contextlib
 import csv
+import functools
+import itertools
 import json
 import math
 import socket
@@ -47,6 +54,7 @@ def float32(value):
     return struct.unpack("<f", struct.pack("<f", value))[0]
 
 
+@functools.cache
 def position(column, frame):
     """Where a marker is, exactly as float32 has it; None while it is hidden."""
     if (column == 1 and 100 <= frame < 150) or (column == N_LABELLED and 50 <= frame < 120):
@@ -519,6 +527,131 @@ async def check_service(port, options):
         expect(numbers[-1] - numbers[0] + 1 == len(numbers) + missed, f"{len(numbers)} frames, {missed} missed")
 
 
+COMPONENTS = ("3D", "3DRes", "3DNoLabels", "3DNoLabelsRes")
+
+
+class OtherClient:
+    """A client in a process of its own. What it reads goes to a file, which is checked in the end: nothing slows it down meanwhile."""
+
+    def __init__(self, name, command, has_ids):
+        # Whether unlabelled markers have the ids of the simulator.
+        self.name, self.has_ids = name, has_ids
+        self.numbers, self.problems, self.labels, self.address, self.dropped = [], [], None, None, 0
+        self.output, self.errors = tempfile.NamedTemporaryFile("w"), tempfile.NamedTemporaryFile("w")
+        command = [str(word) for word in command]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=self.output, stderr=self.errors)
+
+    def read(self):
+        for line in Path(self.output.name).open():
+            found = json.loads(line)
+            match found["kind"]:
+                case "frame":
+                    self.numbers.append(found["number"])
+                    try:
+                        self.check_frame(found["number"], found["components"])
+                    except AssertionError as problem:
+                        self.problems.append(problem)
+                case "settings" if "xml" in found:
+                    self.labels = [label.findtext("Name") for label in ET.fromstring(found["xml"]).iter("Label")]
+                case "settings":
+                    self.labels = [label["name"] for label in found["settings"]["the3d"]["labels"]]
+                case "address":
+                    self.address = found["address"]
+
+    def check_frame(self, number, found):
+        expect(sorted(found) == sorted(COMPONENTS), f"frame {number} has {list(found)}")
+        rows = [position(column, number % N_FRAMES) for column in range(COLUMNS)]
+        labelled = [list(row or (None,) * 3) for row in rows[:N_LABELLED]]
+        expect(found["3D"] == labelled, f"frame {number}: {found['3D'][:3]}, not {labelled[:3]}")
+        expect([marker[:3] for marker in found["3DRes"]] == labelled, f"frame {number} with residuals")
+        residuals = {marker[3] for marker, at in zip(found["3DRes"], labelled) if at[0] is not None}
+        expect(residuals == {RESIDUAL_MM}, f"frame {number}: residuals {residuals}")
+        seen = {FIRST_ID + column: list(rows[column]) for column in range(N_LABELLED, COLUMNS) if rows[column] is not None}
+        for name in COMPONENTS[2:]:
+            markers = {marker[0]: marker[1:4] for marker in found[name]}
+            expect(len(markers) == len(found[name]), f"frame {number}: one id for two markers")
+            if self.has_ids:
+                expect(markers == seen, f"frame {number}: {markers}, not {seen}")
+            expect(sorted(markers.values()) == sorted(seen.values()), f"frame {number}: {markers}, not {seen}")
+
+    def close(self):
+        """Ends it; it must not have ended before."""
+        has_ended = self.process.poll() is not None
+        for line in itertools.islice(Path(self.output.name).open(), 3):
+            found = json.loads(line)
+            if found["kind"] == "datagrams":
+                self.dropped = dropped_datagrams(found["port"])
+        self.process.stdin.close()
+        self.process.wait(30)
+        errors = Path(self.errors.name).read_text()
+        expect(not has_ended and self.process.returncode == 0, f"{self.name}: {errors}")
+
+    def missing(self, seconds):
+        """How many frames are missing between its first and its last; labels and floats are right."""
+        self.read()
+        expect(not self.problems, f"{self.name}: {len(self.problems)} frames: {self.problems[:1]}")
+        expect(self.labels == list(LABELS), f"{self.name}: {self.labels}")
+        expect(len(self.numbers) > 0.5 * RATE_HZ * seconds, f"{self.name}: {len(self.numbers)} frames")
+        expect(self.numbers == sorted(set(self.numbers)), f"{self.name}: frames come twice, or in another order")
+        return self.numbers[-1] - self.numbers[0] + 1 - len(self.numbers)
+
+
+def dropped_datagrams(port):
+    """Datagrams that the kernel dropped because a program read its socket too slowly: nobody's fault on a machine under load."""
+    for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
+        fields = line.split()
+        if int(fields[1].rpartition(":")[2], 16) == port:
+            return int(fields[-1])
+    return 0
+
+
+@contextlib.contextmanager
+def other_clients(options, port, has_ids):
+    """All of them at once. qualisys-rt reads datagrams too slowly to keep up while it starts."""
+    commands = {}
+    if options.npm:
+        commands["qualisys-rt"] = ["node", Path(__file__).with_name("qtm_client.cjs"), options.npm, port]
+    for transport in ("tcp", "udp") if options.crate_client else ():
+        commands[f"the crate qualisys by {transport}"] = [options.crate_client, port, transport]
+    clients = [OtherClient(name, command, has_ids) for name, command in commands.items()]
+    problems = []
+    try:
+        yield clients
+    finally:
+        for client in clients:
+            try:
+                client.close()
+            except (AssertionError, subprocess.TimeoutExpired) as problem:
+                client.process.kill()
+                problems.append(problem)
+    if problems:
+        raise problems[0]
+
+
+async def check_other_clients(port, options):
+    """npm's qualisys-rt and the crate qualisys read the simulator: labels, every frame, every float."""
+    with other_clients(options, port, has_ids=True) as clients:
+        await asyncio.sleep(options.seconds + 1)
+    for client in clients:
+        missing = client.missing(options.seconds)
+        expect(missing <= client.dropped, f"{client.name}: {missing} frames are missing, {client.dropped} datagrams dropped")
+
+
+async def check_other_clients_of_the_service(port, options):
+    """The same from the service, which says what each client missed."""
+    with tempfile.TemporaryDirectory() as folder, service(options, port, folder) as (published, _):
+        (await connected_service(published, folder)).disconnect()
+        with other_clients(options, published, has_ids=False) as clients:
+            await asyncio.sleep(options.seconds + 1)
+            status = [str(options.mocapd), "ctl", "--connect", f"unix:{folder}/rig.sock", "status", "--json"]
+            status = json.loads(subprocess.run(status, check=True, capture_output=True).stdout)
+        missed = {client["address"]: client["frames_missed"] for client in status["publish"][0]["clients"]}
+        for client in clients:
+            missing = client.missing(options.seconds)
+            accounted = range(missed[client.address], missed[client.address] + client.dropped + 1)
+            expect(missing in accounted, f"{client.name}: {missing} frames are missing; {missed}, {client.dropped} dropped")
+
+
 def resident_mb(pid):
     status = Path(f"/proc/{pid}/status").read_text()
     return int(status.partition("VmRSS:")[2].split()[0]) / 1024
@@ -607,6 +740,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mocapd-sim", required=True, type=Path)
     parser.add_argument("--mocapd", required=True, type=Path)
+    parser.add_argument("--npm", type=Path, help="the folder with node_modules, to run qualisys-rt")
+    parser.add_argument("--crate-client", type=Path, help="the example qtm_client, to run the crate qualisys")
     parser.add_argument("--seconds", type=float, default=5, help="how long each stream of all frames is read")
     parser.add_argument("--memory", action="store_true", help="measure the memory of the service with eight clients")
     options = parser.parse_args()
@@ -618,6 +753,8 @@ def main():
         return
     endless = [check_stream, check_divisor, check_frequency, check_identity, check_settings, check_one_frame,
                check_datagrams, check_control, check_crowd, check_discovery, check_service, check_recorder_beside]
+    if options.npm or options.crate_client:
+        endless += [check_other_clients, check_other_clients_of_the_service]
     jobs = [(check, ("--loop",)) for check in endless] + [(check_end, ())]
     jobs += [(check_samples, ("--plates", "--emg", "5@2kHz"))]
     moved = ("--bodies", str(N_BODIES), "--rate", str(RATE_HZ), "--seconds", "30s")

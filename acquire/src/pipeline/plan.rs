@@ -88,7 +88,7 @@ impl PipelineConfig {
             bodies: Vec::new(),
             pose_bounds: (!codec.kind.is_lossless())
                 .then(|| PoseBounds::of_tolerance(codec.tolerance)),
-            reserve: 64,
+            reserve: SPARE_MIN,
             workers: crate::threads::default_workers(),
             stretch: STRETCH,
             first_stretch: Duration::from_millis(100),
@@ -98,6 +98,19 @@ impl PipelineConfig {
             publish_taps: 0,
             heartbeat: Heartbeat::default(),
         }
+    }
+
+    /// With room for the markers that a device can announce later, of which it states `markers_max` in all: for 64 at least, for 256
+    /// at most, and for no more than leave the queues in front of a stalled disk as long as they are.
+    #[must_use]
+    pub fn with_room_for(self, markers_max: usize) -> Self {
+        let wanted = markers_max.saturating_sub(self.channels.len()).clamp(SPARE_MIN, SPARE_MAX);
+        let with = |reserve| Self { reserve, ..self.clone() };
+        let stretches = |config: &Self| Plan::new(config).map(|plan| plan.encoded_stretches).ok();
+        let usual = stretches(&with(SPARE_MIN));
+        let mut candidates = (SPARE_MIN..=wanted).rev().step_by(GROUP_CHANNELS).map(with);
+        let fits = |config: &Self| usual.is_some() && stretches(config) == usual;
+        candidates.find(fits).unwrap_or_else(|| with(SPARE_MIN))
     }
 
     /// The bodies that are recorded. Poses of others are refused, which is counted and reported.
@@ -124,6 +137,14 @@ impl PipelineConfig {
         (time.as_secs_f64() * self.rate_hz).floor().max(1.0) as u32
     }
 }
+
+/// Spare channels for markers that appear later, of every device: a group of the codec.
+const SPARE_MIN: usize = GROUP_CHANNELS;
+
+/// Spare channels of a device that states that it can announce so many: reflections in a bright room, and all strays of an NDI system.
+/// Each group of them takes some megabytes from the start for its encoder, whether or not a marker appears; its rings and buffers
+/// take memory only once they are filled.
+const SPARE_MAX: usize = 4 * GROUP_CHANNELS;
 
 /// How long the end of a take, and a frame for publishers, wait for the poses of a frame, in nanoseconds: devices send them
 /// with the frame, but a line needs up to 15 ms for those of 128 bodies at 3 Mbaud. The next frame ends the wait of publishers.
@@ -283,4 +304,35 @@ impl Plan {
 fn count_for(stretches: u32, stretch: Duration) -> usize {
     let shorter = STRETCH.as_secs_f64() / stretch.as_secs_f64().max(1e-3);
     (f64::from(stretches) * shorter.max(1.0)).ceil() as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use mocapd_codec::{ResamplerKind, Tolerance};
+
+    use super::*;
+
+    fn spare(n_channels: u16, markers_max: usize, rate_hz: f64) -> (usize, usize) {
+        let codec =
+            Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(0.5).unwrap() };
+        let channel = |marker_id| Channel { marker_id, label: String::new(), labelled: true };
+        let channels = (0..n_channels).map(channel).collect();
+        let config = PipelineConfig::new(codec, rate_hz, 1_000_000, channels);
+        let config = config.with_room_for(markers_max);
+        (config.reserve, Plan::new(&config).unwrap().encoded_stretches)
+    }
+
+    #[test]
+    fn there_is_room_for_as_many_markers_as_a_device_can_announce() {
+        assert_eq!(spare(20, 20, 240.0), (64, 64));
+        assert_eq!(spare(20, 200, 240.0), (180, 64));
+        assert_eq!(spare(20, 10_000, 240.0), (256, 64));
+    }
+
+    #[test]
+    fn spare_channels_cost_neither_a_rate_nor_the_time_that_a_stalled_disk_may_take() {
+        let (reserve, stretches) = spare(400, 1424, 10_000.0);
+        assert!((64..256).contains(&reserve), "{reserve}");
+        assert_eq!(stretches, spare(400, 400, 10_000.0).1);
+    }
 }

@@ -199,10 +199,11 @@ impl Rig {
         let chosen = angle.and_then(|angle| PoseBounds::new(codec.tolerance, angle).ok());
         let pose_bounds = chosen.or(config.pose_bounds);
         let config = PipelineConfig { pose_bounds, ..config };
-        match self.loss_limits {
+        let config = match self.loss_limits {
             Some((stretch, sync_every)) => PipelineConfig { stretch, sync_every, ..config },
             None => config,
-        }
+        };
+        config.with_room_for(self.hello.markers_max.into())
     }
 
     /// The header of a take that starts now.

@@ -232,11 +232,17 @@ pub(super) struct SampledComponent<'a> {
     pub(super) devices: Vec<SamplesToSend<'a>>,
 }
 
+/// Bytes of a component of samples before its devices: size, type and their number.
+pub(super) const COMPONENT_BYTES: usize = 12;
+
+/// Bytes of a device before its values, at most: id, and numbers of channels and samples, and of the first.
+pub(super) const DEVICE_BYTES: usize = 16;
+
 impl SampledComponent<'_> {
-    /// Its bytes in a packet.
+    /// Its bytes in a packet, at most.
     pub(super) fn bytes(&self) -> usize {
-        let device = |device: &SamplesToSend<'_>| 16 + 4 * device.samples.len();
-        12 + self.devices.iter().map(device).sum::<usize>()
+        let device = |device: &SamplesToSend<'_>| DEVICE_BYTES + size_of_val(device.samples);
+        COMPONENT_BYTES + self.devices.iter().map(device).sum::<usize>()
     }
 }
 

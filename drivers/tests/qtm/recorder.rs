@@ -3,8 +3,8 @@
 use std::net::SocketAddr;
 
 use mocapd_drivers::qtm::{
-    ClientId, ClientReport, Event, FrameHeader, OwnerCommand, PacketKind, PacketReader, QtmServer,
-    ServedFrame, ServedSettings, WireMarker, put_text, read_frame,
+    AnalogDevice, ClientId, ClientReport, Event, FrameHeader, OwnerCommand, PacketKind,
+    PacketReader, QtmServer, ServedFrame, ServedSettings, WireMarker, put_text, read_frame,
 };
 
 const PASSWORD: &str = "correct horse battery";
@@ -256,4 +256,48 @@ fn there_is_room_for_so_many_clients() {
     client.server.disconnect(second);
     assert!(client.server.connect(peer(3)).is_some());
     assert_eq!(client.server.reports().len(), 2);
+}
+
+#[test]
+fn frames_that_fit_into_no_datagram_are_refused_by_udp_and_those_that_grow_are_reported() {
+    let labels: Vec<String> = (0..4096).map(|k| format!("m{k}")).collect();
+    let channels = (0..16).map(|k| (format!("EMG {k}"), "V".to_owned())).collect();
+    let analog = vec![AnalogDevice { id: 1, rate_hz: 2000.0, channels }];
+    let crowded = ServedSettings { labels: labels.clone(), analog, ..settings(&[]) };
+    let mut client = Connected::new(None);
+    client.server.set_source(Some(crowded));
+    client.read();
+    let refused = [error("Frames are too large for UDP, request them by TCP")];
+    // 4096 markers with residuals are 65 552 bytes; a second of the analog device is 128 kB.
+    for (request, fits) in [
+        ("AllFrames UDP:5000 3DRes", false),
+        ("AllFrames UDP:5000 3D Analog", true),
+        ("Frequency:1 UDP:5000 3D Analog", false),
+        ("Frequency:1 UDP:5000 3D AnalogSingle", true),
+        ("FrequencyDivisor:100 UDP:5000 Analog", false),
+        ("Frequency:1 3DRes Analog", true),
+    ] {
+        let reply = client.ask(&format!("StreamFrames {request}"));
+        assert_eq!(reply, if fits { &[][..] } else { &refused[..] }, "{request}");
+        client.ask("StreamFrames Stop");
+    }
+
+    client.server.set_source(Some(settings(&["head"])));
+    client.ask("StreamFrames AllFrames UDP:5000 3DRes 3DNoLabelsRes");
+    let missing = WireMarker { position_mm: [1.0; 3], id: 0, residual_mm: 0.0 };
+    let many = vec![missing; 4000];
+    for number in 0..3 {
+        let header = FrameHeader { time_us: u64::from(number) * 10_000, number };
+        let frame =
+            ServedFrame { header, labelled: &many[..1], unlabelled: &many, ..Default::default() };
+        client.server.frame(&frame);
+    }
+    assert_eq!(client.report().frames_missed, 3);
+    assert_eq!(client.server.take_datagrams().len(), 0);
+    assert_eq!(client.server.take_too_large(), [peer(1)], "once a stream");
+    client.frames(3..5);
+    assert_eq!(
+        (client.server.take_datagrams().len(), client.server.take_too_large().len()),
+        (2, 0)
+    );
 }

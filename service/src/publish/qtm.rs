@@ -269,6 +269,12 @@ impl LivePublisher for QtmPublisher {
                 .into_iter()
                 .map(|peer| format!("QTM client {peer} gave a wrong password for control")),
         );
+        news.extend(self.server.server.take_too_large().into_iter().map(|peer| {
+            format!(
+                "QTM client {peer} misses frames that do not fit into datagrams of UDP: it is to request them by TCP, or fewer \
+                 components or samples"
+            )
+        }));
         news
     }
 

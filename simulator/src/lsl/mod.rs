@@ -5,13 +5,18 @@
 //! a stream, and so are the events. The motion is played from its first frame when the streams are read.
 
 mod serve;
-mod streams;
 
 use std::sync::Arc;
 
-use labstream_core::net::StreamInfo;
-use labstream_core::wire::{Sample, Value};
-use mocapd_take::motion::{Motion, MotionEvent, Position, is_gap};
+use labstream_core::{
+    net::StreamInfo,
+    wire::{Sample, Value},
+};
+use mocapd_drivers::{
+    device::{SampledChannelInfo, SampledGroupInfo},
+    lsl::Publisher,
+};
+use mocapd_take::motion::{Marker, Motion, MotionEvent, Position, is_gap};
 
 use crate::device::{
     DeviceError, Fate, FaultCounts, FaultTotals, FrameFate, Rates, SentCounters, SentFrame,
@@ -24,6 +29,9 @@ use crate::sampled::SampledSource;
 use crate::source::Replay;
 
 pub use serve::{LslOutlets, LslServeError};
+
+/// What the streams say to come from.
+const PROGRAM: &str = concat!("mocapd-sim ", env!("CARGO_PKG_VERSION"));
 
 /// Most markers: three channels each, and at most 4096 channels.
 pub const MARKERS_MAX: usize = 4096 / 3;
@@ -185,11 +193,11 @@ impl LslDevice {
         let name = &self.settings.name;
         let motion = self.replay.motion();
         let rate_hz = f64::from(self.rates.rate_millihertz) / 1000.0;
-        let mut infos = vec![streams::positions(name, &motion.info.markers, rate_hz)];
+        let mut infos = vec![positions_stream(name, &motion.info.markers, rate_hz)];
         let groups = self.settings.sampled.iter().map(SampledSource::info);
-        infos.extend(groups.map(|group| streams::samples(name, group)));
+        infos.extend(groups.map(|group| samples_stream(name, group)));
         if !self.events.is_empty() {
-            infos.push(streams::events(name));
+            infos.push(events_stream(name));
         }
         infos
     }
@@ -411,7 +419,7 @@ impl LslDevice {
         let samples = self
             .batch
             .chunks_exact(channels.len().max(1))
-            .map(|row| Sample { timestamp: 0.0, values: streams::values(row, channels) });
+            .map(|row| Sample { timestamp: 0.0, values: values_of(row, channels) });
         let samples: Vec<Sample> = samples.collect();
         push(1 + index, Push::Chunk(&samples, time_s));
     }
@@ -450,6 +458,41 @@ impl LslDevice {
     pub fn take_fates(&mut self) -> Vec<FrameFate> {
         std::mem::take(&mut self.fates)
     }
+}
+
+fn publisher(name: &str) -> Publisher<'_> {
+    Publisher { name, source_id: name, program: PROGRAM }
+}
+
+/// The stream of positions.
+fn positions_stream(name: &str, markers: &[Marker], rate_hz: f64) -> StreamInfo {
+    let labels: Vec<String> =
+        markers.iter().enumerate().map(|(column, marker)| label(marker, column)).collect();
+    publisher(name).positions(&labels, rate_hz)
+}
+
+/// A stream of sampled channels.
+fn samples_stream(name: &str, group: &SampledGroupInfo) -> StreamInfo {
+    let is_plates = group.channels.iter().any(|channel| channel.unit == "N");
+    let (kind, what) = if is_plates { ("Force", "plates") } else { ("EMG", "emg") };
+    publisher(&format!("{name}-{what}-{}", group.id)).samples(kind, group)
+}
+
+/// The stream of events.
+fn events_stream(name: &str) -> StreamInfo {
+    publisher(&format!("{name}-events")).events()
+}
+
+fn label(marker: &Marker, column: usize) -> String {
+    if marker.label.is_empty() { format!("u{:03}", column + 1) } else { marker.label.clone() }
+}
+
+/// The values of one sample of a group, in the units of its channels.
+fn values_of(counts: &[f32], channels: &[SampledChannelInfo]) -> Vec<Value> {
+    let value = |(count, channel): (&f32, &SampledChannelInfo)| {
+        Value::F32(((f64::from(*count) - channel.offset) * channel.scale) as f32)
+    };
+    counts.iter().zip(channels).map(value).collect()
 }
 
 /// Replaces LSL's configuration files for this process, if it has no stream yet: for tests, which need a session of their own.

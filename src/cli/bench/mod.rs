@@ -1,6 +1,7 @@
 //! `bench`: speed of the codec and of the recording pipeline on this machine.
 
 mod codec;
+mod network;
 mod pipeline;
 
 use std::{
@@ -14,9 +15,11 @@ use mocapd::outcome::{Outcome, UsageError};
 use mocapd_drivers::{device::Command, registry, uri::DeviceUri};
 use mocapd_service::{process, units};
 use mocapd_simulator::{
+    NetworkOptions,
     device::{Device, DeviceSettings},
     generator::{JumpSpec, SAMPLES_MAX},
     pty::{ServeOptions, serve_pty},
+    qtm::{QtmDevice, QtmListener, QtmSettings},
     sampled::{Electrodes, SampledSource},
 };
 use mocapd_take::motion::Motion;
@@ -29,7 +32,9 @@ pub(crate) enum Bench {
     Codec(codec::Args),
     /// Measure a recording from a simulated device over a pty to disk, and the pipeline alone
     Pipeline(pipeline::Args),
-    /// Run the device that `bench pipeline` records
+    /// Measure the delays of frames of a simulated QTM: to the rings, beside a serial line, and through the service to a client
+    Network(network::Args),
+    /// Run the device that `bench pipeline` and `bench network` record
     #[command(hide = true)]
     Device(DeviceArgs),
 }
@@ -38,6 +43,7 @@ pub(crate) fn run(bench: &Bench) -> anyhow::Result<Outcome> {
     match bench {
         Bench::Codec(args) => codec::run(args),
         Bench::Pipeline(args) => pipeline::run(args),
+        Bench::Network(args) => network::run(args),
         Bench::Device(args) => serve_device(args),
     }
 }
@@ -112,6 +118,8 @@ pub(crate) struct DeviceArgs {
     seconds: Duration,
     #[arg(long)]
     emg: Vec<Electrodes>,
+    #[arg(long, conflicts_with = "emg")]
+    qtm: bool,
 }
 
 /// Checks that the motion of a benchmark fits into memory.
@@ -135,11 +143,18 @@ fn motion(markers: usize, rate_hz: f64, seconds: f64) -> anyhow::Result<Motion> 
     Ok(spec.generate()?.motion)
 }
 
-/// Serves the simulated device of `bench pipeline`, which is a process of its own so that its processor time is counted
+/// Serves the simulated device of `bench pipeline` and `bench network`, which is a process of its own so that its processor time is counted
 /// separately.
 fn serve_device(args: &DeviceArgs) -> anyhow::Result<Outcome> {
     let stop = stop_on_signal()?;
     let motion = motion(args.markers, args.rate, args.seconds.as_secs_f64())?;
+    if args.qtm {
+        let listener = QtmListener::open(0)?;
+        let mut device = QtmDevice::new(motion, QtmSettings::default())?;
+        print(&format!("{}\n", listener.uri()))?;
+        listener.serve(&mut device, NetworkOptions::default(), &stop)?;
+        return Ok(Outcome::Done);
+    }
     let sampled = (0..).zip(&args.emg);
     let sampled = sampled.map(|(id, of)| SampledSource::electrodes(id, *of, id.into()));
     let sampled = sampled.collect::<Result<Vec<_>, _>>()?;

@@ -162,27 +162,27 @@ fn run_in_process(
     Ok(())
 }
 
-/// The fields of `record --json` that the benchmark needs.
+/// The fields of `record --json` that benchmarks need.
 #[derive(Debug, Deserialize)]
-struct RecordJson {
-    frames: u64,
+pub(super) struct RecordJson {
+    pub(super) frames: u64,
     seconds: f64,
     raw_bytes: u64,
     file_bytes: u64,
     max_error_mm: f64,
-    ring_latency_us: LatencyReport,
+    pub(super) ring_latency_us: LatencyReport,
     process: ProcessReport,
-    ledger: LedgerDocument,
+    pub(super) ledger: LedgerDocument,
     sample_ledger: Option<SampleLedgerDocument>,
 }
 
 /// How long the bare read loop runs.
 const BARE_READ: Duration = Duration::from_secs(5);
 
-/// The process of the simulated device, killed when dropped.
-struct Simulator(Child);
+/// A process, killed when dropped: the simulated device, or a service.
+pub(super) struct KilledProcess(pub(super) Child);
 
-impl Drop for Simulator {
+impl Drop for KilledProcess {
     fn drop(&mut self) {
         self.0.kill().ok();
         self.0.wait().ok();
@@ -190,7 +190,13 @@ impl Drop for Simulator {
 }
 
 /// A take that is deleted when dropped.
-struct TemporaryTake(PathBuf);
+pub(super) struct TemporaryTake(pub(super) PathBuf);
+
+impl TemporaryTake {
+    pub(super) fn in_folder(folder: &Path) -> Self {
+        Self(folder.join(format!(".mocapd-bench-{}.take", std::process::id())))
+    }
+}
 
 impl Drop for TemporaryTake {
     fn drop(&mut self) {
@@ -200,12 +206,18 @@ impl Drop for TemporaryTake {
 
 fn over_pty(args: &Args, codec: Settings) -> anyhow::Result<PtyRun> {
     let own = std::env::current_exe().context("cannot find the mocapd executable")?;
-    let (simulator, uri) = simulate(&own, args)?;
+    let device = ["--markers".to_owned(), args.markers.to_string(), "--rate".to_owned()];
+    let length =
+        [args.rate.to_string(), "--seconds".to_owned(), args.seconds.as_secs_f64().to_string()];
+    let emg = args.emg.iter().flat_map(|electrodes| ["--emg".to_owned(), electrodes.to_string()]);
+    let (simulator, path) = simulate(&own, device.into_iter().chain(length).chain(emg))?;
+    let location = Location::Serial { path: path.into(), baud: None };
+    let uri = DeviceUri { location, driver: None };
     let bare_read = bare_read_cpu_percent(&uri, BARE_READ.min(args.seconds))?;
     let simulator_usage = || process::usage(Some(simulator.0.id())).unwrap_or_default();
     let before = simulator_usage();
-    let take = TemporaryTake(args.dir.join(format!(".mocapd-bench-{}.take", std::process::id())));
-    let recorded = record(&own, &uri, &take.0, codec)?;
+    let take = TemporaryTake::in_folder(&args.dir);
+    let recorded = record(&own, &uri.to_string(), &take.0, &codec_args(codec))?;
     let after = simulator_usage();
     let groups = recorded.sample_ledger.as_ref().map_or(&[][..], |ledger| &ledger.groups);
     let samples = |of: fn(&GroupLedgerDocument) -> u64| groups.iter().map(of).sum();
@@ -226,32 +238,37 @@ fn over_pty(args: &Args, codec: Settings) -> anyhow::Result<PtyRun> {
     })
 }
 
-/// Starts the simulated device and reads the path of its pty from its output.
-fn simulate(own: &Path, args: &Args) -> anyhow::Result<(Simulator, DeviceUri)> {
+/// Starts the simulated device, and reads from its output where it is: the path of a pty, or a URI.
+pub(super) fn simulate(
+    own: &Path,
+    words: impl IntoIterator<Item = String>,
+) -> anyhow::Result<(KilledProcess, String)> {
     let spawned = Command::new(own)
-        .args(["bench", "device", "--markers", &args.markers.to_string()])
-        .args(["--rate", &args.rate.to_string()])
-        .args(["--seconds", &args.seconds.as_secs_f64().to_string()])
-        .args(args.emg.iter().flat_map(|electrodes| ["--emg".to_owned(), electrodes.to_string()]))
+        .args(["bench", "device"])
+        .args(words)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .spawn()
         .context("cannot start the simulated device")?;
-    let mut simulator = Simulator(spawned);
+    let mut simulator = KilledProcess(spawned);
     let stdout = simulator.0.stdout.take().context("the simulated device has no output pipe")?;
-    let mut path = String::new();
-    BufReader::new(stdout).read_line(&mut path)?;
-    let path = path.trim();
-    ensure!(!path.is_empty(), "the simulated device did not start");
-    let location = Location::Serial { path: path.into(), baud: None };
-    Ok((simulator, DeviceUri { location, driver: None }))
+    let mut place = String::new();
+    BufReader::new(stdout).read_line(&mut place)?;
+    let place = place.trim();
+    ensure!(!place.is_empty(), "the simulated device did not start");
+    Ok((simulator, place.to_owned()))
 }
 
-fn record(own: &Path, uri: &DeviceUri, take: &Path, codec: Settings) -> anyhow::Result<RecordJson> {
+pub(super) fn record(
+    own: &Path,
+    uri: &str,
+    take: &Path,
+    codec: &[String],
+) -> anyhow::Result<RecordJson> {
     let output = Command::new(own)
-        .args(["record", "--json", "--device", &uri.to_string(), "--output"])
+        .args(["record", "--json", "--device", uri, "--output"])
         .arg(take)
-        .args(codec_args(codec))
+        .args(codec)
         .stdin(Stdio::null())
         .output()
         .context("cannot start the recording")?;

@@ -15,6 +15,12 @@ use crate::qtm::{
 /// Largest datagram of UDP over IPv4.
 const DATAGRAM_BYTES_MAX: usize = 65_507;
 
+/// The reply to a request for datagrams that frames do not fit into.
+pub(super) const TOO_LARGE: &str = "Frames are too large for UDP, request them by TCP";
+
+/// Clients whose frames do not fit that are kept for the owner: its messages about them are few.
+const TOO_LARGE_KEPT: usize = 16;
+
 /// Frames that wait for a client of a recorder, in seconds: more would be too old to be of use.
 const BACKLOG_S: f64 = 1.0;
 
@@ -99,6 +105,9 @@ impl QtmServer {
                 self.set_sample_ends(&mut client.samples_from);
             }
             client.frames_missed += u64::from(outcome == Delivery::Dropped);
+            if outcome == Delivery::Dropped && stream.target.is_some() {
+                self.note_too_large(client);
+            }
             if Some(stream.number) == first {
                 delivery = outcome;
             }
@@ -127,6 +136,46 @@ impl QtmServer {
         // A system without bodies has no such component.
         let bodies = bodies.filter(|_| !self.settings.bodies.is_empty());
         markers.chain(bodies).chain(samples).collect()
+    }
+
+    /// Whether a component of these streams fits into no datagram: as many labelled markers and bodies as the settings state, and the
+    /// samples of a frame by their rates. Unlabelled markers, and samples that come in lumps, may still be too many.
+    pub(super) fn is_too_large(&self, wanted: Components, rate: StreamRate) -> bool {
+        let missing = WireMarker { position_mm: [f32::NAN; 3], id: 0, residual_mm: 0.0 };
+        let labelled = vec![missing; self.settings.labels.len()];
+        let bodies = vec![ServedBody::LOST; self.settings.bodies.len()];
+        let frame = ServedFrame { labelled: &labelled, bodies: &bodies, ..ServedFrame::default() };
+        // Samples are not taken from those that there are.
+        let ends: Vec<u64> = self.sample_ends().collect();
+        let content = self.content(&frame, wanted, Some(&ends));
+        let samples = self.sample_bytes(wanted, self.stream_hz(rate));
+        let bytes = content.iter().map(AnyComponent::bytes).chain(samples);
+        bytes.max().is_some_and(|bytes| FRAME_HEADER_BYTES + bytes > DATAGRAM_BYTES_MAX)
+    }
+
+    /// Keeps a client whose frames do not fit, once for each of its streams.
+    fn note_too_large(&mut self, client: &mut Client) {
+        let Some(stream) = &mut client.stream else { return };
+        if !std::mem::replace(&mut stream.is_too_large, true)
+            && self.too_large.len() < TOO_LARGE_KEPT
+        {
+            self.too_large.push(client.peer);
+        }
+    }
+
+    /// The clients that miss frames, since the last call, which do not fit into datagrams.
+    pub fn take_too_large(&mut self) -> Vec<SocketAddr> {
+        std::mem::take(&mut self.too_large)
+    }
+
+    /// Frames a second of a stream.
+    fn stream_hz(&self, rate: StreamRate) -> f64 {
+        let hz = self.settings.frequency_hz;
+        match rate {
+            StreamRate::Frequency(wanted) => hz.min(f64::from(wanted)),
+            StreamRate::Divisor(n) => hz / f64::from(n),
+            StreamRate::All => hz,
+        }
     }
 
     fn deliver(
@@ -173,12 +222,7 @@ impl QtmServer {
     /// Whether a frame of so many bytes may wait for a client. For one of a recorder, the oldest frames make room.
     fn make_room(&self, client: &mut Client, bytes: usize) -> bool {
         if let Role::Recorder { .. } = self.role {
-            let hz = self.settings.frequency_hz;
-            let hz = match client.stream.map(|stream| stream.rate) {
-                Some(StreamRate::Frequency(wanted)) => hz.min(f64::from(wanted)),
-                Some(StreamRate::Divisor(n)) => hz / f64::from(n),
-                Some(StreamRate::All) | None => hz,
-            };
+            let hz = self.stream_hz(client.stream.map_or(StreamRate::All, |stream| stream.rate));
             let frames_max = ((BACKLOG_S * hz) as usize).max(1);
             while client.outbox.frames_waiting() >= frames_max || !client.outbox.has_room_for(bytes)
             {

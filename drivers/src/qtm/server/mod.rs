@@ -93,6 +93,8 @@ struct Stream {
     number: u64,
     /// Frames since its start.
     frames: u64,
+    /// Whether a frame did not fit into datagrams.
+    is_too_large: bool,
 }
 
 /// A server.
@@ -116,6 +118,8 @@ pub struct QtmServer {
     missed_by_gone: u64,
     /// Clients that gave a wrong password.
     wrong_passwords: Vec<SocketAddr>,
+    /// Clients whose frames do not fit into datagrams.
+    too_large: Vec<SocketAddr>,
 }
 
 impl QtmServer {
@@ -138,6 +142,7 @@ impl QtmServer {
             requests: Vec::new(),
             missed_by_gone: 0,
             wrong_passwords: Vec::new(),
+            too_large: Vec::new(),
         }
     }
 
@@ -481,7 +486,12 @@ impl QtmServer {
             }
         };
         let StreamRequest { rate, components, .. } = *request;
-        client.stream = Some(Stream { rate, components, target, number, frames: 0 });
+        if target.is_some() && self.is_too_large(components, rate) {
+            return self.reply(id, Err(delivery::TOO_LARGE));
+        }
+        let Some(client) = self.client(id) else { return };
+        client.stream =
+            Some(Stream { rate, components, target, number, frames: 0, is_too_large: false });
         let starts = self.sample_starts();
         if let Some(client) = self.client(id) {
             client.samples_from = starts;

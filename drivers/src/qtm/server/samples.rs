@@ -5,7 +5,7 @@
 use super::QtmServer;
 use crate::qtm::{
     command::Components,
-    frame::SampledComponent,
+    frame::{COMPONENT_BYTES, DEVICE_BYTES, SampledComponent},
     sampled::{FORCE_VALUES, SampledComponentKind, SamplesToSend},
     settings::ServedSettings,
 };
@@ -23,6 +23,7 @@ pub(super) struct SampleHistory {
     is_force: bool,
     id: u32,
     n_channels: usize,
+    rate_hz: f64,
     /// Number and place of the first sample that is kept.
     first: u64,
     place: u64,
@@ -45,6 +46,7 @@ impl SampleHistory {
             is_force,
             id,
             n_channels,
+            rate_hz,
             first: 0,
             place: 0,
             samples: Vec::new(),
@@ -65,6 +67,12 @@ impl SampleHistory {
             Self::new((true, plate.id, FORCE_VALUES), plate.rate_hz, values_max)
         };
         analog.chain(settings.plates.iter().map(plate)).collect()
+    }
+
+    /// Values that come in so many seconds; no more than are kept.
+    fn values_of(&self, seconds: f64) -> usize {
+        let samples = (self.rate_hz * seconds).floor() as usize;
+        samples.saturating_mul(self.n_channels).min(self.samples_max)
     }
 
     fn n_samples(&self) -> u64 {
@@ -132,7 +140,29 @@ impl QtmServer {
     /// Where a stream that got the present frame gets its samples from next.
     pub(super) fn set_sample_ends(&self, places: &mut Vec<u64>) {
         places.clear();
-        places.extend(self.histories.iter().map(SampleHistory::end));
+        places.extend(self.sample_ends());
+    }
+
+    /// The places of the next samples.
+    pub(super) fn sample_ends(&self) -> impl Iterator<Item = u64> {
+        self.histories.iter().map(SampleHistory::end)
+    }
+
+    /// Bytes that the components of samples of a frame have on average, if there are so many frames a second.
+    pub(super) fn sample_bytes(&self, wanted: Components, hz: f64) -> impl Iterator<Item = usize> {
+        let bytes = move |kind: SampledComponentKind| {
+            let device = |history: &SampleHistory| {
+                let values = match kind.is_single() {
+                    true => history.n_channels,
+                    false => history.values_of(1.0 / hz),
+                };
+                DEVICE_BYTES + size_of::<f32>() * values
+            };
+            let histories = self.histories.iter();
+            let histories = histories.filter(move |history| history.is_force == kind.is_force());
+            COMPONENT_BYTES + histories.map(device).sum::<usize>()
+        };
+        wanted.samples().map(bytes)
     }
 
     /// Samples from these places on that are not kept any more.

@@ -27,8 +27,8 @@ use crate::{
 /// How long to wait for a stream: several waves, of which each can be lost.
 const FIND_TIMEOUT: Duration = Duration::from_millis(2500);
 
-/// How long to wait for others when all were found, so that a name that two streams have is noticed: LSL's own limit for
-/// answers by multicast.
+/// How long to wait for others when all were found by their source ids, which programs make unique: LSL's own limit for answers
+/// by multicast.
 const OTHERS_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Time between two questions.
@@ -114,13 +114,15 @@ pub(super) fn named(names: &[String], wait: Duration) -> Vec<FoundStream> {
     search.found
 }
 
-/// Finds the streams of a query, in its order.
+/// Finds the streams of a query, in its order. Without a source id it listens to the end of its time: another stream of the same
+/// name, whose first answers were lost, may answer late.
 ///
 /// # Errors
 /// `Unreachable`, which says what was found and what to do.
 pub(super) fn find(query: &StreamQuery) -> Result<Vec<FoundStream>, TransportError> {
     let mut search = Search::open(&query.names)?;
-    search.run(FIND_TIMEOUT, |found| choose(query, found).is_ok());
+    let is_unique = query.source_id.is_some();
+    search.run(FIND_TIMEOUT, |found| is_unique && choose(query, found).is_ok());
     search.run(OTHERS_TIMEOUT.saturating_sub(search.began.elapsed()), |_| false);
     choose(query, &search.found)
         .map_err(|remedy| TransportError::Unreachable { device: query.to_string(), remedy })

@@ -19,6 +19,7 @@ pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("record: bulk", recording::bulk),
     ("record: CDC-ACM", recording::port),
     ("record: two devices at once", recording::two_at_once),
+    ("record: one motion by both", recording::one_motion),
     ("record: NDI over CDC-ACM", ndi::recorded),
     ("replug: bulk", replug::bulk),
     ("replug: CDC-ACM", replug::port),
