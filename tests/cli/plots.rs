@@ -11,7 +11,7 @@ use mocapd_take::motion::{GAP, Marker, Motion, MotionInfo};
 use mocapd_testkit::font::font_with;
 
 use super::{
-    Folder,
+    Folder, Ran,
     faults::played::{bodies, record_from},
 };
 use crate::support::{assert_mentions, jump, mentions};

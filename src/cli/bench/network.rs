@@ -20,7 +20,7 @@ use std::{
 
 use anyhow::{Context, anyhow, bail, ensure};
 use mocapd::outcome::Outcome;
-use mocapd_acquire::{latency::LatencyHistogram, ledger::LedgerDocument};
+use mocapd_acquire::{host_clock::LatencyHistogram, ledger::LedgerDocument};
 use mocapd_drivers::qtm::{PacketKind, PacketReader, put_text};
 use mocapd_service::units;
 use serde::Serialize;

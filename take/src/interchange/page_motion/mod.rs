@@ -8,7 +8,7 @@ use std::io::{self, Write};
 
 use mocapd_codec::range::{BinaryCoder, Bit, RangeDecoder, RangeEncoder};
 
-use super::frame_poses::FramePoses;
+use super::recorded_rows::FramePoses;
 use crate::{
     motion::{FrameSource, GAP, Position, is_gap},
     poses::{Pose, PoseState},
