@@ -1,4 +1,4 @@
-//! Reads a QTM RT server with a client that is not ours, the crate qualisys, for tests/oracle/check_qtm.py.
+//! Reads a QTM RT server with a client that is not ours, the crate qualisys, for `tests/oracle/check_qtm.py`.
 //!
 //!     qtm_client PORT tcp|udp
 //!
@@ -66,7 +66,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             // Its word for a time without packets, too.
             Packet::NoMoreData => {}
             other => {
-                println!("{{\"kind\":\"other\",\"packet\":{}}}", quoted(&format!("{other:?}"))?)
+                println!("{{\"kind\":\"other\",\"packet\":{}}}", quoted(&format!("{other:?}"))?);
             }
         }
     }

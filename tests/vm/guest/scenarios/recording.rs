@@ -57,7 +57,7 @@ pub(crate) fn two_at_once() -> Measurement {
     both(devices, ["/tmp/two-0.take", "/tmp/two-1.take"], &[])
 }
 
-/// The motion of tests/oracle/one_motion.py through a pair of bulk endpoints and a port: the takes have the same floats.
+/// The motion of `tests/oracle/one_motion.py` through a pair of bulk endpoints and a port: the takes have the same floats.
 pub(crate) fn one_motion() -> Measurement {
     let devices =
         [Simulator::bulk("ONE1", &FIVE_SECONDS)?, Simulator::port("ONE2", &FIVE_SECONDS)?];
