@@ -3,13 +3,15 @@
 import errno
 import json
 import os
+import re
 import stat
 import sys
+import threading
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from deltalake.exceptions import DeltaError
+from deltalake.exceptions import CommitFailedError, DeltaError
 
 archive = pytest.importorskip("mocapd.archive")
 
@@ -283,6 +285,72 @@ def test_two_ingests_at_once_list_each_file_once(tmp_path, monkeypatch):
     assert sum(report.takes for report in reports) == 9 and sum(report.duplicates for report in reports) == 2
 
 
+def test_commits_of_many_others_are_no_failures_of_the_store(tmp_path, monkeypatch):
+    bucket = tmp_path / "archive"
+    mine, *others = write_c3ds(tmp_path / "c3d", 9)
+    assert len(others) > workers_module.ATTEMPTS
+    between_reading_and_writing(monkeypatch, *[lambda path=path: ingest(path, bucket) for path in others])
+    assert ingest(mine, bucket).takes == 1
+    assert len(takes(bucket)) == 9 and archive.verify(bucket, workers=0).is_intact
+
+
+def test_too_many_commits_of_others_end_an_ingest(tmp_path, monkeypatch):
+    bucket, conflicts = tmp_path / "archive", []
+    write_c3ds(tmp_path / "c3d", 2)
+
+    def come_second(*args, **options):
+        conflicts.append(None)
+        raise CommitFailedError("Failed to commit transaction: 0")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(catalogue_module, "write_deltalake", come_second)
+        with pytest.raises(archive.StoreError, match="committed first 31 times.*Failed to commit"):
+            ingest(tmp_path / "c3d", bucket)
+    assert len(conflicts) == 31
+    assert ingest(tmp_path / "c3d", bucket).takes == 2
+
+
+def test_a_table_that_cannot_be_read_again_is_read_by_the_next_attempt(tmp_path, monkeypatch):
+    bucket, failures = tmp_path / "archive", []
+    write_c3ds(tmp_path / "c3d", 3)
+    read = catalogue_module._read
+
+    def fail_once(*args):
+        if failures:
+            raise failures.pop()
+        return read(*args)
+
+    def another():
+        ingest(tmp_path / "c3d", bucket)
+        failures.append(archive.StoreError("no answer"))
+
+    monkeypatch.setattr(catalogue_module, "_read", fail_once)
+    between_reading_and_writing(monkeypatch, another)
+    report = ingest(tmp_path / "c3d", bucket)
+    assert (report.takes, report.unchanged) == (0, 3) and not failures
+    assert archive.catalogue(bucket).arrow().num_rows == 3
+
+
+def test_two_ingests_that_repair_a_take_list_its_further_sources_once(tmp_path, monkeypatch):
+    bucket, folder = tmp_path / "archive", tmp_path / "c3d"
+    (path, *_) = write_c3ds(folder, 1)
+    ingest(folder, bucket)
+    (row,) = takes(bucket)
+    (bucket / row["object"]).unlink()
+    # A commit before those of the lost take, whose further source follows its repair.
+    (tmp_path / "new").mkdir()
+    first, copy = tmp_path / "new" / "a.c3d", tmp_path / "new" / "b.c3d"
+    first.write_bytes(c3d(99))
+    copy.write_bytes(path.read_bytes())
+    monkeypatch.setattr(ingest_module, "COMMIT_ROWS", 1)
+    between_reading_and_writing(monkeypatch, lambda: ingest([path, copy], bucket))
+    report = ingest([first, copy, path], bucket, batch_files=1)
+    assert (report.takes, report.duplicates, report.unchanged) == (1, 0, 2)
+    rows = archive.catalogue(bucket).arrow().to_pylist()
+    assert sorted(row["status"] for row in rows) == ["duplicate", "take", "take"]
+    assert len({row["source"] for row in rows}) == 3 and archive.verify(bucket, workers=0).is_intact
+
+
 def test_a_repack_beside_an_ingest(tmp_path, monkeypatch):
     bucket, folder = tmp_path / "archive", tmp_path / "c3d"
     (path, *_) = write_c3ds(folder, 3, frames=400)
@@ -399,9 +467,53 @@ def test_trouble_of_the_machine_is_no_failure_of_a_file(error, tmp_path, monkeyp
             failing_reads(patched, {".c3d": error})
             with pytest.raises(archive.StoreError, match="cannot read"):
                 ingest(tmp_path / "c3d", bucket)
-    assert not (bucket / "_delta_log").exists() or archive.catalogue(bucket).arrow().num_rows == 0
+    put, name, reason = archive.FolderStore.put_if_absent, "s0/day0/walk0000.c3d", str(error) or "out of memory"
+
+    def fail_to_put(self, name, data):
+        return fail() if name.startswith("takes/") else put(self, name, data)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(archive.FolderStore, "put_if_absent", fail_to_put)
+        with pytest.raises(archive.StoreError, match=f"cannot write takes/.*{name}: {re.escape(reason)}"):
+            ingest(tmp_path / "c3d" / name, bucket)
+    assert archive.catalogue(bucket).arrow().num_rows == 0
     report = ingest(tmp_path / "c3d", bucket)
     assert (report.takes, report.failed_before) == (3, 0)
+
+
+def test_no_new_thread_is_no_failure_of_a_file(tmp_path, monkeypatch):
+    write_c3ds(tmp_path / "c3d", 3)
+
+    def submit(*_):
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ingest_module.ThreadPoolExecutor, "submit", submit)
+        with pytest.raises(archive.StoreError, match=r"\.c3d on this machine: can't start new thread"):
+            ingest(tmp_path / "c3d", tmp_path / "archive")
+    assert ingest(tmp_path / "c3d", tmp_path / "archive").takes == 3
+
+
+class Bucket:
+    """A store that is no folder, and knows in which threads takes are stored."""
+
+    def __init__(self, path):
+        self._folder = archive.FolderStore(path)
+        self.url, self.threads = self._folder.url, set()
+        for name in ("get", "size", "list", "remove", "open_take"):
+            setattr(self, name, getattr(self._folder, name))
+
+    def put_if_absent(self, name, data):
+        if name.startswith("takes/"):
+            self.threads.add(threading.current_thread())
+        return self._folder.put_if_absent(name, data)
+
+
+def test_takes_are_uploaded_in_the_thread_that_ctrl_c_interrupts(tmp_path):
+    write_c3ds(tmp_path / "c3d", 3)
+    bucket = Bucket(tmp_path / "archive")
+    assert ingest(tmp_path / "c3d", bucket).takes == 3
+    assert bucket.threads == {threading.main_thread()}
 
 
 def test_no_folder_for_temporary_files_is_no_failure_of_a_file(tmp_path, monkeypatch):
@@ -512,23 +624,28 @@ def test_an_axis_that_points_down_on_the_command_line(tmp_path, monkeypatch, cap
     assert len(takes(tmp_path / "archive")) == 2
 
 
-def test_ray_starts_in_no_folder_of_others(tmp_path, monkeypatch):
-    """Its workers import modules from the folder of their driver."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", f"modules{os.pathsep}/opt/more")
-    monkeypatch.setenv("MOCAPD_ARCHIVE", "archive/")
-    called = []
+def test_ray_gets_no_folder_of_others(tmp_path, monkeypatch):
+    """Its workers import modules from the folders that the configuration of the job names."""
+    ray = pytest.importorskip("ray")
+    jobs = []
 
-    def ingest(sources, bucket, **options):
-        called.append((sources, bucket, os.getcwd(), os.environ["PYTHONPATH"]))
-        return archive.IngestReport()
+    def init(job_config=None, **_):
+        # As Ray does: the folder of the script, and the current one.
+        if job_config is not None:
+            job_config._py_driver_sys_path += ["/opt/scripts", os.getcwd()]
+            jobs.append(job_config)
 
-    monkeypatch.setattr(command_module, "ingest", ingest)
-    monkeypatch.setattr(sys, "argv", ["mocapd archive", "ingest", "c3d/", "one.c3d", "s3://lab/c3d/"])
-    assert command_module.main() == 0
-    sources = [f"{tmp_path}/c3d/", f"{tmp_path}/one.c3d", "s3://lab/c3d/"]
-    assert called == [(sources, f"{tmp_path}/archive/", "/", f"{tmp_path}/modules{os.pathsep}/opt/more")]
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", init)
+    monkeypatch.setattr(ray, "shutdown", lambda: None)
+    monkeypatch.setattr(workers_module, "_on_ray", lambda *_: iter(()))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["mocapd archive", "ingest", "--workers", "0", "-b", "archive", "c3d"])
-    assert command_module.main() == 0
-    assert called[1][:3] == (["c3d"], "archive", str(tmp_path))
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    for _ in range(2):
+        assert list(workers_module.run_tasks(len, [["a"]], None)) == []
+        # Of a cluster.
+        monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:6379")
+    assert len(jobs) == 2 and os.getcwd() == str(tmp_path)
+    for job in jobs:
+        sent = job._serialize()
+        assert b"/opt/scripts" in sent and os.fsencode(tmp_path) not in sent

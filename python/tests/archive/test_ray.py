@@ -193,6 +193,35 @@ def test_a_file_that_ends_its_process_is_a_row_of_its_own(cluster, tmp_path, mon
     assert "evil.c3d" in report.errors[0][0] and "ended the process" in report.errors[0][1]
 
 
+STORE = """
+from mocapd.archive import FolderStore
+class ScriptStore(FolderStore):
+    def put_if_absent(self, name, data):
+        open("stored", "a").close()
+        return super().put_if_absent(name, data)
+"""
+
+
+def test_workers_import_modules_of_the_script_and_none_of_the_current_folder(tmp_path):
+    """They stay in that folder: names of files in the environment, such as that of a key, may be relative."""
+    scripts, current = tmp_path / "scripts", tmp_path / "current"
+    write_c3ds(current / "c3d", 2, frames=60)
+    scripts.mkdir()
+    (scripts / "script_store.py").write_text(STORE)
+    (scripts / "script.py").write_text(
+        "from mocapd import archive\nfrom script_store import ScriptStore\n"
+        "report = archive.ingest('c3d', ScriptStore('archive'), workers=1, progress=False)\nassert report.takes == 2\n"
+    )
+    # The workers import both.
+    for name in ("deltalake", "secrets"):
+        (current / f"{name}.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'a').write({name!r})")
+    environment = {name: value for name, value in os.environ.items() if name != "RAY_ADDRESS"}
+    words = [sys.executable, str(scripts / "script.py")]
+    done = subprocess.run(words, cwd=current, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (current / "stored").exists() and not (tmp_path / "imported").exists()
+
+
 def parts(batch):
     return batch["object"], batch["time_s"][:, 0], batch["positions"]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import sys
 from dataclasses import asdict
@@ -13,7 +12,6 @@ from typing import Any
 import pyarrow as pa
 
 from . import StoreError, catalogue, collect, ingest, repack, verify
-from ._catalogue import BUCKET_VARIABLE
 from ._sources import BATCH_FILES
 from ._upkeep import YOUNG_S
 
@@ -161,27 +159,9 @@ def _joined(words: list[str]) -> list[str]:
     return joined
 
 
-def _leave_folder(args: argparse.Namespace) -> None:
-    """Makes names of files absolute, and leaves the current folder: Ray's workers import modules from the one in which their
-    driver is, which may have others' data.
-    """
-
-    def absolute(name: str | None) -> str | None:
-        return name if not name or "://" in name else os.path.abspath(name) + "/" * name.endswith("/")
-
-    args.bucket = absolute(args.bucket or os.environ.get(BUCKET_VARIABLE))
-    if "sources" in args:
-        args.sources = [absolute(source) for source in args.sources]
-    if folders := os.environ.get("PYTHONPATH"):
-        os.environ["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, filter(None, folders.split(os.pathsep))))
-    os.chdir("/")
-
-
 def main() -> int:
     args = _parser().parse_args(_joined(sys.argv[1:]))
     try:
-        if getattr(args, "workers", 0) != 0:
-            _leave_folder(args)
         return int(args.run(args))
     except ValueError as error:
         print(f"mocapd: {error}", file=sys.stderr)

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from itertools import count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -15,18 +16,22 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 from deltalake import CommitProperties, DeltaTable, QueryBuilder, Transaction, write_deltalake
-from deltalake.exceptions import DeltaError, TableNotFoundError
+from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundError
 
 from ._keys import source_hash
 from ._schema import SCHEMA
 from ._store import FolderStore, Store, StoreError, open_store
-from ._workers import call
+from ._workers import call, wait_at_random
 
 FOLDER = "catalogue"
 """The folder of the table in the bucket."""
 
 BUCKET_VARIABLE = "MOCAPD_ARCHIVE"
 """The environment variable with the bucket of the archive, where none is given."""
+
+CONFLICTS_MAX = 30
+"""Repetitions of a commit that another one has preceded: the store works, and another process has made progress. So many in
+a row, in about a minute of waits, say that too many processes write one table."""
 
 
 def bucket_of(bucket: str | os.PathLike[str] | Store | None) -> str | os.PathLike[str] | Store:
@@ -204,10 +209,23 @@ class Catalogue:
         def once(_: None) -> None:
             try:
                 write(self.delta())
+            except CommitFailedError:
+                raise
             except (DeltaError, OSError) as error:
                 raise StoreError(f"cannot write the catalogue {self.url}: {error}") from error
 
-        call(once, None)
+        # Conflicts have attempts of their own: with those of the store, a few ingests at once would stop each other.
+        for conflicts in count():
+            try:
+                call(once, None)
+                return
+            except CommitFailedError as error:
+                if conflicts == CONFLICTS_MAX:
+                    raise StoreError(
+                        f"cannot write the catalogue {self.url}: other processes have committed first {conflicts + 1} times "
+                        f"in a row ({error}): run fewer at once"
+                    ) from error
+            wait_at_random(conflicts)
 
 
 def _version(table: DeltaTable | None) -> int:
@@ -343,13 +361,16 @@ class Known:
 
     def renewed(self, table: DeltaTable | None, batches: list[pa.RecordBatch]) -> list[pa.RecordBatch]:
         """Reads a table that another process has changed. Of rows that were new and are not in it, those that still are."""
-        self.version = _version(table)
         rows = _read_or_empty(table, ["status", "key", "source", "object"])
         found = list(zip(*(rows.column(name).to_pylist() for name in rows.column_names)))
         moved = {row["object"]: row["new"] for row in self.moved}
         takes = {key: name for status, key, _, name in found if status == "take" and key not in self._lost}
         self._objects = {key: moved.get(name, name) for key, name in takes.items()}
         self._pairs = {(key, source) for status, key, source, _ in found if status == "failed" or key in takes}
+        # A lost take that another ingest repairs, too, may have further sources since.
+        self._of_lost.update((key, source) for _, key, source, _ in found if key in self._lost)
+        # Last: if the table cannot be read, the repeated commit reads it again.
+        self.version = _version(table)
         return [new for batch in batches for new in self.new(batch)]
 
     def _duplicate(self, row: dict[str, Any]) -> dict[str, Any]:

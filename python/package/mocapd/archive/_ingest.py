@@ -107,18 +107,11 @@ class ImportTask:
 
     def run(self, files: list[SourceFile]) -> pa.RecordBatch:
         """Imports files, and stores their takes. Returns a row for each that has none yet."""
-        rows: list[dict[str, Any]] = []
-        ahead_max = SYNCS_MAX if isinstance(self.bucket, FolderStore) else 0
-        with ThreadPoolExecutor(max(1, ahead_max)) as pool:
-            storing: deque[Future[dict[str, Any]]] = deque()
-            for file in files:
-                row, take = self._row(file)
-                if row is None:
-                    continue
-                storing.append(pool.submit(self._stored, row, take))
-                if len(storing) > ahead_max:
-                    rows.append(storing.popleft().result())
-            rows += [stored.result() for stored in storing]
+        if isinstance(self.bucket, FolderStore):
+            rows = self._stored_ahead(files)
+        else:
+            # In this thread, in which Ctrl-C ends an upload.
+            rows = [row for file in files if (row := self._stored(*self._row(file))) is not None]
         try:
             return pa.RecordBatch.from_pylist(rows, SCHEMA)
         except MemoryError as error:
@@ -142,12 +135,31 @@ class ImportTask:
             raise
         except Exception as error:
             if not is_of_file(error, file.store):
-                raise StoreError(f"cannot read {file.source}: {error}") from error
+                raise StoreError(f"cannot read {file.source}: {_text(error)}") from error
             return self._failed(file, f"cannot be imported: {_reason(error)}"), b""
 
-    def _stored(self, row: dict[str, Any], take: bytes) -> dict[str, Any]:
+    def _stored_ahead(self, files: list[SourceFile]) -> list[dict[str, Any]]:
+        """Imports files, and stores their takes while the next ones are imported. Returns the rows."""
+        rows: list[dict[str, Any] | None] = []
+        with ThreadPoolExecutor(SYNCS_MAX) as pool:
+            storing: deque[Future[dict[str, Any] | None]] = deque()
+            for file in files:
+                row, take = self._row(file)
+                if row is None:
+                    continue
+                try:
+                    storing.append(pool.submit(self._stored, row, take))
+                except (RuntimeError, MemoryError) as error:
+                    # No new thread. What was submitted may yet be stored, and is found by the next attempt.
+                    raise StoreError(f"cannot store the take of {row['source']} on this machine: {_text(error)}") from error
+                if len(storing) > SYNCS_MAX:
+                    rows.append(storing.popleft().result())
+            rows += [stored.result() for stored in storing]
+        return [row for row in rows if row is not None]
+
+    def _stored(self, row: dict[str, Any] | None, take: bytes) -> dict[str, Any] | None:
         """Stores the take of a row. Returns the row."""
-        if row["status"] != "take":
+        if row is None or row["status"] != "take":
             return row
         try:
             self.bucket.put_if_absent(row["object"], take)
@@ -155,8 +167,8 @@ class ImportTask:
         except FileExistsError as error:
             # Of the archive, and not of the file: no row.
             return new_row("damaged", row["source"], error=f"{error}: remove this object if it is damaged")
-        except OSError as error:
-            raise StoreError(f"cannot write {row['object']}: {error}") from error
+        except (OSError, MemoryError) as error:
+            raise StoreError(f"cannot write {row['object']} of {row['source']}: {_text(error)}") from error
 
     def _failed(self, file: SourceFile, error: str, **fields: Any) -> dict[str, Any]:
         subject, session = self.names.of(file.source)
@@ -191,7 +203,7 @@ class ImportTask:
         except Exception as error:
             # A source is bytes in memory, and wrong ones are no OSError: that is of temporary files and threads.
             if is_of_machine(error) or (isinstance(error, OSError) and file.format != "take"):
-                raise StoreError(f"cannot import {file.source} on this machine: {error or 'out of memory'}") from error
+                raise StoreError(f"cannot import {file.source} on this machine: {_text(error)}") from error
             return self._failed(file, _reason(error), **fields), b""
         described["subject"] = described["subject"] or subject
         stored = {"object": object_name(key), "take_bytes": len(take), "take_sha256": source_hash(take)}
@@ -232,6 +244,11 @@ def _representable(row: dict[str, Any]) -> dict[str, Any]:
 def _reason(error: Exception) -> str:
     text = getattr(error, "strerror", None) or str(error)
     return str(text or type(error).__name__)
+
+
+def _text(error: Exception) -> str:
+    """An error with its file, where it has one; that of missing memory says nothing itself."""
+    return str(error) or "out of memory"
 
 
 def _n_rows(batches: list[pa.RecordBatch]) -> int:
@@ -317,7 +334,8 @@ def ingest(
         For a source that does not exist, or invalid settings. A file that cannot be imported is no exception, but a row
         with its error.
     StoreError
-        If the store fails repeatedly. What is done is in the catalogue, and the same call continues.
+        If the store fails repeatedly, or other processes commit first each time. What is done is in the catalogue, and the
+        same call continues.
     """
     settings = Settings(
         tolerance_mm(tolerance), resampler, effort, key_seconds(keys), unit, up, tuple(analog_tolerance), drop_foreign

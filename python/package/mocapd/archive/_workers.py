@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import random
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
@@ -53,6 +54,9 @@ def run_tasks(
         options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
         if not os.environ.get("RAY_ADDRESS"):
             options |= {"address": "local", "num_cpus": workers, "include_dashboard": False}
+        # Ray's client, whose addresses are URLs, sends no folders.
+        if "://" not in os.environ.get("RAY_ADDRESS", ""):
+            options["job_config"] = _job_config()
         ray.init(**options)
     try:
         yield from _on_ray(ray, run, items, workers, lost)
@@ -74,6 +78,30 @@ def call(run: Callable[[Any], Result], item: Any) -> Result:
         except StoreError:
             time.sleep(WAIT_S * 2**attempt)
     return run(item)
+
+
+def wait_at_random(attempt: int) -> None:
+    """Before a further attempt where another process came first: each waits for another time, up to 4 s."""
+    time.sleep(random.uniform(0, WAIT_S * min(2**attempt, 8)))
+
+
+def _job_config() -> Any:
+    """The configuration of a job whose workers import no modules from the current folder, which may have others' data.
+
+    Ray adds that folder after the one of the driver's script, and has no option against it. To leave the folder while Ray
+    starts is no way: names in the environment, such as that of a file with a key, may be relative, and workers stay in the
+    folder in which Ray was started.
+    """
+    from ray.job_config import JobConfig
+
+    class WithoutCurrentFolder(JobConfig):
+        def _serialize(self) -> Any:
+            folders = self._py_driver_sys_path
+            if folders and folders[-1] == os.path.abspath(os.curdir):
+                folders.pop()
+            return super()._serialize()
+
+    return WithoutCurrentFolder()
 
 
 def _on_ray(ray: Any, run: Any, items: Any, workers: int | None, lost: Any) -> Iterator[Any]:
