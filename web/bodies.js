@@ -123,10 +123,11 @@ export class TakeBodies {
       await player.buffer.idle();
       const { names, window_frames_max: most } = await source.bodies();
       if (!isCurrent() || names.length === 0) return;
-      const window = (firstRow, rows, every) => source.bodyPoses(firstRow, rows, every, names.length);
+      const window = (firstRow, rows, every, signal) => source.bodyPoses(firstRow, rows, every, names.length, signal);
+      const { windowFrames, canCancel } = source;
       const overview = { ...player.overview, markers: 3 * names.length, window_frames_max: most };
       this.#names = names;
-      this.#buffer = new FrameBuffer({ window, windowFrames: source.windowFrames }, overview, {
+      this.#buffer = new FrameBuffer({ window, windowFrames, canCancel }, overview, {
         keptBytesMax: KEPT_BYTES_MAX,
         onLoaded: () => isCurrent() && player.refresh(),
       });

@@ -46,15 +46,19 @@ export class Overlays {
     setHidden(byId("comparison"), true);
   }
 
-  /** Reads what there is for the take of a source, and compares it with that of `other` unless this is null. */
-  async open(source, other, isCurrent) {
+  /** Begins to read the poses of the face, if the take has one. */
+  openFace(source, isCurrent) {
     const { overview } = this.player;
-    if (overview.frames === 0) return;
-    if (overview.face) {
-      const window = (firstRow, rows, every) => source.poses(firstRow, rows, every);
-      this.#poses = this.#bufferOf({ window }, { ...overview, markers: 4, window_frames_max: POSES_MAX }, isCurrent);
-      this.player.refresh();
-    }
+    if (overview.frames === 0 || !overview.face) return;
+    const window = (firstRow, rows, every, signal) => source.poses(firstRow, rows, every, signal);
+    const { canCancel } = source;
+    this.#poses = this.#bufferOf({ window, canCancel }, { ...overview, markers: 4, window_frames_max: POSES_MAX }, isCurrent);
+    this.player.refresh();
+  }
+
+  /** Reads what else there is for the take of a source, and compares it with that of `other` unless this is null. */
+  async open(source, other, isCurrent) {
+    if (this.player.overview.frames === 0) return;
     await this.#showForces(source, isCurrent);
     if (other && isCurrent()) await this.#compare(source, other, isCurrent);
   }
@@ -76,9 +80,10 @@ export class Overlays {
       setText(byId("forces-text"), unusableText(list.unusable));
       setHidden(byId("forces-text"), n === 0 && list.unusable.length === 0);
       if (n === 0) return;
-      const window = (firstRow, rows, every) => source.forces(firstRow, rows, every, n);
+      const window = (firstRow, rows, every, signal) => source.forces(firstRow, rows, every, n, signal);
+      const { canCancel } = source;
       // Nine numbers for each plate, as many as for three markers.
-      const buffer = this.#bufferOf({ window }, { ...overview, markers: 3 * n, window_frames_max: list.window_frames_max }, isCurrent);
+      const buffer = this.#bufferOf({ window, canCancel }, { ...overview, markers: 3 * n, window_frames_max: list.window_frames_max }, isCurrent);
       const columnFrames = Math.min(EVERY_MAX, Math.max(1, Math.ceil(overview.frames / COLUMNS)));
       this.forces = new Forces(list, buffer, overview.frames, columnFrames);
       this.#showCurves();

@@ -98,8 +98,12 @@ export class Player {
     await Promise.all([this.#openOthers(source, other, () => opened === this.#opened), this.#countGaps(source, opened)]);
   }
 
-  /** What there is besides markers, one after the other, so that frames are not kept waiting. */
+  /**
+   * What there is besides markers, one after the other, so that frames are not kept waiting. Only the face comes at once:
+   * its place in the scene needs no list from the source, and on a busy service the buffer may not be idle for long.
+   */
   async #openOthers(source, other, isCurrent) {
+    this.overlays?.openFace(source, isCurrent);
     await this.bodies.open(source, isCurrent);
     if (isCurrent()) await this.overlays?.open(source, other, isCurrent);
   }

@@ -68,7 +68,7 @@ export class ServiceSource {
   async window(firstRow, rows, every, signal) {
     const { rate_hz: rateHz, markers } = this.take;
     const query = `from=${firstRow / rateHz}&seconds=${rows / rateHz}&every=${every}`;
-    return parseWindow(await inTurn(() => getBytes(`${this.path}/window?${query}`, TIMEOUT_MS, signal)), markers);
+    return parseWindow(await this.#bytes(`window?${query}`, FRAMES, signal), markers);
   }
 
   /**
@@ -86,8 +86,8 @@ export class ServiceSource {
   }
 
   /** A window of the poses of the subject's face. */
-  async poses(firstRow, rows, every) {
-    return parsePoses(await inTurn(() => getBytes(`${this.path}/face?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS));
+  async poses(firstRow, rows, every, signal) {
+    return parsePoses(await this.#bytes(`face?${this.#query(firstRow, rows, every)}`, OTHERS, signal));
   }
 
   /** The force plates of the take: {plates, window_frames_max}. */
@@ -96,8 +96,8 @@ export class ServiceSource {
   }
 
   /** A window of the forces of so many plates. */
-  async forces(firstRow, rows, every, plates) {
-    return parseForces(await inTurn(() => getBytes(`${this.path}/forces?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS), plates);
+  async forces(firstRow, rows, every, plates, signal) {
+    return parseForces(await this.#bytes(`forces?${this.#query(firstRow, rows, every)}`, OTHERS, signal), plates);
   }
 
   /** The rigid bodies of the take: {names, window_frames_max}. */
@@ -106,8 +106,13 @@ export class ServiceSource {
   }
 
   /** A window of the poses of so many rigid bodies. */
-  async bodyPoses(firstRow, rows, every, bodies) {
-    return parseBodies(await inTurn(() => getBytes(`${this.path}/poses?${this.#query(firstRow, rows, every)}`, TIMEOUT_MS), OTHERS), bodies);
+  async bodyPoses(firstRow, rows, every, bodies, signal) {
+    return parseBodies(await this.#bytes(`poses?${this.#query(firstRow, rows, every)}`, OTHERS, signal), bodies);
+  }
+
+  /** The bytes of a window, unless `signal` says that it is not wanted any more. */
+  #bytes(path, priority, signal) {
+    return inTurn(() => getBytes(`${this.path}/${path}`, TIMEOUT_MS, signal), priority, signal);
   }
 
   /** The part of so many rows, or as many whole steps of them as can be requested at once. */
@@ -138,12 +143,12 @@ const OTHERS = 1;
 const waiting = [[], []];
 let running = 0;
 
-/** Makes a request when it is its turn. */
-async function inTurn(request, priority = FRAMES) {
+/** Makes a request when it is its turn; one that `signal` has ended gives its turn to the next. */
+async function inTurn(request, priority = FRAMES, signal = null) {
   if (running >= REQUESTS_MAX) await new Promise((resolve) => waiting[priority].push(resolve));
   else running += 1;
   try {
-    return await repeated(request);
+    return await repeated(request, signal);
   } finally {
     const next = waiting[FRAMES].shift() ?? waiting[OTHERS].shift();
     if (next) next();
@@ -152,13 +157,28 @@ async function inTurn(request, priority = FRAMES) {
 }
 
 /** Repeats a request that the service refuses because it is busy. */
-async function repeated(request) {
+async function repeated(request, signal) {
   for (let attempt = 1; ; attempt += 1) {
+    signal?.throwIfAborted();
     try {
       return await request();
     } catch (error) {
       if (error.kind !== "unavailable" || attempt >= TRIES) throw error;
-      await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
+      signal?.throwIfAborted();
+      await pause(RETRY_MS, signal);
     }
   }
+}
+
+/** Resolves after this time, or as soon as the request is cancelled: it must not keep others from their turn. */
+function pause(ms, signal) {
+  return new Promise((resolve) => {
+    const end = () => {
+      clearTimeout(timer);
+      signal?.removeEventListener("abort", end);
+      resolve();
+    };
+    const timer = setTimeout(end, ms);
+    signal?.addEventListener("abort", end);
+  });
 }

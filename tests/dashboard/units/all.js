@@ -7,6 +7,7 @@ import "./messages.test.js";
 import "./playback.test.js";
 import "./finished.test.js";
 import "./overlays.test.js";
+import "./source.test.js";
 import { run } from "./harness.js";
 
 window.unitResults = await run();
