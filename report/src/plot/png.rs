@@ -4,12 +4,16 @@
 //! Hebrew and Arabic letters. Characters that it lacks, such as those of Chinese, Japanese and Korean, whose fonts have
 //! megabytes, are drawn with the fonts of the system. A character that no font has is drawn as a box, and reported.
 
-use std::{collections::BTreeSet, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::{Range, RangeInclusive},
+    sync::{Arc, Mutex, PoisonError},
+};
 
-use fontdb::{Database, FaceInfo, Source, Stretch, Style, Weight};
+use fontdb::{Database, FaceInfo, ID, Language, Source, Stretch, Style, Weight};
 use resvg::{
     tiny_skia::{Pixmap, Transform},
-    usvg::{Options, Tree},
+    usvg::{self, Node, Options, Tree, roxmltree},
 };
 use skrifa::{FontRef, MetadataProvider, Tag, raw::TableProvider};
 
@@ -23,6 +27,29 @@ const SCALE: f32 = 2.0;
 const PIXELS_MAX: f32 = 1e8;
 
 /// Families for texts in scripts that [`FONT`] lacks: what Debian, Windows and macOS have.
+const SCRIPTS: [(RangeInclusive<char>, &str); 21] = [
+    ('\u{700}'..='\u{74f}', "Noto Sans Syriac, Segoe UI Historic"),
+    ('\u{780}'..='\u{7bf}', "Noto Sans Thaana, MV Boli"),
+    ('\u{900}'..='\u{97f}', "Noto Sans Devanagari, Nirmala UI, Kohinoor Devanagari"),
+    ('\u{980}'..='\u{9ff}', "Noto Sans Bengali, Nirmala UI, Kohinoor Bangla"),
+    ('\u{a00}'..='\u{a7f}', "Noto Sans Gurmukhi, Nirmala UI, Gurmukhi MN"),
+    ('\u{a80}'..='\u{aff}', "Noto Sans Gujarati, Nirmala UI, Kohinoor Gujarati"),
+    ('\u{b00}'..='\u{b7f}', "Noto Sans Oriya, Nirmala UI, Oriya MN"),
+    ('\u{b80}'..='\u{bff}', "Noto Sans Tamil, Nirmala UI, Tamil MN"),
+    ('\u{c00}'..='\u{c7f}', "Noto Sans Telugu, Nirmala UI, Kohinoor Telugu"),
+    ('\u{c80}'..='\u{cff}', "Noto Sans Kannada, Nirmala UI, Kannada MN"),
+    ('\u{d00}'..='\u{d7f}', "Noto Sans Malayalam, Nirmala UI, Malayalam MN"),
+    ('\u{d80}'..='\u{dff}', "Noto Sans Sinhala, Nirmala UI, Sinhala MN"),
+    ('\u{e00}'..='\u{e7f}', "Noto Sans Thai, Leelawadee UI, Thonburi"),
+    ('\u{e80}'..='\u{eff}', "Noto Sans Lao, Leelawadee UI, Lao MN"),
+    ('\u{f00}'..='\u{fff}', "Noto Serif Tibetan, Microsoft Himalaya, Kailasa"),
+    ('\u{1000}'..='\u{109f}', "Noto Sans Myanmar, Myanmar Text, Myanmar MN"),
+    ('\u{1200}'..='\u{139f}', "Noto Sans Ethiopic, Ebrima, Kefa"),
+    ('\u{13a0}'..='\u{13ff}', "Noto Sans Cherokee, Gadugi, Plantagenet Cherokee"),
+    ('\u{1400}'..='\u{167f}', "Noto Sans Canadian Aboriginal, Gadugi, Euphemia UCAS"),
+    ('\u{1780}'..='\u{17ff}', "Noto Sans Khmer, Leelawadee UI, Khmer MN"),
+    ('\u{1800}'..='\u{18af}', "Noto Sans Mongolian, Mongolian Baiti"),
+];
 const JAPANESE: &str =
     "Noto Sans CJK JP, Noto Sans JP, Hiragino Sans, Yu Gothic, Meiryo, IPAGothic";
 const KOREAN: &str =
@@ -57,11 +84,13 @@ pub fn png(
     let mut missing: BTreeSet<char> = svg.chars().filter(|&c| is_visible(c)).collect();
     let included = characters(dejavu::sans::regular(), 0, &missing);
     missing.retain(|c| !included.contains(c));
+    let mut faces = BTreeMap::new();
     if !missing.is_empty() {
-        add_installed(&mut fonts, &mut missing, &installed(), &families(svg));
+        faces = faces_of(&mut fonts, &missing, installed(), &families(svg));
+        missing.retain(|c| !faces.contains_key(c));
     }
     let options = Options { fontdb: Arc::new(fonts), ..Options::default() };
-    let tree = Tree::from_str(svg, &options).map_err(|error| bad(&error))?;
+    let tree = tree_of(svg, &options, &faces).map_err(|error| bad(&error))?;
     let size = tree.size();
     let (width, height) = (size.width() * SCALE, size.height() * SCALE);
     if width * height > PIXELS_MAX {
@@ -76,7 +105,7 @@ pub fn png(
 
 /// The families of a picture's texts: those of every picture, and with characters of other scripts, those that have them.
 pub(super) fn families(svg: &str) -> String {
-    let is_any_in = |ranges: &[std::ops::RangeInclusive<char>]| {
+    let is_any_in = |ranges: &[RangeInclusive<char>]| {
         svg.chars().any(|c| ranges.iter().any(|range| range.contains(&c)))
     };
     // What viewers have for Latin, Greek, Cyrillic, Hebrew, Arabic, punctuation and symbols is in the list already.
@@ -104,17 +133,79 @@ pub(super) fn families(svg: &str) -> String {
     };
     let generic = "sans-serif";
     let named = FONT.strip_suffix(generic).unwrap_or(FONT);
-    format!("{named}{}, {OTHER_SCRIPTS}, {generic}", cjk.join(", "))
+    let scripts = SCRIPTS.iter().filter(|(range, _)| is_any_in(std::slice::from_ref(range)));
+    let listed: Vec<&str> = scripts.map(|(_, families)| *families).chain(cjk).collect();
+    format!("{named}{}, {OTHER_SCRIPTS}, {generic}", listed.join(", "))
 }
 
-/// Adds the installed faces that have missing characters, until none is missing: upright ones of the listed families
-/// first, and of a family the one of normal weight.
-fn add_installed(
+/// Adds the installed faces that have these characters, and returns by which of them each is drawn.
+fn faces_of(
     fonts: &mut Database,
-    missing: &mut BTreeSet<char>,
-    installed: &Database,
+    wanted: &BTreeSet<char>,
+    installed: Arc<Database>,
     families: &str,
-) {
+) -> BTreeMap<char, usize> {
+    // To find out that no font has a character takes reading all of them: not again for each picture of a folder.
+    static INSTALLED: Mutex<Option<Installed>> = Mutex::new(None);
+    let mut remembered = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
+    let of_these = remembered.take().filter(|known| Arc::ptr_eq(&known.fonts, &installed));
+    let known = remembered.insert(of_these.unwrap_or_else(|| Installed::new(installed)));
+    let found = known.find(wanted, families);
+    for index in found.values().collect::<BTreeSet<_>>() {
+        if let Some((_, face)) = known.faces.get(*index) {
+            fonts.push_face_info(face.clone());
+        }
+    }
+    found
+}
+
+/// The fonts of the system, and what was found in them.
+struct Installed {
+    fonts: Arc<Database>,
+    /// The faces that have been needed, with their data.
+    faces: Vec<(ID, FaceInfo)>,
+    /// By the families of a picture, which decide on the forms of Han characters: the face of each character, by its index.
+    found: BTreeMap<String, BTreeMap<char, usize>>,
+    /// Characters that no font has.
+    absent: BTreeSet<char>,
+}
+
+impl Installed {
+    fn new(fonts: Arc<Database>) -> Self {
+        Self { fonts, faces: Vec::new(), found: BTreeMap::new(), absent: BTreeSet::new() }
+    }
+
+    /// The face of each of these characters that a font has: the first one in the order of [`preferred`].
+    fn find(&mut self, wanted: &BTreeSet<char>, families: &str) -> BTreeMap<char, usize> {
+        let found = self.found.entry(families.to_owned()).or_default();
+        let is_new = |c: &char| !found.contains_key(c) && !self.absent.contains(c);
+        let mut missing: BTreeSet<char> = wanted.iter().copied().filter(is_new).collect();
+        if !missing.is_empty() {
+            for face in preferred(&self.fonts, families) {
+                let read = self.fonts.with_face_data(face.id, |data, index| {
+                    let has = characters(data, index, &missing);
+                    (!has.is_empty()).then(|| (has, data.to_vec()))
+                });
+                let Some((has, data)) = read.flatten() else { continue };
+                let index = self.faces.iter().position(|(id, _)| *id == face.id);
+                let index = index.unwrap_or_else(|| {
+                    self.faces.push((face.id, usable(face, data, self.faces.len())));
+                    self.faces.len() - 1
+                });
+                missing.retain(|c| !has.contains(c));
+                found.extend(has.into_iter().map(|c| (c, index)));
+                if missing.is_empty() {
+                    break;
+                }
+            }
+            self.absent.append(&mut missing);
+        }
+        wanted.iter().filter_map(|c| Some((*c, *found.get(c)?))).collect()
+    }
+}
+
+/// The installed faces, the best one first: upright ones of the listed families, and of a family the one of normal weight.
+fn preferred<'a>(installed: &'a Database, families: &str) -> Vec<&'a FaceInfo> {
     let listed: Vec<&str> = families.split(", ").collect();
     let place = |face: &FaceInfo| {
         let is_of = |name: &&str| face.families.iter().any(|(family, _)| family == name);
@@ -127,24 +218,197 @@ fn add_installed(
         let weight = face.weight.0.abs_diff(Weight::NORMAL.0);
         (is_unusual, place(face), weight, face.post_script_name.clone())
     });
-    for face in faces {
-        if missing.is_empty() {
-            return;
+    faces
+}
+
+/// A face for texts of any weight and style, with a family that no other has.
+fn usable(face: &FaceInfo, data: Vec<u8>, index: usize) -> FaceInfo {
+    let mut families = face.families.clone();
+    families.push((face_family(index), Language::English_UnitedStates));
+    FaceInfo {
+        source: Source::Binary(Arc::new(data)),
+        families,
+        // Otherwise a bold italic would not do for a text that is neither.
+        style: Style::Normal,
+        weight: Weight::NORMAL,
+        stretch: Stretch::Normal,
+        ..face.clone()
+    }
+}
+
+/// The family by which a text names a face of the system.
+fn face_family(index: usize) -> String {
+    format!("mocapd-face-{index}")
+}
+
+/// The id of a group around a text whose runs are drawn apart.
+fn text_id(number: usize) -> String {
+    format!("mocapd-text-{number}")
+}
+
+/// Parses an SVG. usvg shapes a whole text with one font after the other, and draws boxes if they differ in the number of
+/// glyphs, as at a ligature. So each run of characters that one font draws becomes a `tspan` with a position of its own,
+/// which is shaped apart.
+fn tree_of(
+    svg: &str,
+    options: &Options<'_>,
+    faces: &BTreeMap<char, usize>,
+) -> Result<Tree, usvg::Error> {
+    if faces.is_empty() {
+        return Tree::from_str(svg, options);
+    }
+    let allowed = roxmltree::ParsingOptions { allow_dtd: true, ..Default::default() };
+    let document = roxmltree::Document::parse_with_options(svg, allowed)?;
+    let texts = document.descendants().filter_map(|node| MixedText::of(svg, node, faces));
+    let mut texts: Vec<MixedText<'_>> = texts.collect();
+    let tree = Tree::from_str(&with_runs_apart(svg, &texts), options)?;
+    if texts.iter().all(|text| text.before <= 0.0) {
+        return Ok(tree);
+    }
+    // Runs follow each other from the left. Where the others begin depends on their widths, which are known now.
+    for (number, text) in texts.iter_mut().enumerate() {
+        text.x -= text.before * tree.node_by_id(&text_id(number)).map_or(0.0, text_width);
+    }
+    Tree::from_str(&with_runs_apart(svg, &texts), options)
+}
+
+/// A text with characters that a font of the system draws.
+struct MixedText<'a> {
+    /// Where the element and its content begin, and where the element ends.
+    begins: usize,
+    content: usize,
+    ends: usize,
+    x: f32,
+    y: f32,
+    dy: &'a str,
+    /// The share of its width that is left of its point: its anchor.
+    before: f32,
+    runs: Vec<(Option<usize>, String)>,
+}
+
+impl<'a> MixedText<'a> {
+    /// The text of an element; `None` if usvg has to draw it as it is.
+    fn of(svg: &str, node: roxmltree::Node<'a, '_>, faces: &BTreeMap<char, usize>) -> Option<Self> {
+        let Range { start: begins, end: ends } = node.range();
+        let is_plain = |name: &str| node.attribute(name).is_none();
+        // A prefix of its namespace would have to be in the end tag, too.
+        if node.tag_name().name() != "text"
+            || !svg[begins..].starts_with("<text")
+            || !["dx", "rotate", "textLength", "style"].into_iter().all(is_plain)
+        {
+            return None;
         }
-        let found = installed.with_face_data(face.id, |data, index| {
-            let has = characters(data, index, missing);
-            (!has.is_empty()).then(|| (has, data.to_vec()))
-        });
-        let Some((has, data)) = found.flatten() else { continue };
-        missing.retain(|c| !has.contains(c));
-        fonts.push_face_info(FaceInfo {
-            source: Source::Binary(Arc::new(data)),
-            // Otherwise a bold italic would not do for a text that is neither.
-            style: Style::Normal,
-            weight: Weight::NORMAL,
-            stretch: Stretch::Normal,
-            ..face.clone()
-        });
+        let content = node.first_child().filter(|child| child.is_text())?;
+        if content.next_sibling().is_some() {
+            return None;
+        }
+        let words = content.text()?.split([' ', '\t', '\r', '\n']).filter(|word| !word.is_empty());
+        let text = words.collect::<Vec<_>>().join(" ");
+        let runs = runs(&text, faces);
+        if !runs.iter().any(|(face, _)| face.is_some()) || !keeps_order(&text, &runs) {
+            return None;
+        }
+        let number =
+            |name: &str| node.attribute(name).map_or(Some(0.0), |value| value.parse().ok());
+        let before = match node.ancestors().find_map(|node| node.attribute("text-anchor")) {
+            Some("middle") => 0.5,
+            Some("end") => 1.0,
+            _ => 0.0,
+        };
+        Some(Self {
+            begins,
+            content: content.range().start,
+            ends,
+            x: number("x")?,
+            y: number("y")?,
+            dy: node.attribute("dy").unwrap_or("0"),
+            before,
+            runs: runs.into_iter().map(|(face, run)| (face, run.to_owned())).collect(),
+        })
+    }
+}
+
+/// The runs of a text that one font draws, with the face if it is one of the system.
+fn runs<'a>(text: &'a str, faces: &BTreeMap<char, usize>) -> Vec<(Option<usize>, &'a str)> {
+    let mut ends: Vec<(Option<usize>, usize)> = Vec::new();
+    for (at, c) in text.char_indices() {
+        let face = faces.get(&c).copied();
+        let end = at + c.len_utf8();
+        match ends.last_mut() {
+            Some((last, run_end)) if *last == face || is_part(c) => *run_end = end,
+            _ => ends.push((face, end)),
+        }
+    }
+    let mut at = 0;
+    let run = |(face, end): (Option<usize>, usize)| {
+        let run = &text[at..end];
+        at = end;
+        (face, run)
+    };
+    ends.into_iter().map(run).collect()
+}
+
+/// Whether a character changes the one before it, and so has to be of the same font.
+fn is_part(c: char) -> bool {
+    let is_mark = matches!(c, '\u{300}'..='\u{36f}' | '\u{1ab0}'..='\u{1aff}' | '\u{1dc0}'..='\u{1dff}' | '\u{20d0}'..='\u{20ff}' | '\u{fe20}'..='\u{fe2f}');
+    is_mark || !(is_visible(c) || c.is_whitespace())
+}
+
+/// Whether the runs of a text are drawn from left to right. Beside letters of scripts that are written from right to left,
+/// characters without a direction, such as symbols, may go to the other side.
+fn keeps_order(text: &str, runs: &[(Option<usize>, &str)]) -> bool {
+    let is_private = |c: char| matches!(c, '\u{e000}'..='\u{f8ff}' | '\u{f0000}'..='\u{10ffff}');
+    let begins_to_right = |run: &str| run.starts_with(|c: char| c.is_alphabetic() || is_private(c));
+    let mut others = runs.iter().filter(|(face, _)| face.is_some());
+    !text.contains(is_right_to_left)
+        || others.all(|(_, run)| begins_to_right(run) && !run.contains(is_right_to_left))
+}
+
+/// Letters that are written from right to left, and characters that give others a direction.
+fn is_right_to_left(c: char) -> bool {
+    let is_letter = matches!(c, '\u{590}'..='\u{8ff}' | '\u{fb1d}'..='\u{fdff}' | '\u{fe70}'..='\u{fefc}' | '\u{10800}'..='\u{10fff}' | '\u{1e800}'..='\u{1efff}');
+    is_letter
+        || matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// An SVG with the runs of these texts as elements of their own.
+fn with_runs_apart(svg: &str, texts: &[MixedText<'_>]) -> String {
+    let mut changed = String::with_capacity(svg.len() + 512 * texts.len());
+    let mut at = 0;
+    for (number, text) in texts.iter().enumerate() {
+        changed.push_str(&svg[at..text.begins]);
+        changed.push_str(&format!("<g id=\"{}\">", text_id(number)));
+        changed.push_str(&svg[text.begins..text.content]);
+        // A run with a `y` of its own is shaped apart, and begins where the one before it ends.
+        let (mut x, y, dy) = (format!(" x=\"{}\"", text.x), text.y, escaped(text.dy));
+        for (face, run) in &text.runs {
+            let family = face.map_or_else(String::new, |index| {
+                format!(" font-family=\"{}\"", face_family(index))
+            });
+            let run = escaped(run);
+            changed.push_str(&format!(
+                "<tspan text-anchor=\"start\"{x} y=\"{y}\" dy=\"{dy}\"{family}>{run}</tspan>"
+            ));
+            x.clear();
+        }
+        changed.push_str("</text></g>");
+        at = text.ends;
+    }
+    changed.push_str(&svg[at..]);
+    changed
+}
+
+/// Text as the content or the value of XML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// The width of a text in a group.
+fn text_width(node: &Node) -> f32 {
+    match node {
+        Node::Text(text) => text.bounding_box().width(),
+        Node::Group(group) => group.children().iter().map(text_width).fold(0.0, f32::max),
+        Node::Path(_) | Node::Image(_) => 0.0,
     }
 }
 
@@ -169,6 +433,8 @@ fn is_visible(c: char) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use mocapd_testkit::font::font_with;
 
     use super::*;
@@ -239,12 +505,119 @@ mod tests {
             assert!(families(text).starts_with("DejaVu Sans, "), "{text}");
             assert!(families(text).ends_with(", Noto Sans, sans-serif"), "{text}");
         }
+        for (text, name) in [("เข่า", "Noto Sans Thai"), ("முழங்கால்", "Nirmala UI"), ("ጉልበት", "Kefa")]
+        {
+            assert!(place(text, name) < place(text, "CJK SC"), "{text}");
+            assert!(!families("左手").contains(name), "only families of its scripts are named");
+        }
         // Of two faces with a character that of the listed family is used.
         let listed = [font_with("Other", PRIVATE), font_with("Noto Sans", PRIVATE)];
-        let (mut used, mut missing) = (Database::new(), BTreeSet::from([PRIVATE]));
-        add_installed(&mut used, &mut missing, &fonts(&listed), &families(&PRIVATE.to_string()));
+        let mut used = Database::new();
+        let wanted = BTreeSet::from([PRIVATE]);
+        let found = faces_of(&mut used, &wanted, fonts(&listed), &families(&PRIVATE.to_string()));
         let names: Vec<_> = used.faces().map(|face| face.families[0].0.clone()).collect();
-        assert_eq!((names, missing), (vec!["Noto Sans".to_owned()], BTreeSet::new()));
+        assert_eq!((names, found), (vec!["Noto Sans".to_owned()], BTreeMap::from([(PRIVATE, 0)])));
+    }
+
+    /// The first and the last column with ink, and the first and the last row.
+    fn extent(png: &PngPicture) -> [usize; 4] {
+        let pixels = Pixmap::decode_png(&png.bytes).unwrap();
+        let width = pixels.width() as usize;
+        let mut found = [usize::MAX, 0, usize::MAX, 0];
+        for (at, pixel) in pixels.pixels().iter().enumerate() {
+            if pixel.red() < 128 {
+                let (x, y) = (at % width, at / width);
+                let [left, right, top, bottom] = found;
+                found = [left.min(x), right.max(x), top.min(y), bottom.max(y)];
+            }
+        }
+        found
+    }
+
+    /// Ligatures are one glyph in one font, and two in the other.
+    #[test]
+    fn a_character_of_another_font_is_drawn_beside_a_ligature() {
+        let others = fonts(&[font_with("Own", PRIVATE)]);
+        let draw = |text: &str| png(text, || Arc::clone(&others)).unwrap();
+        for word in ["fi", "knee fi ", "لا", "كلا 12 ", "a&amp;fi&lt;"] {
+            let text = svg(word);
+            let plain = inked(&draw(&text));
+            for mixed in [format!("{word}{PRIVATE}"), format!("\n{PRIVATE} {word}\n")] {
+                let drawn = draw(&svg(&mixed));
+                let square = inked(&drawn) - plain;
+                assert!((1500..=1700).contains(&square), "{mixed}: {square}");
+                assert_eq!(drawn.missing, []);
+            }
+        }
+    }
+
+    #[test]
+    fn texts_with_several_fonts_stay_where_they_are() {
+        let others = fonts(&[font_with("Own", PRIVATE)]);
+        let draw = |attributes: &str, text: &str| {
+            let text = svg(text).replace("x='5'", attributes);
+            extent(&png(&text, || Arc::clone(&others)).unwrap())
+        };
+        let near = |a: usize, b: usize| a.abs_diff(b) <= 1;
+        let both = format!("{PRIVATE}fi{PRIVATE}");
+        let [first, _, top, bottom] = draw("x='5'", &both);
+        assert_eq!([first, top, bottom], [10, 10, 49]);
+        let [_, last, ..] = draw("x='150' text-anchor='end'", &both);
+        assert!(near(last, 299), "{last}");
+        let [first, last, ..] = draw("x='100' text-anchor='middle'", &both);
+        assert!(near(first + last, 399) && last - first > 90, "{first} {last}");
+        let [first, last, top, bottom] = draw("x='150' dy='0.5ex' text-anchor='end'", &both);
+        assert!(near(last, 299) && last - first > 90, "{first} {last}");
+        assert_eq!([top, bottom], [20, 59]);
+        let turned = "x='100' text-anchor='middle' transform='rotate(180, 100, 20)'";
+        let [first, last, ..] = draw(turned, &both);
+        assert!(near(first + last, 399) && last - first > 90, "{first} {last}");
+    }
+
+    #[test]
+    fn runs_follow_the_fonts_unless_they_change_places() {
+        let faces = BTreeMap::from([('左', 0), ('手', 0), ('ひ', 1), ('☺', 1)]);
+        let of = |text: &'static str| {
+            let found = runs(text, &faces);
+            (keeps_order(text, &found), found)
+        };
+        let expected = [(None, "knee "), (Some(0), "左手\u{301}"), (Some(1), "ひ"), (None, " 1")];
+        assert_eq!(of("knee 左手\u{301}ひ 1"), (true, expected.to_vec()));
+        for (text, is_kept) in
+            [("knee ☺", true), ("ירך 左手 ירך", true), ("ירך ☺ ירך", false), ("\u{202e}a☺", false)]
+        {
+            assert_eq!(of(text).0, is_kept, "{text}");
+        }
+    }
+
+    #[test]
+    fn fonts_are_read_once_for_each_character() {
+        struct Counted(Vec<u8>, AtomicUsize);
+
+        impl AsRef<[u8]> for Counted {
+            fn as_ref(&self) -> &[u8] {
+                self.1.fetch_add(1, Ordering::Relaxed);
+                &self.0
+            }
+        }
+
+        let font = Arc::new(Counted(font_with("Own", PRIVATE), AtomicUsize::new(0)));
+        let mut database = Database::new();
+        database.load_font_source(Source::Binary(Arc::clone(&font) as _));
+        let mut installed = Installed::new(Arc::new(database));
+        let reads = || font.1.swap(0, Ordering::Relaxed);
+        reads();
+        let wanted = BTreeSet::from([PRIVATE, '\u{10fffb}']);
+        let found = BTreeMap::from([(PRIVATE, 0)]);
+        assert_eq!(installed.find(&wanted, "Nowhere"), found);
+        assert!(reads() > 0);
+        assert_eq!(installed.find(&wanted, "Nowhere"), found);
+        assert_eq!(reads(), 0);
+        // Which face is best depends on the families, but not that none has a character.
+        assert_eq!(installed.find(&BTreeSet::from(['\u{10fffb}']), "Own"), BTreeMap::new());
+        assert_eq!(reads(), 0);
+        assert_eq!(installed.find(&wanted, "Own"), found);
+        assert!(reads() > 0 && installed.faces.len() == 1);
     }
 
     #[test]
