@@ -169,6 +169,10 @@ const NO_LOAD: PlateLoad = PlateLoad {
 /// Difference of two rates, as a share of them, that is rounding.
 const SAME_RATE: f64 = 1e-6;
 
+/// Largest distance of a sample from the time for which it stands, in periods: half of one where no sample was lost, and
+/// room for devices whose rate is not quite the one that they state.
+const REACH: f64 = 0.75;
+
 /// The plates of another group, at the times of the fastest one.
 struct OtherGroup<'a> {
     name: String,
@@ -179,7 +183,7 @@ struct OtherGroup<'a> {
 
 /// How their loads are found.
 enum OtherSource<'a> {
-    /// Each time has the nearest sample, at most half a period away.
+    /// Each time has the nearest sample, at most [`REACH`] away.
     Nearest(Box<NearestRows<'a>>),
     /// By the filter.
     Resampled { samples: Box<Resampler<'a>>, channels: &'a [SampledChannel], stored: Vec<f32> },
@@ -190,14 +194,14 @@ struct NearestRows<'a> {
     rows: RecordedRows<'a>,
     /// The last row that was read: its place in frames, and its values.
     held: Option<(f64, Vec<f32>)>,
-    /// Half a period of the samples, in frames.
-    half: f64,
+    /// How far away a row may be, in frames.
+    reach: f64,
     /// The largest distance from a time, in frames.
     farthest: f64,
 }
 
 impl NearestRows<'_> {
-    /// The row that is nearest to a time; `None` if none is within half a period.
+    /// The row that is nearest to a time; `None` if none is within reach.
     fn at(&mut self, frames: f64) -> io::Result<Option<&[f32]>> {
         while let Some(next) = self.rows.peek()? {
             let is_nearer = self
@@ -214,8 +218,7 @@ impl NearestRows<'_> {
         }
         let Some((at, values)) = &self.held else { return Ok(None) };
         let distance = (at - frames).abs();
-        // Times are rounded to nanoseconds.
-        if distance > self.half * (1.0 + 1e-3) {
+        if distance > self.reach {
             return Ok(None);
         }
         self.farthest = self.farthest.max(distance);
@@ -249,10 +252,14 @@ impl<'a> OtherGroup<'a> {
         let rows = info.rows();
         let first_row = rows.start as f64;
         if (own_hz - rate_hz).abs() <= SAME_RATE * rate_hz {
-            let rows =
-                RecordedRows::new(info, recording, index, plates.clone()).map_err(of_take)?;
-            let half = 0.5 * info.rate_hz / own_hz;
-            let nearest = NearestRows { rows, held: None, half, farthest: 0.0 };
+            let period = info.rate_hz / own_hz;
+            // The sample that is nearest to the first or the last time may lie outside of what is exported.
+            let more = period.ceil() as u64 + 1;
+            let wider = rows.start.saturating_sub(more)..rows.end.saturating_add(more);
+            let within = (&wider, rows.start);
+            let rows = RecordedRows::within(recording, index, plates.clone(), within);
+            let rows = rows.map_err(of_take)?;
+            let nearest = NearestRows { rows, held: None, reach: REACH * period, farthest: 0.0 };
             let source = OtherSource::Nearest(Box::new(nearest));
             return Ok(Self { name, plates, first_row, source });
         }

@@ -2,7 +2,7 @@
 //! group's values or the loads of the force plates whose channels it has, and the poses of its frames, one frame after
 //! another.
 
-use std::io;
+use std::{io, ops::Range};
 
 use super::text::{unique_names, without_tabs};
 use crate::{
@@ -100,9 +100,22 @@ impl<'a> RecordedRows<'a> {
         plates: Vec<ForcePlate>,
     ) -> Result<Self, TakeError> {
         let rows = info.rows();
-        let samples = recording.samples(group, &rows)?;
+        Self::within(recording, group, plates, (&rows, rows.start))
+    }
+
+    /// The samples of other rows, with times and places from the first row of the export.
+    ///
+    /// # Errors
+    /// Those of [`Recording::samples`].
+    pub(super) fn within(
+        recording: &'a Recording,
+        group: usize,
+        plates: Vec<ForcePlate>,
+        (rows, first_row): (&Range<u64>, u64),
+    ) -> Result<Self, TakeError> {
+        let samples = recording.samples(group, rows)?;
         let (block, values) = (SampleBlock::default(), Vec::new());
-        Ok(Self { recording, samples, plates, block, next: 0, first_row: rows.start, values })
+        Ok(Self { recording, samples, plates, block, next: 0, first_row, values })
     }
 
     pub(super) fn plates(&self) -> &[ForcePlate] {

@@ -1,13 +1,13 @@
 //! Sampled channels and force plates of recordings: where samples are on the time line of the frames, and what C3D has.
 
-use std::io::Cursor;
+use std::io::{self, Cursor};
 
 use mocapd_codec::{Settings, Tolerance, sampled::SampledEncoder};
 use mocapd_take::{
     TakeFrames, TakeWriter,
     foreign::force_plates::Baseline,
     interchange::{Format, SampledKind, SampledTable, mot::write as write_mot, write_c3d},
-    motion::{FrameSource, MotionInfo},
+    motion::{FrameSource, MotionInfo, Position},
     record::{Channel, Device, Header, Ledger, SampledChannel, SampledGroup, StatedPlate},
     sampled::{SampleAnchor, SampleContent, SampleSpan, SampleTimeLine},
     statistics::StretchTally,
@@ -219,6 +219,36 @@ fn plates_of_several_groups_are_in_one_mot_at_the_times_of_the_fastest() {
         let force = 100.0 + i as f64;
         assert!((cells[2] - force).abs() < 1e-3, "{i}: {cells:?}");
         assert!((cells[11] - force).abs() < 0.05, "{i}: {cells:?}");
+    }
+}
+
+/// A part of the frames of a take.
+struct Part {
+    frames: TakeFrames<Cursor<Vec<u8>>>,
+    info: MotionInfo,
+}
+
+impl FrameSource for Part {
+    fn info(&self) -> &MotionInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self, row: &mut [Position]) -> io::Result<bool> {
+        self.frames.next_frame(row)
+    }
+}
+
+#[test]
+fn a_mot_of_a_part_has_the_nearest_samples_outside_of_it() {
+    // The fastest group is 0.7 ms later, so the samples that are nearest to its last one come after the part.
+    let frames = open(two_amplifiers(1000, 70, false));
+    let mut info = frames.info().clone();
+    info.cut(10, 20);
+    let (_, rows, remarks) = mot(&mut Part { frames, info });
+    assert_eq!(rows.len(), 100);
+    assert!(remarks.iter().all(|said| !said.contains("Force plate")), "{remarks:?}");
+    for (i, (_, cells)) in rows.iter().enumerate() {
+        assert!((cells[2] - (201.0 + i as f64)).abs() < 1e-3, "{i}: {cells:?}");
     }
 }
 
