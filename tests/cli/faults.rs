@@ -113,6 +113,21 @@ fn logs_account_for_the_take(folder: &Folder, played: &Played, counter_lies: boo
             assert_eq!(&account["recorded"], recorded, "{name}: {account:#}");
         }
     }
+    // A part of it has times of its own where it begins and ends, within batches.
+    folder.run(&["cut", "a.take", "-o", "part.take", "--from", "0.3123s", "--to", "0.8456s"]);
+    let ran = folder.run(&["verify", "part.take", "--against", "batches.csv", "--json"]);
+    assert_eq!(ran.json()["sent"]["complete"], true, "{:#}", ran.json()["sent"]);
+    // The log of another recording, whose times are others.
+    let rows = played.logs[0].lines().map(|row| {
+        let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+        if let Ok(ticks) = cells[2].parse::<u64>() {
+            cells[2] = (ticks * 1000 + 7).to_string();
+        }
+        cells.join(",") + "\n"
+    });
+    folder.write("other.csv", rows.collect::<String>().as_bytes());
+    let ran = folder.run(&["verify", "a.take", "--against", "other.csv"]).with_code(2);
+    assert_mentions(&ran.stderr, &["no time in common"]);
 }
 
 /// `record` and the commands that read the take explain an exit code of 3; a ledger that closes causes no such

@@ -141,6 +141,12 @@ fn a_recording_equals_the_floats_on_the_wire_bit_for_bit() {
                 assert_eq!(present(row.iter().copied()), present(frame.into_iter()), "row {index}");
             }
             folder.run(&["verify", "a.take"]).with_code(0);
+            let log = served.log.clone();
+            served.stop();
+            folder.write("sent.csv", log.text().as_bytes());
+            let against = folder.run(&["verify", "a.take", "--against", "sent.csv", "--json"]);
+            let account = &against.with_code(0).json()["sent"]["accounts"][0];
+            assert_eq!(account["recorded"], rows.len() as u64, "{account:#}");
         }
     }
 }

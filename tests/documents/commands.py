@@ -53,6 +53,7 @@ NOT_RUN = [
     (r"docs/accuracy.md", r"for mm in", "FILE is the reader's own"),
     (r"docs/accuracy.md", r"mocapd (import|verify) \$", "inside of a loop that is not run"),
     (r"docs/ndi.md", r"mocapd record --device 'serial:/dev/", "needs an NDI system"),
+    (r"docs/faults.md", r"mocapd verify noisy.take", "needs a recording of a simulator that logged; tests/cli/faults.rs does it"),
     (r"docs/ndi.md", r"mocapd-sim serve run.take", "continues with a take of an NDI system"),
     (r"docs/ndi.md", r"mocapd record --device 'serial:/tmp/ndi\?driver", "continues with a take of an NDI system"),
     (r"docs/lsl.md", r"mocapd record --device", "needs streams of LSL"),

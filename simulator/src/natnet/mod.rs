@@ -449,7 +449,7 @@ impl NatNetDevice {
         let sent = SentFrame {
             run: 1,
             seq: number,
-            device_ticks: ticks,
+            device_ticks: ticks * TICK_NS,
             present: self.row.iter().filter(|position| !is_gap(**position)).count() as u32,
             dropped: false,
             unasked: !self.server.has_listeners(),
@@ -468,9 +468,11 @@ impl NatNetDevice {
 
     fn send_frame(&mut self, sent: SentFrame, way: DatagramFaults, at_ns: u64) {
         let flags = if std::mem::take(&mut self.model_changed) { MODELS_CHANGED } else { 0 };
+        // Logs have nanoseconds, as takes do.
+        let ticks = sent.device_ticks / TICK_NS;
         let end = FrameEnd {
-            timestamp_s: sent.device_ticks as f64 / CLOCK_HZ as f64,
-            ticks: [sent.device_ticks; 3],
+            timestamp_s: ticks as f64 / CLOCK_HZ as f64,
+            ticks: [ticks; 3],
             flags,
             ..FrameEnd::default()
         };

@@ -168,6 +168,13 @@ impl SentReport {
             )));
         }
         let found = compare_log(frames.map(), open_file(take)?, log).with_context(reading)?;
+        if found.is_of_another() {
+            bail!(UsageError(format!(
+                "{} and the log have no time in common: give the log of this recording (of an NDI system without BX2, \
+                 which sends no times, there is none)",
+                take.display()
+            )));
+        }
         let of = if log.is_of_frames() { "frames" } else { "batches" };
         Ok(Self { log: of, complete: found.is_complete(), found })
     }

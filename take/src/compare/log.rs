@@ -214,6 +214,9 @@ pub struct SentAccount {
     pub unaccounted: u64,
     /// Times in the take that the log does not have.
     pub times_unknown: u64,
+    /// Times that both have.
+    #[serde(skip)]
+    times_known: u64,
 }
 
 impl SentAccount {
@@ -234,6 +237,13 @@ pub struct SentComparison {
 }
 
 impl SentComparison {
+    /// Whether the take has times, but none that the log has: of another recording, or of a system without a clock.
+    #[must_use]
+    pub fn is_of_another(&self) -> bool {
+        self.accounts.iter().any(|account| account.times_unknown > 0)
+            && self.accounts.iter().all(|account| account.times_known == 0)
+    }
+
     /// Whether everything is accounted for.
     #[must_use]
     pub fn is_complete(&self) -> bool {
@@ -273,6 +283,17 @@ pub fn compare_log(
     };
     found.groups_missing.extend(log.series.keys().filter(|number| !is_in_take(**number)));
     Ok(found)
+}
+
+/// Whether a number is that of a sample after the first one of a batch. The log has no times of these; a take that was cut
+/// there has one, between those of the samples around it.
+fn is_inside_a_batch(sent: &[SentRow], places: &[(u64, Place)], number: u64) -> bool {
+    let after = places.partition_point(|(from, _)| *from <= number);
+    let Some((_, (epoch, shift))) = places.get(after.saturating_sub(1)) else { return false };
+    let Some(of_log) = number.checked_add_signed(*shift) else { return false };
+    let at = sent.partition_point(|row| (row.epoch, row.first) < (*epoch, of_log));
+    let row = at.checked_sub(1).and_then(|index| sent.get(index));
+    row.is_some_and(|row| row.epoch == *epoch && of_log < row.first.saturating_add(row.n))
 }
 
 /// A time that the take states.
@@ -367,6 +388,7 @@ impl StoredSeries {
         // From which number on which place holds.
         let mut places: Vec<(u64, Place)> = Vec::new();
         let (mut from, mut last_run) = (0, None);
+        let mut unmatched = Vec::new();
         for time in &self.times {
             let at = by_ticks.partition_point(|row| *row < (time.device_ticks, from));
             let of_ticks = by_ticks.get(at..).unwrap_or_default().iter();
@@ -378,9 +400,10 @@ impl StoredSeries {
                 Some((index, row))
             });
             let Some((index, row)) = row else {
-                found.times_unknown += 1;
+                unmatched.push(time.number);
                 continue;
             };
+            found.times_known += 1;
             from = index;
             let shift = row.first.cast_signed().saturating_sub(time.number.cast_signed());
             let is_first_of_run = last_run != Some(time.run_start);
@@ -397,6 +420,8 @@ impl StoredSeries {
             }
             places.push((start, (row.epoch, shift)));
         }
+        let is_unknown = |number: &&u64| !is_inside_a_batch(sent, &places, **number);
+        found.times_unknown = unmatched.iter().filter(is_unknown).count() as u64;
         self.by_place(&places)
     }
 

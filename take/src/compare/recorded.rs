@@ -1,7 +1,10 @@
 //! Compares the sampled channels and poses of two recordings: for `diff` everything, for `verify` the samples, and the
 //! poses within their bounds.
 
-use std::io::{Read, Seek};
+use std::{
+    collections::BTreeMap,
+    io::{Read, Seek},
+};
 
 use mocapd_codec::poses::{POSE_CHANNELS, PoseErrors, PoseRow, RESIDUAL_ERROR_MM};
 use serde::Serialize;
@@ -366,10 +369,14 @@ fn in_step<A: Read + Seek, B: Read + Seek>(
 
 /// By how much the samples of a group have higher numbers in `other`, by a time that both state; 0 if there is none.
 fn offset(group: &GroupSamples, other: &GroupSamples) -> u64 {
+    // Devices whose clock goes on between two runs share no time: not every pair is compared.
+    let mut of_other = BTreeMap::new();
+    for anchor in other.anchors() {
+        of_other.entry(anchor.device_ticks).or_insert(anchor.number);
+    }
     let shared = group.anchors().iter().find_map(|anchor| {
-        let same =
-            other.anchors().iter().find(|found| found.device_ticks == anchor.device_ticks)?;
-        Some(same.number.saturating_sub(anchor.number))
+        let number = of_other.get(&anchor.device_ticks)?;
+        Some(number.saturating_sub(anchor.number))
     });
     shared.unwrap_or(0)
 }
