@@ -159,8 +159,8 @@ pub(super) struct PosesReport {
 }
 
 /// Most poses that are counted without being asked for: statistics do not tell how many bodies were tracked, so all must be
-/// decoded, at some ten million a minute of processor time.
-const POSES_COUNTED: u64 = 1 << 16;
+/// decoded, at some ten million a minute of processor time: these take 50 ms.
+const POSES_COUNTED: u64 = 1 << 13;
 
 /// A rigid body. Names may be empty, and may repeat.
 #[derive(Debug, Serialize)]
@@ -247,7 +247,7 @@ impl PosesReport {
             })?;
             for (body, count) in of_group.iter_mut().zip(counts) {
                 body.frames_tracked = Some(count);
-                body.tracked_share = share(count, group.n_samples());
+                body.tracked_share = share(count, self.frames);
             }
         }
         Ok(())
