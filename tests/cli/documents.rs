@@ -25,7 +25,7 @@ use super::{
     devices::{Recorder, Simulated},
     imports::analog_file,
 };
-use crate::support::{assert_mentions, jump};
+use crate::support::{assert_mentions, dense, jump};
 
 const DOCUMENT: &str = include_str!("../../docs/json.md");
 
@@ -578,12 +578,14 @@ fn motion_files_exports_plots_and_several_files() {
     folder.run(&["import", "marked.c3d", "-o", "marked.take"]).with_code(0);
     folder.write("plate.c3d", super::forces::plate([0, 0]));
     folder.run(&["import", "plate.c3d", "-o", "plate.take"]).with_code(0);
+    folder.write("bodies.take", super::shared_pages::with_bodies(dense(0.5)));
     let exports = [
         json(&["export", take, "-o", "jump.tsv"]),
         json(&["export", "marked.take", "-o", "turned.c3d", "--up", "y"]),
         json(&["export", "damaged.take", "-o", "damaged.csv"]),
         json(&["export", "plate.take", "-o", "plate.csv"]),
         json(&["export", take, "-o", "jump.html"]),
+        json(&["export", "bodies.take", "-o", "bodies.html"]),
     ];
     check("`mocapd export`", &exports);
     let plots = [

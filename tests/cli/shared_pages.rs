@@ -244,7 +244,7 @@ const BODIES: usize = 5;
 const OCCLUSION: Occlusion = Occlusion { fraction: 0.1, mean_gap_s: 0.2 };
 
 /// A recorded jump of 20 s at 120 Hz with rigid bodies that are not tracked at times.
-fn with_bodies(codec: Settings) -> Vec<u8> {
+pub(super) fn with_bodies(codec: Settings) -> Vec<u8> {
     let motion = jump(9, 120.0, 20.0);
     let spec =
         JumpSpec { seconds: Some(20.0), occlusion: Some(OCCLUSION), ..JumpSpec::new(9, 120.0) };

@@ -193,12 +193,13 @@ fn read_frames(connection: &mut TcpStream, stop: &AtomicBool) -> anyhow::Result<
 
 /// A service of its own that records a QTM and publishes what it receives, killed when dropped.
 struct RecordingService {
+    /// First, so that it has ended when its folders are removed.
+    _process: KilledProcess,
     own: PathBuf,
     /// With its socket, its configuration and its log; short, as the path of a socket has to be.
     folder: tempfile::TempDir,
     address: SocketAddr,
     _takes: tempfile::TempDir,
-    _process: KilledProcess,
 }
 
 impl RecordingService {
@@ -215,7 +216,9 @@ impl RecordingService {
             quoted(&directory.display().to_string()),
             quoted(&folder.path().join("socket").display().to_string()),
         );
-        let mut file = tempfile::Builder::new().suffix(".toml").tempfile_in(folder.path())?;
+        // The name of the file becomes that of the rig: a letter comes first.
+        let mut file =
+            tempfile::Builder::new().prefix("bench-").suffix(".toml").tempfile_in(folder.path())?;
         file.write_all(config.as_bytes())?;
         let log = tempfile::NamedTempFile::new_in(folder.path())?;
         let process = Command::new(own)
