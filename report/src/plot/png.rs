@@ -298,7 +298,7 @@ impl<'a> MixedText<'a> {
         {
             return None;
         }
-        let content = node.first_child().filter(|child| child.is_text())?;
+        let content = node.first_child().filter(roxmltree::Node::is_text)?;
         if content.next_sibling().is_some() {
             return None;
         }
