@@ -65,10 +65,10 @@ impl NewFile {
             return Ok(Self::new(file, None, path));
         }
         let hidden = path.with_file_name(hidden_name(name));
-        let created = OpenOptions::new().write(true).create_new(true).open(&hidden);
-        let file = created.map_err(|error| cannot_create(path, &error))?;
-        // Only now: a file of that name that exists is another program's.
-        Ok(Self::new(file, Some(HiddenPath::file(hidden)), path))
+        let create = |hidden: &Path| OpenOptions::new().write(true).create_new(true).open(hidden);
+        let created = HiddenPath::create(hidden, Kind::File, create);
+        let (file, hidden) = created.map_err(|error| cannot_create(path, &error))?;
+        Ok(Self::new(file, Some(hidden), path))
     }
 
     fn new(file: File, hidden: Option<HiddenPath>, path: &Path) -> Self {
@@ -305,17 +305,27 @@ fn hidden() -> MutexGuard<'static, BTreeMap<PathBuf, Kind>> {
 pub(super) struct HiddenPath(PathBuf, Kind);
 
 impl HiddenPath {
-    pub(super) fn file(path: PathBuf) -> Self {
-        Self::new(path, Kind::File)
+    /// Creates a staging folder.
+    pub(super) fn staging(
+        path: PathBuf,
+        dataset: PathBuf,
+        discard: fn(&Path, &Path),
+    ) -> io::Result<Self> {
+        let kind = Kind::Staging { dataset, discard };
+        Ok(Self::create(path, kind, |path| fs::create_dir(path))?.1)
     }
 
-    pub(super) fn staging(path: PathBuf, dataset: PathBuf, discard: fn(&Path, &Path)) -> Self {
-        Self::new(path, Kind::Staging { dataset, discard })
-    }
-
-    fn new(path: PathBuf, kind: Kind) -> Self {
-        hidden().insert(path.clone(), kind.clone());
-        Self(path, kind)
+    /// Creates what is at a path. An interrupt comes before it or after it, and not between the creation and the list.
+    fn create<T>(
+        path: PathBuf,
+        kind: Kind,
+        create: impl FnOnce(&Path) -> io::Result<T>,
+    ) -> io::Result<(T, Self)> {
+        let mut paths = hidden();
+        // What exists there is another program's, and not listed.
+        let created = create(&path)?;
+        paths.insert(path.clone(), kind.clone());
+        Ok((created, Self(path, kind)))
     }
 
     pub(super) fn path(&self) -> &Path {

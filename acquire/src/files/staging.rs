@@ -96,8 +96,7 @@ impl Staging {
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         name.push(format!("{}-{number}{PART}", std::process::id()));
         let root = folder.join(name);
-        fs::create_dir(&root)?;
-        let root = HiddenPath::staging(root, dataset.to_owned(), discard);
+        let root = HiddenPath::staging(root, dataset.to_owned(), discard)?;
         let lock = root.path().join(LOCK);
         let lock = OpenOptions::new().write(true).create_new(true).open(lock)?;
         // On a file system without locks, no program removes another's folder.

@@ -168,13 +168,6 @@ impl SentReport {
             )));
         }
         let found = compare_log(frames.map(), open_file(take)?, log).with_context(reading)?;
-        if found.is_of_another() {
-            bail!(UsageError(format!(
-                "{} and the log have no time in common: give the log of this recording (of an NDI system without BX2, \
-                 which sends no times, there is none)",
-                take.display()
-            )));
-        }
         let of = if log.is_of_frames() { "frames" } else { "batches" };
         Ok(Self { log: of, complete: found.is_complete(), found })
     }
@@ -194,6 +187,10 @@ impl SentReport {
         let mut out = String::new();
         for account in &self.found.accounts {
             out += &account_text(account);
+        }
+        if self.found.is_of_another() {
+            out += "  NO TIME IN COMMON: give the log of this recording; an NDI system without BX2 sends no times, so its \
+                    log cannot be compared\n";
         }
         for group in &self.found.groups_missing {
             out += &format!("  in only one of take and log: group {group} of sampled channels\n");
