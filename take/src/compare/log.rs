@@ -507,6 +507,7 @@ mod tests {
             sent: 28,
             recorded: 28,
             outside: 12,
+            times_known: 2,
             ..SentAccount::default()
         };
         assert_eq!(account, whole);
