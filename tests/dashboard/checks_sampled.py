@@ -330,8 +330,8 @@ def beside_a_recording(browser, log, mocapd, mocapd_sim):
         ledger, samples = take["ledger"], take["sample_ledger"]
         assert ledger["recorded"] == ledger["frames_sent"] > 240, ledger
         # Groups of poses have one sample a frame.
-    least = {group["group"]: 400 if group["group"] >= 16 else 2000 for group in samples["groups"]}
-    assert all(group["stored"] == group["taken"] > least[group["group"]] for group in samples["groups"]), samples
+        least = {group["group"]: 400 if group["group"] >= 16 else 2000 for group in samples["groups"]}
+        assert all(group["stored"] == group["taken"] > least[group["group"]] for group in samples["groups"]), samples
         log(f"{ledger['recorded']} frames recorded and none lost, beside {len(sizes)} downloads of {sorted(set(sizes))}")
         assert browser.errors() == []
         bodies_on_a_page(browser, log, rig)
