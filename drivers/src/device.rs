@@ -255,6 +255,18 @@ impl LinkBudget {
     }
 }
 
+/// The reply to `SetRate` of a system whose rate is a setting of its own, which its driver reads but never changes.
+pub(crate) fn rate_reply(asked_millihertz: u32, own_millihertz: u32) -> DeviceEvent<'static> {
+    if asked_millihertz == own_millihertz {
+        return DeviceEvent::RateSet(asked_millihertz);
+    }
+    DeviceEvent::Refused(LinkBudget {
+        needed_bytes_per_s: 0,
+        available_bytes_per_s: u64::MAX,
+        rate_fits_millihertz: own_millihertz,
+    })
+}
+
 /// A decoded message from a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DeviceEvent<'a> {

@@ -41,8 +41,8 @@ use self::{
 use crate::{
     axis::FrameAxis,
     device::{
-        Claim, Command, DeviceEvent, Family, Hello, LinkBudget, LinkCounters, MarkerSample, Pong,
-        Protocol,
+        Claim, Command, DeviceEvent, Family, Hello, LinkCounters, MarkerSample, Pong, Protocol,
+        rate_reply,
     },
     marker_ids::{LabelTable, UnlabelledIds},
     transport::{
@@ -394,7 +394,7 @@ impl NatNetHost {
             on_event(DeviceEvent::EndOfStream(self.run.status()));
         }
         if let Some(rate_millihertz) = self.todo.set_rate.take() {
-            on_event(self.rate_reply(rate_millihertz));
+            on_event(rate_reply(rate_millihertz, self.hello.rate_millihertz));
         }
         if let Some(host_ns) = self.todo.ping_ns.take() {
             // Not the server's clock, which only a stream measures: it says that the server is there.
@@ -412,18 +412,6 @@ impl NatNetHost {
             }
             self.send_fence();
         }
-    }
-
-    /// The reply to `SetRate`: the rate is a setting of the server, which this driver reads but never changes.
-    fn rate_reply(&self, rate_millihertz: u32) -> DeviceEvent<'static> {
-        if rate_millihertz == self.hello.rate_millihertz {
-            return DeviceEvent::RateSet(rate_millihertz);
-        }
-        DeviceEvent::Refused(LinkBudget {
-            needed_bytes_per_s: 0,
-            available_bytes_per_s: u64::MAX,
-            rate_fits_millihertz: self.hello.rate_millihertz,
-        })
     }
 
     /// Forgets what is remarked, but not what the system says of the line.

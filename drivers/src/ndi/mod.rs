@@ -17,8 +17,8 @@ use self::{
 };
 use crate::{
     device::{
-        BodyInfo, Claim, Command, DeviceEvent, Family, Hello, LinkBudget, LinkCounters, MarkerInfo,
-        MarkerSample, Pong, Protocol,
+        BodyInfo, Claim, Command, DeviceEvent, Family, Hello, LinkCounters, MarkerInfo,
+        MarkerSample, Pong, Protocol, rate_reply,
     },
     transport::{
         Transport,
@@ -236,7 +236,7 @@ impl NdiHost {
                 on_event(DeviceEvent::EndOfStream(self.run.status()));
             }
             if let Some(rate_millihertz) = self.todo.set_rate.take() {
-                on_event(self.rate_reply(rate_millihertz));
+                on_event(rate_reply(rate_millihertz, self.hello.rate_millihertz));
             }
             if std::mem::take(&mut self.todo.start) {
                 self.start();
@@ -249,18 +249,6 @@ impl NdiHost {
             self.todo.ping = None;
             on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks: self.run.ticks }));
         }
-    }
-
-    /// The reply to `SetRate`: the rate is a setting of the device, which this driver reads but never changes.
-    fn rate_reply(&self, rate_millihertz: u32) -> DeviceEvent<'static> {
-        if rate_millihertz == self.hello.rate_millihertz {
-            return DeviceEvent::RateSet(rate_millihertz);
-        }
-        DeviceEvent::Refused(LinkBudget {
-            needed_bytes_per_s: 0,
-            available_bytes_per_s: u64::MAX,
-            rate_fits_millihertz: self.hello.rate_millihertz,
-        })
     }
 }
 

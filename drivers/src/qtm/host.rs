@@ -10,7 +10,7 @@ use super::{
     stream_run::{Renewal, StreamRun},
 };
 use crate::{
-    device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerSample, Pong, Protocol},
+    device::{Command, DeviceEvent, Hello, LinkCounters, MarkerSample, Pong, Protocol, rate_reply},
     transport::{
         Transport,
         polled::{LineCommand, LineCommandSender, PolledTransport, Request, line_command_channel},
@@ -395,7 +395,7 @@ impl QtmHost {
             on_event(DeviceEvent::EndOfStream(self.run.status()));
         }
         if let Some(rate_millihertz) = self.todo.set_rate.take() {
-            on_event(self.rate_reply(rate_millihertz));
+            on_event(rate_reply(rate_millihertz, self.hello.rate_millihertz));
         }
         if let Some(host_ns) = self.todo.ping_ns.take() {
             // QTM has no request for its time: the pong only says that it is there.
@@ -404,18 +404,6 @@ impl QtmHost {
         if std::mem::take(&mut self.todo.start) {
             self.start_stream();
         }
-    }
-
-    /// The reply to `SetRate`: the rate is a setting of QTM, which this driver reads but never changes.
-    fn rate_reply(&self, rate_millihertz: u32) -> DeviceEvent<'static> {
-        if rate_millihertz == self.hello.rate_millihertz {
-            return DeviceEvent::RateSet(rate_millihertz);
-        }
-        DeviceEvent::Refused(LinkBudget {
-            needed_bytes_per_s: 0,
-            available_bytes_per_s: u64::MAX,
-            rate_fits_millihertz: self.hello.rate_millihertz,
-        })
     }
 }
 

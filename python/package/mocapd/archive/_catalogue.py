@@ -140,7 +140,7 @@ class Catalogue:
             if existing is not None and existing.transaction_version(run) == number:
                 return
             if existing is None:
-                # By itself: a first commit with rows would follow that of another process, and not fail.
+                # Without rows: if another process has just created the table, this commit fails, and one with rows would not.
                 existing = DeltaTable.create(self.url, SCHEMA, name=NAME, configuration=KEPT, storage_options=self._options)
             elif known is not None and known.version != existing.version():
                 added = known.renewed(existing, added)
