@@ -21,6 +21,8 @@ RATE_HZ, N_FRAMES, N_MARKERS = 240, 1200, 24
 MOTION = ["--generate", "jump:7", "--rate", str(RATE_HZ), "--markers", str(N_MARKERS), "--seconds", f"{N_FRAMES // RATE_HZ}s"]
 # How far a float in metres may be from the one in millimetres: half a step of float32 at 4 m, and the rounding back to millimetres.
 UNITS_MM = 0.0003
+# What a stream may send before the recorder has connected: 5 frames of NatNet on an idle machine.
+SKIPPED_MAX = 2 * RATE_HZ
 # Another simulator or recording on this machine has streams of the same name.
 LSL_CONFIGURATION = f"""[multicast]
 ResolveScope=machine
@@ -62,7 +64,10 @@ def record(options, family, folder):
         raise Incomplete(f"frames are lost: {report['ledger']}")
     if family == "serial" and report["frames"] != N_FRAMES:
         raise Incomplete(f"{report['frames']} frames")
-    return take, N_FRAMES - report["frames"]
+    skipped = N_FRAMES - report["frames"]
+    if not 0 <= skipped <= SKIPPED_MAX:
+        raise Incomplete(f"{report['frames']} frames of {N_FRAMES}")
+    return take, skipped
 
 
 def diff(options, a, b):
