@@ -1,6 +1,6 @@
 """Trains the confidence of a face (`subject/face/data/face-confidence.bin`), a logistic regression on its quality measures.
 
-    MOCAPD_FACES=... cargo run --release -p mocapd-face --example faces_points confidence > ROWS
+    MOCAPD_FACES=... cargo run --release -p mocapd-face --features measure --example faces_points confidence > ROWS
     python3 benches/subject/face_confidence.py ROWS subject/face/data/face-confidence.bin
 
 Needs numpy. ROWS are development photographs and drawn faces, each fitted from start positions at several offsets and from

@@ -2,7 +2,7 @@
 
     python3 benches/subject/heads/make.py DATA targets.npz HEADS 0 5000             # random heads
     python3 benches/subject/heads/make.py DATA targets.npz HEADS 10000 10500 80     # turned ones
-    cargo build --release --locked -p mocapd-face --example face_glance
+    cargo build --release --locked -p mocapd-face --features measure --example face_glance
     python3 benches/subject/face_glance.py HEADS subject/face/data/face-glance.bin
     python3 benches/subject/face_glance.py HEADS held                                # errors on held-out heads
 

@@ -3,7 +3,7 @@
     python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 2000 5000        # random heads, harder ones
     python3 benches/subject/find_animals.py STAMPS WORK                                # pictures of animals and things
     python3 benches/subject/find_photographs.py RESOURCES WORK                         # whole photographs without faces
-    cargo build --release --locked -p mocapd-face --example faces_found
+    cargo build --release --locked -p mocapd-face --features measure --example faces_found
     python3 benches/subject/find_again.py WORK > subject/face/data/face-second-trees.bin   # then build again
     python3 benches/subject/find_again.py WORK held [MORE...]                          # detections on held-out pictures
 

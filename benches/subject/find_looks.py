@@ -1,7 +1,7 @@
 """Trains the first-stage face classifier of `face/find`, which rejects false matches of the template:
 `subject/face/data/face-first-trees.bin`.
 
-    DATA=subject/face/data BUILD="cargo build --release --locked -p mocapd-face --example faces_found"
+    DATA=subject/face/data BUILD="cargo build --release --locked -p mocapd-face --features measure --example faces_found"
     $BUILD && python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK              # pictures with known faces
     python3 benches/subject/heads/make.py MAKEHUMAN targets.npz WORK/heads 0 2000           # random heads
     python3 benches/subject/find_align.py WORK first > $DATA/face-align-first.bin && $BUILD

@@ -3,7 +3,7 @@
     python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK
 
 Needs numpy, scipy, pillow, scikit-image and scikit-learn (whose own sample pictures are used), and
-`cargo build --release -p mocapd-face --example faces_found`. WORK is the folder for the pictures; WORK/truth.json has the
+`cargo build --release -p mocapd-face --features measure --example faces_found`. WORK is the folder for the pictures; WORK/truth.json has the
 positions of their faces. `find_template.py`, `find_align.py`, `find_looks.py` and `find_again.py` train on these.
 
 Pictures: the development photographs and seven variants of each, rotated, mirrored, reduced (enlarged where the faces are

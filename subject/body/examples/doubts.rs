@@ -1,6 +1,6 @@
 //! Counts notes and refusals of whole generated bodies in every pose: none of them is justified.
 //!
-//!     cargo run --release -p mocapd-body --example doubts [-- FIRST_SEED LAST_SEED]
+//!     cargo run --release -p mocapd-body --features measure --example doubts [-- FIRST_SEED LAST_SEED]
 //!
 //! A line is printed for each body that is refused or gets a note, and a line of counts for each pose.
 #![expect(clippy::print_stdout, reason = "what an example is for")]

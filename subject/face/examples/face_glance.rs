@@ -1,7 +1,7 @@
 //! Features of heads with known landmarks, the training data of `benches/subject/face_glance.py`.
 //!
-//!     cargo run --release -p mocapd-face --example face_glance -- cells HEADS > ROWS
-//!     cargo run --release -p mocapd-face --example face_glance -- patches HEADS POINTS > ROWS
+//!     cargo run --release -p mocapd-face --features measure --example face_glance -- cells HEADS > ROWS
+//!     cargo run --release -p mocapd-face --features measure --example face_glance -- patches HEADS POINTS > ROWS
 //!
 //! HEADS is a folder written by `benches/subject/heads/make.py`. Each head is started from its eyes and mouth,
 //! disturbed four times with a fixed seed. A row is, little-endian: x and y of 60 landmarks in the crop (pixels, 32-bit

@@ -1,6 +1,6 @@
 //! Draws two synthetic faces with their fitted wireframes, one with a high and one with a low confidence:
 //!
-//!     cargo run --release -p mocapd-face --example face_pictures docs/faces
+//!     cargo run --release -p mocapd-face --features measure --example face_pictures docs/faces
 
 use std::error::Error;
 use std::path::Path;

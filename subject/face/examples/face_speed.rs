@@ -1,4 +1,4 @@
-//! Computation time of the steps of a fit: `cargo run --release -p mocapd-face --example face_speed`.
+//! Computation time of the steps of a fit: `cargo run --release -p mocapd-face --features measure --example face_speed`.
 //!
 //! CPU time, the minimum of many rounds: other work on the machine only ever adds time.
 

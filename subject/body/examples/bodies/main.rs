@@ -1,6 +1,6 @@
 //! Meshes with known joints: what is found on them, and the statistics that constants are learned from.
 //!
-//! `MOCAPD_BODIES=FOLDER cargo run --release -p mocapd-body --example bodies` prints a row for each mesh below the
+//! `MOCAPD_BODIES=FOLDER cargo run --release -p mocapd-body --features measure --example bodies` prints a row for each mesh below the
 //! folder: the extremities, the time, and its ratio to one run of Dijkstra's algorithm along edges. The argument
 //! `ratios` adds means and standard deviations of the ratios between extremities of the two average shapes, which are
 //! the constants of `extremity/naming.rs`. The argument `paper` adds the results of the method of (Yu et al. 2008) as

@@ -1,6 +1,6 @@
 //! Measures the default method on meshes with known joints, and prints the tables of `docs/subject-body.md`.
 //!
-//!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --example bodies_table [-- START_OF_NAME...]
+//!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --features measure --example bodies_table [-- START_OF_NAME...]
 //!
 //! Without names, all meshes are measured; those that the constants were learned from get tables of their own.
 #![expect(clippy::print_stdout, reason = "what an example is for")]

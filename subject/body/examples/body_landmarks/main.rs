@@ -1,7 +1,7 @@
 //! Prints the landmarks of meshes with known joints, one JSON object per line, for `benches/subject/learn.py`: for each
 //! mesh in its original build and in others.
 //!
-//!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --example body_landmarks -- mh_mavg mh_favg
+//!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --features measure --example body_landmarks -- mh_mavg mh_favg
 #![expect(clippy::print_stdout, reason = "what an example is for")]
 
 use std::error::Error;

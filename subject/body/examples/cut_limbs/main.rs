@@ -1,7 +1,7 @@
 //! Cuts limbs off bodies, and reports joints with a large error but a small standard deviation: the criterion of
 //! `docs/subject-body.md`.
 //!
-//!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --example cut_limbs [-- CUTS_A_BODY [FIRST_SEED [PART_OF_A_NAME]]]
+//!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --features measure --example cut_limbs [-- CUTS_A_BODY [FIRST_SEED [PART_OF_A_NAME]]]
 //!
 //! Twenty cuts of each of ten bodies: generated ones, or, if `MOCAPD_BODIES` names a folder, every other one from
 //! there. Bodies and cuts are derived from seeds, starting with the first seed (default 0). With a part of a name, all

@@ -113,8 +113,8 @@ const BETWEEN_PEOPLE: f64 = 0.06;
 const BETWEEN_SIDES: f64 = 0.04;
 
 /// Priors of the [`measures`]: means over the two average shapes of `MakeHuman` in 13 poses, by `cargo run -p
-/// mocapd-body --example bodies ratios`. The standard deviations found there are at most 0.034 between people and 0.017
-/// between sides, so the floors apply.
+/// mocapd-body --features measure --example bodies ratios`. The standard deviations found there are at most 0.034 between
+/// people and 0.017 between sides, so the floors apply.
 const PRIORS: [Prior; MEASURE_COUNT] = [
     prior(-0.443, BETWEEN_PEOPLE),
     prior(0.075, BETWEEN_PEOPLE),

@@ -1,6 +1,6 @@
 //! Accuracy of the 53 points, as Markdown, on the photographs in the folder that `MOCAPD_FACES` names:
 //!
-//!     MOCAPD_FACES=../shared/faces cargo run --release -p mocapd-face --example faces_points
+//!     MOCAPD_FACES=../shared/faces cargo run --release -p mocapd-face --features measure --example faces_points
 //!
 //! Two tables for each half: started from the true eyes and mouth disturbed by seeded noise, and from detected faces.
 //! In addition to the photographs there are the development ones reduced in size, and two kinds of drawn faces. The
