@@ -1,10 +1,5 @@
 //! SUBJECT in a take: its position, the readers and copies that keep it, and takes that lack it.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a test stops there")]
-
-#[path = "sweeps/take.rs"]
-mod take;
-
 use std::{io::Cursor, ops::Range};
 
 use mocapd_take::{
@@ -49,13 +44,13 @@ fn samples(take: &[u8]) -> (Vec<u32>, Vec<Problem>, Option<Subject>) {
 
 #[test]
 fn every_reader_finds_the_subject() {
-    let whole = take::take("dense");
+    let whole = crate::take::take("dense");
     let (_, problems, found) = samples(&whole);
-    assert_eq!((found, problems), (Some(take::subject()), vec![]));
+    assert_eq!((found, problems), (Some(crate::take::subject()), vec![]));
     let quick = TakeMap::open(&mut Cursor::new(&whole)).unwrap();
     let scanned = TakeMap::scan(&mut Cursor::new(&whole)).unwrap();
     assert_eq!(quick.n_sampled_rows, None, "known by the heads of its chunks");
-    assert_eq!(quick.subject, Some(take::subject()));
+    assert_eq!(quick.subject, Some(crate::take::subject()));
     assert_eq!(scanned.subject, quick.subject);
     let mut bytes = 0;
     read_events(&whole[..], |event| {
@@ -72,10 +67,10 @@ fn every_reader_finds_the_subject() {
 #[test]
 fn readers_that_do_not_know_it_skip_it() {
     const { assert!(Subject::KIND == 0x87 && Subject::KIND & MAY_SKIP != 0) };
-    let whole = take::take("dense");
+    let whole = crate::take::take("dense");
     let (wanted, ..) = samples(&whole);
     // Of a later version, or of a future type.
-    let mut payload = take::subject().to_payload().unwrap();
+    let mut payload = crate::take::subject().to_payload().unwrap();
     payload[0] = 9;
     for kind in [Subject::KIND, 0xf7] {
         let mut unknown = Vec::new();
@@ -91,7 +86,7 @@ fn readers_that_do_not_know_it_skip_it() {
 
 #[test]
 fn a_damaged_subject_costs_nothing_else() {
-    let whole = take::take("dense");
+    let whole = crate::take::take("dense");
     let (wanted, ..) = samples(&whole);
     for at in place(&whole) {
         let mut hurt = whole.clone();
@@ -116,7 +111,7 @@ fn a_damaged_subject_costs_nothing_else() {
 
 #[test]
 fn a_recovery_keeps_the_subject() {
-    let whole = take::take("dense");
+    let whole = crate::take::take("dense");
     let hurt = {
         let mut hurt = whole.clone();
         let middle = hurt.len() / 2;

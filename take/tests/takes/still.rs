@@ -1,7 +1,5 @@
 //! Takes in which nothing moves take few bytes, in stretches that an import makes longer for them.
 
-#![expect(clippy::unwrap_used, reason = "a test stops there")]
-
 use std::{io, io::Cursor, ops::Range, time::Duration};
 
 use mocapd_codec::{Effort, ResamplerKind, Settings, Tolerance};

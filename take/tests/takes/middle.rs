@@ -1,10 +1,5 @@
 //! A take read from the middle equals the take read from its start, and only the requested rows are read and decoded.
 
-#![expect(clippy::unwrap_used, reason = "a test stops there")]
-
-#[path = "sweeps/take.rs"]
-mod take;
-
 use std::{
     cell::Cell,
     io::{Cursor, Read, Seek, SeekFrom},
@@ -49,7 +44,7 @@ fn chunks(take: &[u8]) -> Vec<usize> {
 #[test]
 fn frames_from_any_row_on_are_those_from_the_start() {
     for kind in ["dense", "fast", "lossless", "lossless:predictive"] {
-        let take = take::take(kind);
+        let take = crate::take::take(kind);
         let all = frames(&take, 0);
         assert!(all.len() > 1200, "{} frames", all.len());
         for row in (0..all.len() + 3).step_by(37).chain([1, all.len() - 1, all.len()]) {
@@ -60,7 +55,7 @@ fn frames_from_any_row_on_are_those_from_the_start() {
 
 #[test]
 fn damage_before_the_row_costs_nothing_after_the_next_key() {
-    let whole = take::take("dense");
+    let whole = crate::take::take("dense");
     let all = frames(&whole, 0);
     let mut hurt = whole.clone();
     let key = scanned(&whole).keys[3];
@@ -84,7 +79,7 @@ fn damage_before_the_row_costs_nothing_after_the_next_key() {
 
 #[test]
 fn the_map_from_heads_equals_the_map_from_chunks() {
-    let take = take::take("dense");
+    let take = crate::take::take("dense");
     let quick = TakeMap::open(&mut Cursor::new(&take)).unwrap();
     let slow = scanned(&take);
     assert_eq!((quick.n_sampled_rows, slow.n_sampled_rows.is_some()), (None, true));
@@ -96,7 +91,7 @@ fn the_map_from_heads_equals_the_map_from_chunks() {
 
 #[test]
 fn truncated_and_damaged_takes_are_scanned() {
-    let take = take::take("fast");
+    let take = crate::take::take("fast");
     let chunks = chunks(&take);
     for &end in &chunks[2..] {
         for cut in [end - 3, end] {
@@ -125,7 +120,7 @@ fn truncated_and_damaged_takes_are_scanned() {
 
 #[test]
 fn damage_skipped_by_opening_is_reported_when_it_is_read() {
-    let whole = take::take("fast");
+    let whole = crate::take::take("fast");
     let last = *scanned(&whole).keys.last().unwrap();
     for key in [scanned(&whole).keys[2], last] {
         let mut hurt = whole.clone();
@@ -185,7 +180,7 @@ impl<R: Seek> Seek for Counting<R> {
 
 #[test]
 fn nothing_before_the_key_is_read() {
-    let take = take::take("lossless");
+    let take = crate::take::take("lossless");
     let read = Rc::new(Cell::new(0));
     let mut input = Counting(Cursor::new(&take), Rc::clone(&read));
     let map = TakeMap::open(&mut input).unwrap();

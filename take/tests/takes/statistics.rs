@@ -1,10 +1,5 @@
 //! The statistics in SUMMARY equal what decoding the take gives, for takes of every writer, and take few bytes.
 
-#![expect(clippy::unwrap_used, reason = "a test stops there")]
-
-#[path = "sweeps/take.rs"]
-mod take;
-
 use std::io::Cursor;
 
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
@@ -199,7 +194,7 @@ fn an_import_states_what_decoding_gives() {
 #[test]
 fn a_recording_states_what_decoding_gives() {
     for kind in ["dense", "fast", "lossless", "lossless:predictive"] {
-        let found = check(&take::take(kind), kind);
+        let found = check(&crate::take::take(kind), kind);
         let late = found.channels.last().unwrap();
         assert!(late.samples < found.channels[0].samples && late.gaps > 1, "{late:?}");
     }
@@ -207,7 +202,7 @@ fn a_recording_states_what_decoding_gives() {
 
 #[test]
 fn a_recovered_take_states_what_it_has_kept() {
-    let whole = take::take("dense");
+    let whole = crate::take::take("dense");
     let mut places = Vec::new();
     let mut at = MAGIC.len();
     while let ChunkParse::Whole { kind, len, .. } = chunk::parse(&whole[at..]) {

@@ -1,8 +1,6 @@
 //! Takes whose CRCs match may claim anything: claims beyond the limits are damage, and values within them are read
 //! back.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests")]
-
 use std::io::Cursor;
 
 use mocapd_codec::{CodecError, Settings, Tolerance};

@@ -1,8 +1,6 @@
 //! Takes whose markers are coded in another order than that of their source: whatever reads one shows the source's
 //! order, and damage never gives a marker the samples of another.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a test stops there")]
-
 use std::io::{self, Cursor};
 
 use mocapd_codec::{GROUP_CHANNELS, ResamplerKind, Settings, Tolerance};
