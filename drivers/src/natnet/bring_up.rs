@@ -7,7 +7,9 @@ use super::{
     COMMAND_PORT, DATA_PORT, GROUP, HostPhase, MS, NatNetHost, REPLY_TIMEOUT_NS, SetupStep,
     assets::MarkerNames,
     frame::FrameOfData,
-    message::{Bitstream, Message, MessageKind, ServerInfo, put_discovery, put_message},
+    message::{
+        Bitstream, Message, MessageKind, ServerInfo, put_connect, put_discovery, put_message,
+    },
     model::{AssetKind, Model, ModelError},
     sampled::{DeviceGroups, SAMPLES_PER_FRAME_MAX},
 };
@@ -57,7 +59,12 @@ impl NatNetHost {
 
     fn send_request(&mut self, step: SetupStep) {
         match step {
-            SetupStep::Connect => self.send_text(MessageKind::Connect, "Ping"),
+            SetupStep::Connect => {
+                let mut message = Vec::new();
+                put_connect(None, &mut message);
+                self.send(&message);
+                self.request_ns = self.line.now_ns();
+            }
             SetupStep::Bitstream => {
                 self.send_text(MessageKind::Request, &format!("Bitstream,{}", Bitstream::NEWEST));
             }

@@ -132,6 +132,23 @@ pub fn put_text(kind: MessageKind, text: &str, out: &mut Vec<u8>) {
 /// Bytes of a client's request to connect in front of the version that it wants: `Ping` in place of a name, versions and a flag.
 const WANTED_VERSION_AT: usize = NAME_BYTES + 4 + 4 + 1;
 
+/// Bytes of a client's request to connect from the SDK of Motive 3 on.
+const CONNECT_BYTES: usize = 270;
+
+/// Appends a client's request to connect, with the version of the bitstream that it wants, or `None` for any. Servers read no
+/// more of it than they know: `Ping`, or the sender's name and versions in front of what it wants.
+pub fn put_connect(wanted: Option<Bitstream>, out: &mut Vec<u8>) {
+    put_message(MessageKind::Connect, out, |out| {
+        let start = out.len();
+        out.extend_from_slice(b"Ping");
+        out.resize(start + WANTED_VERSION_AT, 0);
+        if let Some(version) = wanted {
+            out.extend_from_slice(&[version.major, version.minor]);
+        }
+        out.resize(start + CONNECT_BYTES, 0);
+    });
+}
+
 /// The version of the bitstream that a client wants with its request to connect: from the SDK of Motive 3 on, with zeros for
 /// any.
 #[must_use]

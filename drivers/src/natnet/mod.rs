@@ -25,7 +25,8 @@ pub use self::{
     },
     message::{
         Bitstream, HEADER_BYTES, MESSAGE_BYTES_MAX, Message, MessageKind, ServerInfo, StreamInfo,
-        put_discovery, put_echo, put_message, put_text, read_echo_reply, read_wanted_version,
+        put_connect, put_discovery, put_echo, put_message, put_text, read_echo_reply,
+        read_wanted_version,
     },
     model::{Asset, AssetKind, MarkerSet, Model, ModelError, SampledDescription},
     server::{
@@ -232,7 +233,7 @@ impl NatNetHost {
     }
 
     fn send(&mut self, message: &[u8]) {
-        // All of them have less than 40 bytes.
+        // None has more bytes than `put_connect` writes.
         if let Some(request) = Request::new(message) {
             self.line.send(LineCommand::Write { request, not_before_ns: 0 });
         }

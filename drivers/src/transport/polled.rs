@@ -26,8 +26,8 @@ use super::{DatagramSource, READ_TIMEOUT, Transport, TransportError};
 /// baud rate and a request.
 pub const LINE_COMMANDS_MAX: usize = 8;
 
-/// Maximum number of bytes of a request. The longest of the current families takes 60.
-pub const REQUEST_BYTES_MAX: usize = 96;
+/// Maximum number of bytes of a request: those with which a client of NatNet connects.
+pub const REQUEST_BYTES_MAX: usize = 274;
 
 /// Time-out of the reply to a goodbye request.
 const GOODBYE_TIMEOUT: Duration = Duration::from_millis(100);

@@ -51,6 +51,11 @@ fn commands_have_their_bytes() {
     let mut connect = Vec::new();
     mocapd_drivers::natnet::put_text(MessageKind::Connect, "Ping", &mut connect);
     assert_eq!(connect, *b"\0\0\x05\0Ping\0");
+    // As that of the SDK of Motive 3 writes it, for any version of the bitstream.
+    connect.clear();
+    mocapd_drivers::natnet::put_connect(None, &mut connect);
+    assert_eq!((&connect[..9], connect.len()), (&b"\0\0\x0e\x01Ping\0"[..], 4 + 270));
+    assert!(connect[8..].iter().all(|byte| *byte == 0));
 }
 
 #[test]

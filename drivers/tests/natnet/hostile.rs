@@ -2,7 +2,8 @@
 
 use mocapd_drivers::natnet::{
     Bitstream, CLIENTS_MAX, DatagramContent, FrameOfData, HEADER_BYTES, Message, MessageKind,
-    NatNetServer, ServedStream, ServerDatagram, ServerInfo, put_echo, put_message, put_text,
+    NatNetServer, ServedStream, ServerDatagram, ServerInfo, put_connect, put_echo, put_message,
+    put_text,
 };
 use mocapd_testkit::random::Random;
 
@@ -201,12 +202,7 @@ fn connect(version: Option<[u8; 4]>) -> Vec<u8> {
     let mut bytes = Vec::new();
     match version {
         None => put_text(MessageKind::Connect, "Ping", &mut bytes),
-        Some(version) => put_message(MessageKind::Connect, &mut bytes, |out| {
-            out.extend(*b"Ping");
-            out.resize(4 + 265, 0);
-            out.extend(version);
-            out.push(0);
-        }),
+        Some([major, minor, ..]) => put_connect(Some(Bitstream::new(major, minor)), &mut bytes),
     }
     bytes
 }
