@@ -59,11 +59,28 @@ def opens(browser, log):
         browser.wait("the state of the service", lambda: browser.text("service") == "Armed")
         browser.js("window.marked = 1")
         events = "return [...document.querySelectorAll('#event-list button span:last-child')].map((e) => e.textContent)"
-        assert browser.js(events) == ["mark: take off <b>", "host: the device was disconnected", "mark"]
+        expected = ["mark: take off <b>", "host: the device was disconnected", "mark"]
+        browser.wait("the events", lambda: browser.js(events) == expected and browser.text("events-count") == "3 events")
         browser.wait("all gaps", lambda: "reading on" not in browser.text("axis-hint"))
         assert "30 frames lost" in browser.text("axis-hint"), browser.text("axis-hint")
         browser.picture("player-dark")
         assert browser.errors() == []
+
+
+@check("whatever takes longer the longer a take is comes after the frames of the first picture")
+def first_requests(browser, _log):
+    with Mock("--markers", str(MARKERS)) as mock:
+        open_take(browser, mock)
+        browser.wait("all gaps", lambda: "reading on" not in browser.text("axis-hint"))
+        browser.wait("the events", lambda: browser.text("events-count") == "3 events")
+        # Names from that of the take on, and when they were requested and answered, in order.
+        requests = browser.js("""return performance.getEntriesByType('resource').filter(({ name }) => name.includes('/v1/takes/'))
+            .map(({ name, startTime, responseEnd }) => [name.split('/').pop(), startTime, responseEnd]).sort((a, b) => a[1] - b[1])""")
+        assert requests[0][0] == "overview?ends_only=true" and requests[1][0].startswith("window?from=0&"), requests
+        _, _, loaded = requests[1]
+        others = [request for request in requests[1:] if not request[0].startswith("window")]
+        assert {name.split("?")[0] for name, _, _ in others} == {"overview", "bodies", "plates", "gaps"}, requests
+        assert all(began >= loaded for _, began, _ in others), requests
 
 
 @check("stepping by frame shows the decoded positions; Home, End and seconds, too")
@@ -160,6 +177,7 @@ def axis(browser, _log):
     with Mock("--markers", str(MARKERS)) as mock:
         open_take(browser, mock)
         browser.wait("all gaps", lambda: "reading on" not in browser.text("axis-hint"))
+        browser.wait("the events", lambda: browser.text("events-count") == "3 events")
         time.sleep(0.3)
         colour = "return mocapdPlayer.axis.drawing.colours[arguments[0]].match(/\\d+/g).slice(0, 3).join()"
         bad, watch, mark = (browser.js(colour, name) for name in ("bad", "watch", "selected"))
@@ -224,6 +242,8 @@ def keyboard(browser, _log):
     with Mock("--markers", "15") as mock:
         open_take(browser, mock)
         assert browser.js((HERE / "unnamed.js").read_text()) == []
+        # The button is disabled as long as no event is known.
+        browser.wait("the events", lambda: browser.text("events-count") == "3 events")
         browser.js("document.activeElement?.blur()")
         reached = set()
         for _ in range(60):
