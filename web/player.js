@@ -141,6 +141,12 @@ export class Player {
   #show(overview, source) {
     const opened = this.#opened;
     this.overview = overview;
+    this.buffer = new FrameBuffer(source, overview, {
+      onLoaded: () => opened === this.#opened && this.#loaded(),
+      onFailed: (error) => opened === this.#opened && this.#failed(error),
+    });
+    // The first frames are decoded while the page is built.
+    this.buffer.want(0);
     this.playback = new Playback(overview.frames, overview.rate_hz);
     this.gaps = new GapCounts();
     this.#found = null;
@@ -148,10 +154,6 @@ export class Player {
     this.motion.setTake(overview);
     this.view.settle();
     this.view.updateMarkers();
-    this.buffer = new FrameBuffer(source, overview, {
-      onLoaded: () => opened === this.#opened && this.#loaded(),
-      onFailed: (error) => opened === this.#opened && this.#failed(error),
-    });
     const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
     this.axis.show(shown);
     this.charts.show(shown);

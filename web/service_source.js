@@ -161,7 +161,7 @@ let running = 0;
  * the next page would have to wait for them.
  */
 let away = new AbortController();
-let back = Promise.resolve();
+let back = null;
 addEventListener("pagehide", () => {
   away.abort();
   back = new Promise((resolve) => {
@@ -188,7 +188,8 @@ async function inTurn(request, priority, wanted) {
 /** Repeats a request that the service refuses because it is busy, and one that ended because the page was left. */
 async function repeated(request, wanted) {
   for (let attempt = 1; ; attempt += 1) {
-    await back;
+    // Otherwise the request is sent at once.
+    if (away.signal.aborted) await back;
     wanted.throwIfAborted();
     const { signal: left } = away;
     try {
