@@ -62,10 +62,10 @@ async function checkStatus(response) {
   throw new ServiceError(response.status, problem);
 }
 
-/** The JSON document at a path. */
-export const get = (path, timeoutMs = RESPONSE_TIMEOUT_MS) => read(path, timeoutMs, (response) => response.json());
+/** The JSON document at a path. The request ends early, with an error, if `signal` says so. */
+export const get = (path, timeoutMs = RESPONSE_TIMEOUT_MS, signal = null) => read(path, timeoutMs, (response) => response.json(), signal);
 
-/** The bytes at a path. The request ends early, with an error, if `signal` says so. */
+/** The bytes at a path, likewise. */
 export const getBytes = (path, timeoutMs, signal = null) => read(path, timeoutMs, (response) => response.arrayBuffer(), signal);
 
 async function read(path, timeoutMs, body, signal = null) {

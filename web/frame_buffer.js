@@ -185,7 +185,8 @@ export class FrameBuffer {
       this.#failed.delete(index);
       while (this.#windows.size > this.keptMax) this.#windows.delete(this.#windows.keys().next().value);
     } catch (error) {
-      if (every !== this.every || signal.aborted) return;
+      // What was cancelled, here or by the source, is not wanted any more.
+      if (every !== this.every || signal.aborted || error.name === "AbortError") return;
       this.#failed.add(index);
       setTimeout(() => this.#retry(index, every), RETRY_MS);
       this.onFailed(error);

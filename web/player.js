@@ -79,7 +79,8 @@ export class Player {
     this.#openedMs = performance.now();
     const opened = (this.#opened += 1);
     this.overview = null;
-    this.source = source;
+    for (const before of [this.source, this.other]) before?.close?.();
+    [this.source, this.other] = [source, other];
     this.#search = null;
     this.hasFailed = false;
     this.#message("Loading");
@@ -95,7 +96,36 @@ export class Player {
     }
     if (opened !== this.#opened) return;
     this.#show(overview, source);
-    await Promise.all([this.#openOthers(source, other, () => opened === this.#opened), this.#countGaps(source, opened)]);
+    const isCurrent = () => opened === this.#opened;
+    await Promise.all([this.#complete(source, isCurrent), this.#openOthers(source, other, isCurrent), this.#countGaps(source, opened)]);
+  }
+
+  /** Reads what the overview does not have yet. That takes longer the longer the take is, so the first picture comes before. */
+  async #complete(source, isCurrent) {
+    const { overview, buffer } = this;
+    if (overview.is_complete) return;
+    try {
+      await buffer.idle();
+      const complete = await source.completeOverview();
+      if (!isCurrent()) return;
+      const isSameSubject = ["bones", "limbs", "face"].every((part) => JSON.stringify(overview[part]) === JSON.stringify(complete[part]));
+      Object.assign(overview, complete);
+      if (!isSameSubject) this.#showSubject(source, isCurrent);
+      this.lists.showEvents(overview);
+      byId("next-event").disabled = overview.events.length === 0;
+      this.#noticeDamage();
+      this.axis.invalidate();
+    } catch (error) {
+      if (isCurrent()) this.notice(`The events of this take cannot be read: ${error.message}`);
+    }
+  }
+
+  /** Shows a subject that was found in the middle of the take. */
+  #showSubject(source, isCurrent) {
+    this.motion.setTake(this.overview);
+    this.view.updateMarkers();
+    this.overlays?.openFace(source, isCurrent);
+    this.refresh();
   }
 
   /**
@@ -111,6 +141,12 @@ export class Player {
   #show(overview, source) {
     const opened = this.#opened;
     this.overview = overview;
+    this.buffer = new FrameBuffer(source, overview, {
+      onLoaded: () => opened === this.#opened && this.#loaded(),
+      onFailed: (error) => opened === this.#opened && this.#failed(error),
+    });
+    // The first frames are decoded while the page is built.
+    this.buffer.want(0);
     this.playback = new Playback(overview.frames, overview.rate_hz);
     this.gaps = new GapCounts();
     this.#found = null;
@@ -118,10 +154,6 @@ export class Player {
     this.motion.setTake(overview);
     this.view.settle();
     this.view.updateMarkers();
-    this.buffer = new FrameBuffer(source, overview, {
-      onLoaded: () => opened === this.#opened && this.#loaded(),
-      onFailed: (error) => opened === this.#opened && this.#failed(error),
-    });
     const shown = { overview, playback: this.playback, buffer: this.buffer, gaps: this.gaps };
     this.axis.show(shown);
     this.charts.show(shown);

@@ -24,7 +24,7 @@ export class PlayerLists {
     this.#rows = this.#labels.map((label, slot) => this.#createRow(label, slot));
     byId("marker-list").replaceChildren(...this.#rows.map(({ element }) => element));
     byId("marker-filter").value = "";
-    this.#showEvents(overview);
+    this.showEvents(overview);
     // The first marker of the take shows what the charts are.
     this.#choose(this.#labels.length > 0 ? [0] : []);
   }
@@ -68,7 +68,8 @@ export class PlayerLists {
     this.#rows.forEach(({ element }, slot) => setHidden(element, !this.#labels[slot].toLowerCase().includes(text)));
   }
 
-  #showEvents({ events, events_total: total, rate_hz: rateHz }) {
+  /** Events are unknown as long as the overview is not complete. */
+  showEvents({ events, events_total: total, rate_hz: rateHz, is_complete: isComplete }) {
     const rows = events.map(({ frame, kind, text }) =>
       h("li", {}, h("button", { type: "button", click: () => this.onEvent(frame) },
         h("span", { class: "when" }, takeTime(frame / rateHz)),
@@ -76,7 +77,8 @@ export class PlayerLists {
         h("span", {}, text ? `${kind}: ${text}` : kind))));
     byId("event-list").replaceChildren(...rows);
     const shown = total > events.length ? `the first ${count(events.length)} of ${count(total)}` : plural(total, "event");
-    setText(byId("events-count"), total === 0 ? "none" : shown);
+    const none = isComplete ? "none" : "reading";
+    setText(byId("events-count"), total === 0 ? none : shown);
   }
 }
 

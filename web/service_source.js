@@ -54,21 +54,33 @@ function parse(buffer, magic, n, bytesEach) {
 export class ServiceSource {
   /** Requests for windows can be cancelled. */
   canCancel = true;
+  #closed = new AbortController();
 
   constructor(name) {
     this.name = name;
     this.path = `/v1/takes/${encodeURIComponent(name)}`;
   }
 
+  /** The take is not shown any more: its requests end, so that those for another one need not wait for them. */
+  close() {
+    this.#closed.abort();
+  }
+
+  /** What the ends of the take state, in the same time for an hour as for a second; `is_complete` says whether that is all. */
   async overview() {
-    this.take = await inTurn(() => get(`${this.path}/overview`, TIMEOUT_MS));
+    this.take = await this.#request(get, "overview?ends_only=true", FRAMES);
     return this.take;
+  }
+
+  /** The overview with the events and problems, for which the service looks through the take. */
+  completeOverview() {
+    return this.#request(get, "overview");
   }
 
   async window(firstRow, rows, every, signal) {
     const { rate_hz: rateHz, markers } = this.take;
     const query = `from=${firstRow / rateHz}&seconds=${rows / rateHz}&every=${every}`;
-    return parseWindow(await this.#bytes(`window?${query}`, FRAMES, signal), markers);
+    return parseWindow(await this.#request(getBytes, `window?${query}`, FRAMES, signal), markers);
   }
 
   /**
@@ -79,7 +91,7 @@ export class ServiceSource {
     let row = 0;
     while (row < this.take.frames) {
       await isIdle();
-      const part = await inTurn(() => get(`${this.path}/gaps?from=${row / this.take.rate_hz}`, TIMEOUT_MS), OTHERS);
+      const part = await this.#request(get, `gaps?from=${row / this.take.rate_hz}`);
       if (!onPart(part) || part.end_frame <= row) return;
       row = part.end_frame;
     }
@@ -87,32 +99,33 @@ export class ServiceSource {
 
   /** A window of the poses of the subject's face. */
   async poses(firstRow, rows, every, signal) {
-    return parsePoses(await this.#bytes(`face?${this.#query(firstRow, rows, every)}`, OTHERS, signal));
+    return parsePoses(await this.#request(getBytes, `face?${this.#query(firstRow, rows, every)}`, OTHERS, signal));
   }
 
   /** The force plates of the take: {plates, window_frames_max}. */
   plates() {
-    return inTurn(() => get(`${this.path}/plates`, TIMEOUT_MS), OTHERS);
+    return this.#request(get, "plates");
   }
 
   /** A window of the forces of so many plates. */
   async forces(firstRow, rows, every, plates, signal) {
-    return parseForces(await this.#bytes(`forces?${this.#query(firstRow, rows, every)}`, OTHERS, signal), plates);
+    return parseForces(await this.#request(getBytes, `forces?${this.#query(firstRow, rows, every)}`, OTHERS, signal), plates);
   }
 
   /** The rigid bodies of the take: {names, window_frames_max}. */
   bodies() {
-    return inTurn(() => get(`${this.path}/bodies`, TIMEOUT_MS), OTHERS);
+    return this.#request(get, "bodies");
   }
 
   /** A window of the poses of so many rigid bodies. */
   async bodyPoses(firstRow, rows, every, bodies, signal) {
-    return parseBodies(await this.#bytes(`poses?${this.#query(firstRow, rows, every)}`, OTHERS, signal), bodies);
+    return parseBodies(await this.#request(getBytes, `poses?${this.#query(firstRow, rows, every)}`, OTHERS, signal), bodies);
   }
 
-  /** The bytes of a window, unless `signal` says that it is not wanted any more. */
-  #bytes(path, priority, signal) {
-    return inTurn(() => getBytes(`${this.path}/${path}`, TIMEOUT_MS, signal), priority, signal);
+  /** What `read` finds at a path of the take, unless `signal` says that it is not wanted any more. */
+  #request(read, path, priority = OTHERS, signal = null) {
+    const wanted = AbortSignal.any([this.#closed.signal, signal].filter(Boolean));
+    return inTurn((ended) => read(`${this.path}/${path}`, TIMEOUT_MS, ended), priority, wanted);
   }
 
   /** The part of so many rows, or as many whole steps of them as can be requested at once. */
@@ -128,7 +141,7 @@ export class ServiceSource {
     while (row < this.take.frames) {
       await isIdle();
       const query = `against=${encodeURIComponent(other)}&from=${row / this.take.rate_hz}`;
-      const part = await inTurn(() => get(`${this.path}/difference?${query}`, TIMEOUT_MS), OTHERS);
+      const part = await this.#request(get, `difference?${query}`);
       if (!onPart(part) || part.end_frame <= row) return;
       row = part.end_frame;
     }
@@ -143,12 +156,28 @@ const OTHERS = 1;
 const waiting = [[], []];
 let running = 0;
 
-/** Makes a request when it is its turn; one that `signal` has ended gives its turn to the next. */
-async function inTurn(request, priority = FRAMES, signal = null) {
+/**
+ * Aborted while the page is not shown: a browser may keep one that was left for the way back, with its requests, and those of
+ * the next page would have to wait for them.
+ */
+let away = new AbortController();
+let back = null;
+addEventListener("pagehide", () => {
+  away.abort();
+  back = new Promise((resolve) => {
+    addEventListener("pageshow", () => {
+      away = new AbortController();
+      resolve();
+    }, { once: true });
+  });
+});
+
+/** Makes a request, which a signal ends, when it is its turn; one that `wanted` has ended gives its turn to the next. */
+async function inTurn(request, priority, wanted) {
   if (running >= REQUESTS_MAX) await new Promise((resolve) => waiting[priority].push(resolve));
   else running += 1;
   try {
-    return await repeated(request, signal);
+    return await repeated(request, wanted);
   } finally {
     const next = waiting[FRAMES].shift() ?? waiting[OTHERS].shift();
     if (next) next();
@@ -156,16 +185,20 @@ async function inTurn(request, priority = FRAMES, signal = null) {
   }
 }
 
-/** Repeats a request that the service refuses because it is busy. */
-async function repeated(request, signal) {
+/** Repeats a request that the service refuses because it is busy, and one that ended because the page was left. */
+async function repeated(request, wanted) {
   for (let attempt = 1; ; attempt += 1) {
-    signal?.throwIfAborted();
+    // Otherwise the request is sent at once.
+    if (away.signal.aborted) await back;
+    wanted.throwIfAborted();
+    const { signal: left } = away;
     try {
-      return await request();
+      return await request(AbortSignal.any([wanted, left]));
     } catch (error) {
+      wanted.throwIfAborted();
+      if (left.aborted) continue;
       if (error.kind !== "unavailable" || attempt >= TRIES) throw error;
-      signal?.throwIfAborted();
-      await pause(RETRY_MS, signal);
+      await pause(RETRY_MS, wanted);
     }
   }
 }
@@ -175,10 +208,10 @@ function pause(ms, signal) {
   return new Promise((resolve) => {
     const end = () => {
       clearTimeout(timer);
-      signal?.removeEventListener("abort", end);
+      signal.removeEventListener("abort", end);
       resolve();
     };
     const timer = setTimeout(end, ms);
-    signal?.addEventListener("abort", end);
+    signal.addEventListener("abort", end);
   });
 }

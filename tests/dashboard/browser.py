@@ -14,6 +14,8 @@ FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-
          "--disable-background-networking", "--disable-component-update", "--disable-sync",
          "--disable-dev-shm-usage", "--force-color-profile=srgb"]
 DESKTOP, PHONE = (1440, 900), (390, 844)
+#: Longer than anything takes on the slowest machine.
+WAIT_S = 30.0
 
 
 class Browser:
@@ -78,7 +80,7 @@ class Browser:
         """Presses keys where the focus is."""
         ActionChains(self.driver).send_keys(*keys).perform()
 
-    def wait(self, what, condition, seconds=8.0):
+    def wait(self, what, condition, seconds=WAIT_S):
         """Waits until `condition`, a function or a script, returns a true value, and returns that value."""
         until = time.monotonic() + seconds
         while True:
@@ -89,7 +91,7 @@ class Browser:
                 raise AssertionError(f"not within {seconds:.0f} s: {what}")
             time.sleep(0.05)
 
-    def wait_state(self, state, seconds=8.0):
+    def wait_state(self, state, seconds=WAIT_S):
         self.wait(f"state {state} (it is {self.state()}; {self.text('answer')})", lambda: self.state() == state, seconds)
 
     def picture(self, name, whole=False):

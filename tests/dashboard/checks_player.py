@@ -59,11 +59,28 @@ def opens(browser, log):
         browser.wait("the state of the service", lambda: browser.text("service") == "Armed")
         browser.js("window.marked = 1")
         events = "return [...document.querySelectorAll('#event-list button span:last-child')].map((e) => e.textContent)"
-        assert browser.js(events) == ["mark: take off <b>", "host: the device was disconnected", "mark"]
+        expected = ["mark: take off <b>", "host: the device was disconnected", "mark"]
+        browser.wait("the events", lambda: browser.js(events) == expected and browser.text("events-count") == "3 events")
         browser.wait("all gaps", lambda: "reading on" not in browser.text("axis-hint"))
         assert "30 frames lost" in browser.text("axis-hint"), browser.text("axis-hint")
         browser.picture("player-dark")
         assert browser.errors() == []
+
+
+@check("whatever takes longer the longer a take is comes after the frames of the first picture")
+def first_requests(browser, _log):
+    with Mock("--markers", str(MARKERS)) as mock:
+        open_take(browser, mock)
+        browser.wait("all gaps", lambda: "reading on" not in browser.text("axis-hint"))
+        browser.wait("the events", lambda: browser.text("events-count") == "3 events")
+        # Names from that of the take on, and when they were requested and answered, in order.
+        requests = browser.js("""return performance.getEntriesByType('resource').filter(({ name }) => name.includes('/v1/takes/'))
+            .map(({ name, startTime, responseEnd }) => [name.split('/').pop(), startTime, responseEnd]).sort((a, b) => a[1] - b[1])""")
+        assert requests[0][0] == "overview?ends_only=true" and requests[1][0].startswith("window?from=0&"), requests
+        _, _, loaded = requests[1]
+        others = [request for request in requests[1:] if not request[0].startswith("window")]
+        assert {name.split("?")[0] for name, _, _ in others} == {"overview", "bodies", "plates", "gaps"}, requests
+        assert all(began >= loaded for _, began, _ in others), requests
 
 
 @check("stepping by frame shows the decoded positions; Home, End and seconds, too")
@@ -98,15 +115,17 @@ def plays(browser, log):
         open_take(browser, mock)
         browser.wait("what is ahead", "return mocapdPlayer.buffer.has(300)", 20)
         browser.keys(" ")
-        began, first = time.monotonic(), row(browser)
+        before = "return [performance.now() / 1000, mocapdPlayer.playback.row, mocapdPlayer.stats.drawn]"
+        began, first, drawn = browser.js(before)
         assert browser.text("play") == "Pause"
         time.sleep(4)
-        took, rows = time.monotonic() - began, row(browser) - first
+        took, rows, drawn = (now - then for now, then in zip(browser.js(before), (began, first, drawn)))
         stats = browser.js("return { ...mocapdPlayer.stats, times: null }")
         log(f"200 markers at 60 Hz: {rows / took:.1f} rows/s, {stats['skipped']} skipped, script per drawn frame p95 {stats['p95Ms']:.1f} ms")
         # Times depend on the machine, and are measured by hand on an idle one; that no frame is skipped does not.
         assert stats["skipped"] == 0, stats
-        assert 0.5 * 60 < rows / took < 1.1 * 60, rows / took
+        # A browser that cannot draw as often plays more slowly, a row at a time.
+        assert rows / took < 1.1 * 60 and rows > 0.9 * min(0.5 * 60 * took, drawn), (rows, drawn, took)
         browser.keys("k")
         before = row(browser)
         time.sleep(0.3)
@@ -128,11 +147,11 @@ def loops(browser, _log):
         assert browser.js("return [mocapdPlayer.playback.speed, document.getElementById('speed').value]") == [4, "4"]
         browser.js("""window.rows = []; const tick = () => { window.rows.push(mocapdPlayer.playback.row); requestAnimationFrame(tick); }; tick()""")
         browser.keys(" ")
-        time.sleep(1.5)
+        repeats = "return window.rows.filter((row, i) => i > 0 && row < window.rows[i - 1]).length"
+        browser.wait("it repeats", lambda: browser.js(repeats) >= 3)
         rows = browser.js("return window.rows")
         played = [a for a, b in zip(rows, rows[1:]) if a != b]
         assert min(played) >= 240 and max(played) <= 300, (min(played), max(played))
-        assert sum(b < a for a, b in zip(rows, rows[1:])) >= 3, "it repeats"
         browser.keys("x")
         assert browser.js("return mocapdPlayer.playback.loop") is None
         browser.js("mocapdPlayer.seek(mocapdPlayer.playback.lastRow - 30)")
@@ -160,14 +179,14 @@ def axis(browser, _log):
     with Mock("--markers", str(MARKERS)) as mock:
         open_take(browser, mock)
         browser.wait("all gaps", lambda: "reading on" not in browser.text("axis-hint"))
-        time.sleep(0.3)
+        browser.wait("the events", lambda: browser.text("events-count") == "3 events")
         colour = "return mocapdPlayer.axis.drawing.colours[arguments[0]].match(/\\d+/g).slice(0, 3).join()"
         bad, watch, mark = (browser.js(colour, name) for name in ("bad", "watch", "selected"))
         lost = int((LOST_S[0] + LOST_S[1]) / 2 * RATE_HZ)
-        assert bad in browser.js(AXIS_PIXEL, lost, 20), "lost frames"
+        browser.wait("lost frames", lambda: bad in browser.js(AXIS_PIXEL, lost, 20))
         gap = next(frame for frame in range(1000, take.frames) if take.missing(frame) > 1)
-        assert watch in browser.js(AXIS_PIXEL, gap, 34), "missing samples"
-        assert mark in browser.js(AXIS_PIXEL, int(0.4 * take.frames), 2), "a mark"
+        browser.wait("missing samples", lambda: watch in browser.js(AXIS_PIXEL, gap, 34))
+        browser.wait("a mark", lambda: mark in browser.js(AXIS_PIXEL, int(0.4 * take.frames), 2))
         # The frames at which a gap of a marker begins, forward and back.
         begins = [frame for frame in range(1, take.frames) if begins_gap(take, frame)]
         browser.js("mocapdPlayer.seek(arguments[0])", begins[3] - 1)
@@ -224,6 +243,8 @@ def keyboard(browser, _log):
     with Mock("--markers", "15") as mock:
         open_take(browser, mock)
         assert browser.js((HERE / "unnamed.js").read_text()) == []
+        # The button is disabled as long as no event is known.
+        browser.wait("the events", lambda: browser.text("events-count") == "3 events")
         browser.js("document.activeElement?.blur()")
         reached = set()
         for _ in range(60):

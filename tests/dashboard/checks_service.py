@@ -20,6 +20,18 @@ JUMPS = ("--generate", "jump:3", "--seconds", "60", "--markers", MARKERS, "--rat
 DRAWN_HZ_MIN = 27
 #: From a frame's last byte at the host to the script in the browser, ms.
 LATENCY_P95_MS_MAX = 100
+#: Measurements of both, one of which must pass.
+MEASUREMENTS = 6
+#: Share of the processors' time above which other programs load the machine.
+OTHERS_MAX = 0.1
+#: Notes when the browser lets the page draw.
+NOTE_REFRESHES = """window.refreshes = []; const tick = (now) => { refreshes.push(now); requestAnimationFrame(tick); };
+    requestAnimationFrame(tick)"""
+#: The statistics of the page, how often it could have drawn in the two seconds that they are for, in Hz, and the p95 of the
+#: time that it waited for this in the last ten, in ms.
+STATS = """const now = performance.now(); const since = (ms) => refreshes.filter((at) => now - at < ms);
+    const waits = since(10_000).map((at, i, all) => (i > 0 ? at - all[i - 1] : 0)).sort((a, b) => a - b);
+    return [mocapdStats, since(2000).length / 2, waits[Math.floor(0.95 * waits.length)] ?? Infinity]"""
 #: Threads between the device and the disk.
 DATA_PLANE = ("mocapd-rig", "mocapd-work", "mocapd-write")
 
@@ -179,7 +191,7 @@ def played(browser, rig):
     frames = browser.json(f"{rig.url}v1/takes/jump-001/overview")["frames"]
     assert browser.js("return mocapdPlayer.playback.frames") == frames
     texts = "return [...document.querySelectorAll('#event-list button span:last-child')].map((e) => e.textContent)"
-    assert "mark: heel strike" in browser.js(texts), browser.js(texts)
+    browser.wait("the events", lambda: "mark: heel strike" in browser.js(texts))
     browser.keys(" ")
     browser.wait("it plays", f"return mocapdPlayer.playback.row > {RATE_HZ}")
     browser.keys("e")
@@ -189,20 +201,47 @@ def played(browser, rig):
 
 
 def with_viewer(browser, log, rig):
-    """Frame rate and latency in the browser while a take is recorded. Other programs may load the machine for a while:
-    one of three measurements must pass."""
+    """Frame rate and latency in the browser while a take is recorded. Where other programs load the machine, the page can
+    draw no faster, and read no sooner, than the browser runs its scripts."""
     # Skip the start of the take, when all threads were starting.
     time.sleep(2)
-    for last in (False, False, True):
+    browser.js(NOTE_REFRESHES)
+    for left in reversed(range(MEASUREMENTS)):
+        before = processor_s()
         plane, others = rig.cpu(8)
-        stats = browser.stats()
+        busy, ours, idle = (after - earlier for after, earlier in zip(processor_s(), before))
+        by_others = max(0.0, busy - ours) / (busy + idle)
+        stats, refresh_hz, wait_ms = browser.js(STATS)
         log(f"{MARKERS} markers: {stats['received_hz']:.1f} frames/s received, {stats['drawn_hz']:.1f} drawn; from the "
             f"last byte to the browser {stats['latency_p50_ms']:.1f} ms (p50), {stats['latency_p95_ms']:.1f} ms (p95), to "
             f"the screen {stats['drawn_p95_ms']:.1f} ms (p95)")
-        log(f"with a viewer: data plane {100 * plane:.1f} % of a core, other threads {100 * others:.1f} %")
-        if stats["drawn_hz"] >= DRAWN_HZ_MIN and stats["latency_p95_ms"] < LATENCY_P95_MS_MAX:
+        log(f"with a viewer: data plane {100 * plane:.1f} % of a core, other threads {100 * others:.1f} %; "
+            f"other programs {100 * by_others:.0f} % of the machine")
+        drawn_min, latency_max = DRAWN_HZ_MIN, LATENCY_P95_MS_MAX
+        if by_others > OTHERS_MAX:
+            drawn_min, latency_max = min(drawn_min, 0.9 * refresh_hz), latency_max + wait_ms
+        if stats["drawn_hz"] >= drawn_min and stats["latency_p95_ms"] < latency_max:
             return
-        assert not last, stats
+        assert left, stats
+
+
+def processor_s():
+    """Processor time in seconds: that in which the machine was busy (also with others, while it is a virtual one), that of
+    this process and its descendants, and that in which the machine was idle."""
+    tick_s = 1 / os.sysconf("SC_CLK_TCK")
+    user, nice, system, idle, waiting, irq, softirq, stolen = (int(n) for n in Path("/proc/stat").read_text().split()[1:9])
+    parents, used = {}, {}
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = status.read_text().rpartition(")")[2].split()
+            pid = int(status.parent.name)
+            parents[pid], used[pid] = int(fields[1]), int(fields[11]) + int(fields[12])
+    ours, found = {os.getpid()}, 0
+    while len(ours) > found:
+        found = len(ours)
+        ours |= {pid for pid, parent in parents.items() if parent in ours}
+    busy = user + nice + system + irq + softirq + stolen
+    return busy * tick_s, sum(used.get(pid, 0) for pid in ours) * tick_s, (idle + waiting) * tick_s
 
 
 def without_viewer(browser, log, rig):

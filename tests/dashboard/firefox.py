@@ -76,7 +76,7 @@ class Firefox:
         presses = [{"type": kind, "value": key} for key in keys for kind in ("keyDown", "keyUp")]
         self.command("input.performActions", context=self.context, actions=[{"type": "key", "id": "keyboard", "actions": presses}])
 
-    def wait(self, what, condition, seconds=8.0):
+    def wait(self, what, condition, seconds=30.0):
         """Waits until `condition`, a function or a script, returns a true value, and returns that value."""
         until = time.monotonic() + seconds
         while True:

@@ -98,7 +98,7 @@ class Handler(BaseHTTPRequestHandler):
     def playback(self, url):
         """The overview, a window or the gaps of a take in the list."""
         name, what = unquote(url.path.split("/")[3]), url.path.split("/")[-1]
-        query = {key: values[0] if key == "against" else float(values[0]) for key, values in parse_qs(url.query).items()}
+        query = {key: values[0] if key in ("against", "ends_only") else float(values[0]) for key, values in parse_qs(url.query).items()}
         rig = self.rig
         with rig.lock:
             rig.requests.append(self.path)
@@ -112,7 +112,7 @@ class Handler(BaseHTTPRequestHandler):
             return MockTake(called, found["seconds"] or 12.5, len(rig.body.labels), rig.rate_hz, damaged=found["health"] == "damaged")
         take = mock_take(name)
         if what == "overview":
-            return self.reply(200, take.overview())
+            return self.reply(200, take.overview(query.get("ends_only") != "true"))
         if what == "gaps":
             return self.reply(200, take.gaps(query.get("from", 0.0)))
         if what == "difference":

@@ -99,11 +99,12 @@ class MockTake:
     def missing(self, frame):
         return sum(not self.body.is_visible(slot, frame / self.rate_hz) for slot in range(len(self.body.labels)))
 
-    def overview(self):
+    def overview(self, is_complete=True):
+        """Only a complete one has the events."""
         body = self.body
         events = [{"frame": int(0.4 * self.frames), "kind": "mark", "text": "take off <b>"},
                   {"frame": int(0.5 * self.frames), "kind": "host", "text": "the device was disconnected"},
-                  {"frame": int(0.7 * self.frames), "kind": "mark", "text": ""}]
+                  {"frame": int(0.7 * self.frames), "kind": "mark", "text": ""}] if is_complete else []
         # The overview of a closed take does not know of damage within its stretches.
         problems = []
         return {"name": self.name, "source": "DVMC-8820 SIM-0001", "created_unix_ms": 0, "frames": self.frames,
@@ -111,7 +112,7 @@ class MockTake:
                 "labels": body.labels, "labelled": body.labelled, "up_axis": 3, "bones": body.bones,
                 "tolerance_mm": 0.5, "frames_lost": int((LOST_S[1] - LOST_S[0]) * self.rate_hz),
                 "samples_missing": 1000, "events": events, "events_total": len(events), "problems": problems,
-                "problems_total": len(problems),
+                "problems_total": len(problems), "is_complete": is_complete,
                 "window_frames_max": (WINDOW_BYTES_MAX - 32) // (12 * max(1, len(body.labels)))}
 
     def window(self, from_s=0.0, seconds=4.0, every=1):

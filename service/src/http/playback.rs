@@ -33,7 +33,7 @@ use crate::{
     playback::{
         BodyList, CompareError, EVERY_MAX, FaceWindow, FrameWindow, GapBins, PlateList,
         SECONDS_MAX, TakeBodies, TakeDifference, TakeForces, TakeOverview, WINDOW_BYTES_MAX,
-        WindowError, WindowRequest, map_of_end, read_difference, read_gaps,
+        WindowError, WindowRequest, map_of_end, map_of_ends, read_difference, read_gaps,
     },
 };
 
@@ -50,14 +50,21 @@ type Input = BufReader<CancellableReader<SparseFile>>;
 ///
 /// Markers, events, marks, and what the take states about its gaps, without its frames.
 #[utoipa::path(get, path = "/v1/takes/{name}/overview", tag = "takes",
-    params(("name" = String, Path, description = "The take's name, without `.take`")),
+    params(("name" = String, Path, description = "The take's name, without `.take`"), OverviewQuery),
     responses((status = 200, body = TakeOverview)))]
 pub(super) async fn overview(
     State(app): State<Shared>,
     name: Result<Path<String>, PathRejection>,
+    query: Result<Query<OverviewQuery>, QueryRejection>,
 ) -> Result<Response, Problem> {
-    read_take(app, name, Whole::Yes, |name, _, map| {
-        let overview = TakeOverview::of(name, map);
+    let refused = |_| Problem::invalid("`ends_only` must be `true` or `false`, at most once");
+    let Query(OverviewQuery { ends_only }) = query.map_err(refused)?;
+    read_takes(app, name, move |reading| {
+        let name = &reading.name;
+        let (mut input, tag) = reading.file(name)?;
+        let known = reading.maps.overview_map(&mut input, tag, ends_only.unwrap_or_default());
+        let (map, is_complete) = known.map_err(|error| problem(name, error))?;
+        let overview = TakeOverview { is_complete, ..TakeOverview::of(name, &map) };
         // Not written piece by piece: a take of many markers with long labels may not fit.
         let body = serde_json::to_vec(&overview)
             .map_err(|error| Problem::internal(format!("cannot write the overview: {error}")))?;
@@ -71,6 +78,14 @@ pub(super) async fn overview(
         Ok(([(header::CONTENT_TYPE, "application/json")], body).into_response())
     })
     .await
+}
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(super) struct OverviewQuery {
+    /// Only what the two ends of a closed take state, unless all of it is known: this takes as long for an hour as for a
+    /// second, and `is_complete` is false. By default the take is searched for events, marks and problems
+    ends_only: Option<bool>,
 }
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -501,6 +516,23 @@ impl KnownMaps {
         let is_small = map.keys.len() + map.channels.len() <= MAP_ENTRIES_MAX;
         self.maps.put(tag.filter(|_| is_small), &map);
         Ok(map)
+    }
+
+    /// The map of a take for its overview, and whether that is complete: with `ends_only` it may have only what the ends of
+    /// the take state.
+    fn overview_map(
+        &self,
+        input: &mut Input,
+        tag: Option<String>,
+        ends_only: bool,
+    ) -> Result<(Arc<TakeMap>, bool), TakeError> {
+        if ends_only
+            && self.maps.get(tag.as_ref()).is_none()
+            && let Some(map) = map_of_ends(input)?
+        {
+            return Ok((Arc::new(map), false));
+        }
+        Ok((self.map(input, tag, Whole::Yes)?, true))
     }
 
     /// The force plates of a take with this entity tag.

@@ -42,3 +42,13 @@ const GAPS_SAMPLES_MAX: u64 = 1 << 19;
 pub fn map_of_end(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
     Ok(TakeTail::read(input)?.map(|tail| tail.map))
 }
+
+/// The same, and the subject that the beginning of the take states. Reading both ends takes as long for an hour as for a
+/// second; the events, and damage between the ends, are known only to [`TakeMap::open`].
+///
+/// # Errors
+/// Those of the reader.
+pub fn map_of_ends(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
+    let Some(tail) = TakeTail::read(input)? else { return Ok(None) };
+    Ok(tail.with_subject(input)?.map(|tail| tail.map))
+}

@@ -71,6 +71,8 @@ pub struct TakeOverview {
     pub problems: Vec<String>,
     /// Number of all problems.
     pub problems_total: usize,
+    /// Whether the take was searched for events, marks and problems. If not, they are still to be requested.
+    pub is_complete: bool,
     /// Maximum number of frames of a window: a response has at most a megabyte.
     pub window_frames_max: u64,
 }
@@ -88,7 +90,7 @@ pub struct PlaybackEvent {
 
 impl TakeOverview {
     /// The overview of a take with this map, which [`TakeMap::open`] reads without decoding anything. Damage within a stretch
-    /// therefore shows only in windows and gaps.
+    /// therefore shows only in windows and gaps. With [the map of its ends](super::map_of_ends) it is not complete.
     #[must_use]
     pub fn of(name: &str, map: &TakeMap) -> Self {
         let header = &map.header;
@@ -128,6 +130,7 @@ impl TakeOverview {
             events_total: events.len(),
             events: events.into_iter().take(EVENTS_MAX).map(PlaybackEvent::from).collect(),
             window_frames_max: frames_max(map.channels.len()),
+            is_complete: true,
             ..Self::default()
         }
         .with_problems(&map.problems)

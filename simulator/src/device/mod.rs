@@ -326,6 +326,12 @@ impl LineDevice for Device {
         self.clock.begin(now_ns);
         let next_ns = loop {
             let Some(run) = self.run else { break u64::MAX };
+            // Batches that are due with the last frame are queued: however late this is, none after it may be.
+            if !self.settings.looping && self.log.run.frames_produced >= self.hello.n_frames {
+                self.end(self.frame_time_before(&run));
+                self.finished = true;
+                break u64::MAX;
+            }
             let next_ns = self.frame_time_ns(&run);
             let batch = self.next_batch(&run);
             if let Some((group, due_ns)) = batch
@@ -333,11 +339,6 @@ impl LineDevice for Device {
             {
                 self.produce_batch(group, &run);
                 continue;
-            }
-            if !self.settings.looping && self.log.run.frames_produced >= self.hello.n_frames {
-                self.end(self.frame_time_before(&run));
-                self.finished = true;
-                break u64::MAX;
             }
             if next_ns > now_ns {
                 let batch_ns = batch.map_or(u64::MAX, |(_, due_ns)| due_ns);

@@ -19,7 +19,7 @@ use crate::{
     damage::DamageOrigin,
     index::{Footer, IndexEntry, parse_index},
     reader::{order, record},
-    record::{Header, Ledger, Record, SummaryRecord},
+    record::{Header, Ledger, Record, Subject, SummaryRecord},
     stretch::ROWS_PASSED_MAX,
     traversal::TakeTraversal,
 };
@@ -60,11 +60,7 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
     let file_bytes = input.seek(SeekFrom::End(0))?;
     let mut chunks = ChunkCursor::new(input);
     let Some((footer, keys)) = chunks.end(file_bytes)? else { return Ok(None) };
-    chunks.go_to(0)?;
-    let mut magic = [0; MAGIC.len()];
-    chunks.input.read_exact(&mut magic)?;
-    chunks.at = MAGIC.len() as u64;
-    if magic != MAGIC {
+    if !chunks.begin()? {
         return Ok(None);
     }
     let mut map = None;
@@ -177,6 +173,15 @@ impl<R: Read + Seek> ChunkCursor<R> {
         }
         self.at = offset;
         Ok(())
+    }
+
+    /// Goes to the first chunk. Returns whether the file begins as a take does.
+    fn begin(&mut self) -> Result<bool, TakeError> {
+        self.go_to(0)?;
+        let mut magic = [0; MAGIC.len()];
+        self.input.read_exact(&mut magic)?;
+        self.at = MAGIC.len() as u64;
+        Ok(magic == MAGIC)
     }
 
     /// The payload of the chunk at the current position, if it is of type `kind` and whole.
@@ -323,6 +328,26 @@ impl TakeTail {
         map.restore_order();
         let tail = Self { map, stretches_end: footer.ledger_offset };
         Ok(tail.is_sound().then_some(tail))
+    }
+
+    /// Adds the subject that the beginning of the take states: writers put it behind the header. `None` if the take does not
+    /// begin with a header.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn with_subject(
+        mut self,
+        input: &mut (impl Read + Seek),
+    ) -> Result<Option<Self>, TakeError> {
+        input.seek(SeekFrom::Start(0))?;
+        let mut chunks = ChunkCursor::new(input);
+        if !chunks.begin()? || chunks.record(types::HEADER)?.is_none() {
+            return Ok(None);
+        }
+        let offset = chunks.at;
+        let payload = chunks.record(types::SUBJECT)?;
+        self.map.subject = payload.and_then(|payload| Subject::from_payload(&payload, offset).ok());
+        Ok(Some(self))
     }
 
     /// Whether the parts agree with each other.

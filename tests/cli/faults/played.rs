@@ -29,6 +29,9 @@ use crate::support::{jump, samples};
 pub(super) const RATE_HZ: f64 = 240.0;
 const SECONDS: f64 = 2.0;
 
+/// A device that keeps running while its cable is pulled: a busy machine has time to open it again before the end.
+const SECONDS_UNPLUGGED: f64 = 6.0;
+
 /// The result of playing a script.
 pub(super) struct Played {
     pub(super) ran: Ran,
@@ -43,8 +46,9 @@ pub(super) struct Played {
     pub(super) logs: [String; 2],
 }
 
-fn motion() -> Motion {
-    jump(1, RATE_HZ, SECONDS)
+fn motion(script: &Script) -> Motion {
+    let seconds = if script.has(Kind::Unplug) { SECONDS_UNPLUGGED } else { SECONDS };
+    jump(1, RATE_HZ, seconds)
 }
 
 /// Serves a device at `rig` in the folder, and records it with these options. `log` receives its frames.
@@ -117,7 +121,7 @@ impl Write for SharedLog {
 /// Records a device with the faults of a script, to its end.
 pub(super) fn play(folder: &Folder, script: &Script) -> Played {
     let script = Arc::new(script.clone());
-    let device = Device::new(motion(), settings(&script)).unwrap();
+    let device = Device::new(motion(&script), settings(&script)).unwrap();
     let device = FaultyDevice::new(device, &script);
     let logs = [SharedLog::default(), SharedLog::default()];
     let [log, batch_log] = logs.clone().map(|log| Some(Box::new(log) as Box<dyn Write + Send>));
@@ -171,7 +175,7 @@ pub(super) fn sent_frames(script: &Script, played: &Played) -> Vec<Vec<MarkerSam
         assert!(all, "one run, as below");
         return in_virtual_time(script).0;
     }
-    let motion = motion();
+    let motion = motion(script);
     let mut run = (0, 0);
     let frame = |fate: &FrameFate| {
         run = if run.0 == fate.frame.run { (run.0, run.1 + 1) } else { (fate.frame.run, 0) };
@@ -190,12 +194,12 @@ pub(super) fn sent_poses(script: &Script) -> Vec<Vec<Pose>> {
         bodies.poses(number, RATE_HZ, &mut poses);
         poses.clone()
     };
-    (0..motion().n_frames() as u64).map(frame).collect()
+    (0..motion(script).n_frames() as u64).map(frame).collect()
 }
 
 /// The markers and poses of the same device without a line, in virtual time.
 fn in_virtual_time(script: &Script) -> (Vec<Vec<MarkerSample>>, Vec<Vec<Pose>>) {
-    let mut device = Device::new(motion(), settings(&Arc::new(script.clone()))).unwrap();
+    let mut device = Device::new(motion(script), settings(&Arc::new(script.clone()))).unwrap();
     let mut host = HostLink::new();
     let mut command = Vec::new();
     host.command(Command::Start { line_bytes_per_s: 0 }, &mut command);

@@ -1,6 +1,7 @@
 // Requests for the windows of a take: those that are not wanted any more give way.
 
 import { TakeBodies } from "/bodies.js";
+import { FrameBuffer } from "/frame_buffer.js";
 import { Overlays } from "/overlays.js";
 import { ServiceSource } from "/service_source.js";
 import { equal, isTrue, test } from "./harness.js";
@@ -89,6 +90,43 @@ test("windows of poses and forces are cancelled, too", () =>
     }
     equal(asked, ["face", "forces", "poses"].map((path) => ({ path, isCancelled: true })));
   }));
+
+test("a take that is not shown any more ends its requests, and makes no others", () =>
+  withService(() => null, async (asked) => {
+    const source = sourceOf();
+    const ended = [
+      source.window(0, 10, 1, new AbortController().signal),
+      source.gaps(() => true),
+      source.bodies(),
+    ].map((request) => request.then(() => "answered", (error) => error.name));
+    await settled();
+    source.close();
+    equal(await Promise.all(ended), ["AbortError", "AbortError", "AbortError"]);
+    equal(asked.map(({ path, isCancelled }) => [path, isCancelled]), [["window", true], ["bodies", true]], "the third had no turn yet");
+    const buffer = new FrameBuffer(source, { ...source.take, rate_hz: 10, window_frames_max: 1000 }, { onFailed: () => isTrue(false, "it has not failed") });
+    buffer.want(0);
+    await settled();
+    equal(asked.length, 2);
+  }));
+
+test("a page that was left makes no requests, and makes them again when it is back", async () => {
+  let isAway = false;
+  await withService(() => (isAway ? null : JSON.stringify({ names: [], window_frames_max: 1 })), async (asked) => {
+    isAway = true;
+    const source = sourceOf();
+    const [bodies, plates] = [source.bodies(), source.plates()];
+    await settled();
+    dispatchEvent(new PageTransitionEvent("pagehide", { persisted: true }));
+    const gaps = source.gaps(() => false);
+    await settled();
+    equal(asked.map(({ path, isCancelled }) => [path, isCancelled]), [["bodies", true], ["plates", true]]);
+    isAway = false;
+    dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true }));
+    equal((await bodies).names, []);
+    await Promise.all([plates, gaps]);
+    equal(asked.slice(2).map(({ path }) => path).sort(), ["bodies", "gaps", "plates"]);
+  });
+});
 
 /** A player whose own frames are being loaded all the time. */
 function busyPlayer(source) {

@@ -11,13 +11,15 @@ use mocapd_acquire::pipeline::offline;
 use mocapd_service::{
     http::HttpOptions,
     playback::{
-        FrameWindow, GapBins, TakeOverview, WINDOW_BYTES_MAX, WindowRequest, map_of_end, read_gaps,
+        FrameWindow, GapBins, TakeOverview, WINDOW_BYTES_MAX, WindowRequest, map_of_end,
+        map_of_ends, read_gaps,
     },
     viewer::TakeViewer,
 };
 use mocapd_take::{
     TakeMap, import,
-    motion::{Motion, Position, is_gap},
+    motion::{Motion, MotionEvent, Position, is_gap},
+    record::{EventKind, Subject},
 };
 
 use serde_json::json;
@@ -26,7 +28,10 @@ use super::{
     client::{Answer, ask, exchange, get, post, request},
     local, serve,
 };
-use crate::support::{assert_mentions, config, crowd, dense, jump, record, rows};
+use crate::{
+    cli::subjects::skeleton,
+    support::{assert_mentions, config, crowd, dense, jump, record, rows},
+};
 
 /// A served take, recorded from a jump of three seconds of which some frames are lost.
 fn with_gaps() -> (super::Served, Vec<u8>) {
@@ -156,6 +161,51 @@ fn the_overview_describes_the_take() {
     let missing = decoded.iter().enumerate().filter(|(row, _)| !(100..117).contains(row));
     let missing = missing.flat_map(|(_, row)| row).filter(|at| is_gap(**at)).count();
     assert_eq!(overview["samples_missing"], missing);
+}
+
+#[test]
+fn the_ends_of_a_take_state_all_of_its_overview_but_events_and_problems() {
+    let served = serve();
+    let mut motion = jump(4, 120.0, 3.0);
+    let mut subject = Subject { name: "S01".to_owned(), documents: Vec::new() };
+    subject.set(Subject::SKELETON, skeleton(&motion).into_bytes());
+    motion.info.subject = Some(subject);
+    motion.info.events =
+        vec![MotionEvent { frame: 200, kind: EventKind::Mark, text: "heel".to_owned() }];
+    let take = imported(&motion);
+    let overview = |name: &str, query: &str| -> TakeOverview {
+        let path = format!("/v1/takes/{name}/overview{query}");
+        serde_json::from_value(get(served.at, &path).json()).unwrap()
+    };
+    add(&served, "whole", &take);
+    let ends = overview("whole", "?ends_only=true");
+    let complete = overview("whole", "?ends_only=false");
+    assert!(!ends.is_complete && ends.events.is_empty() && ends.limbs.len() > 5, "{ends:?}");
+    assert_eq!((complete.events.len(), complete.events_total), (1, 1));
+    let stated = TakeOverview {
+        events: Vec::new(),
+        events_total: 0,
+        is_complete: false,
+        ..complete.clone()
+    };
+    assert_eq!(ends, stated);
+    // What is known need not be read again.
+    assert_eq!(overview("whole", "?ends_only=true"), complete);
+    assert_eq!(overview("whole", ""), complete);
+    for query in ["ends_only=1", "ends_only=", "ends_only=true&ends_only=true"] {
+        get(served.at, &format!("/v1/takes/whole/overview?{query}")).refused(400, "invalid");
+    }
+
+    // A take whose ends do not state enough is read completely at once.
+    let mut beginning = take.clone();
+    beginning[12] ^= 0x21;
+    for (name, bytes) in [("cut", &take[..take.len() - 40]), ("beginning", &beginning[..])] {
+        add(&served, name, bytes);
+        let ends = get(served.at, &format!("/v1/takes/{name}/overview?ends_only=true"));
+        let whole = get(served.at, &format!("/v1/takes/{name}/overview"));
+        assert_eq!((ends.status, &ends.body), (whole.status, &whole.body), "{name}");
+    }
+    assert!(overview("cut", "?ends_only=true").problems_total > 0);
 }
 
 #[test]
@@ -299,15 +349,31 @@ impl Seek for Counted {
     }
 }
 
+fn imported(motion: &Motion) -> Vec<u8> {
+    let header = import::header_of(&motion.info, &dense(0.5), "test", "long.c3d".to_owned());
+    offline::write_take(motion, &header, 2, &AtomicU64::new(0), Vec::new()).unwrap().1
+}
+
 /// A jump that is repeated to so many seconds, imported.
 fn long(seconds: usize) -> Vec<u8> {
     let Motion { mut info, positions_mm } = jump(1, 120.0, 5.0);
     let n_repeats = seconds / 5;
     info.n_frames *= n_repeats as u64;
     let positions_mm = positions_mm.repeat(n_repeats);
-    let motion = Motion { info, positions_mm };
-    let header = import::header_of(&motion.info, &dense(0.5), "test", "long.c3d".to_owned());
-    offline::write_take(&motion, &header, 2, &AtomicU64::new(0), Vec::new()).unwrap().1
+    imported(&Motion { info, positions_mm })
+}
+
+#[test]
+fn the_ends_of_a_long_take_are_as_few_bytes_as_those_of_a_short_one() {
+    for seconds in [15, 900] {
+        let take = long(seconds);
+        let n_bytes = take.len() as u64;
+        let mut input = Counted { input: Cursor::new(take), read: 0 };
+        assert!(map_of_ends(&mut input).unwrap().is_some());
+        // Two pieces of a buffered file, and the index.
+        assert!(input.read < 40 << 10, "{} of {n_bytes} bytes", input.read);
+        assert!(seconds < 900 || input.read * 8 < n_bytes, "{} of {n_bytes} bytes", input.read);
+    }
 }
 
 #[test]
