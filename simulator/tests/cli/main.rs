@@ -145,7 +145,7 @@ fn usage_errors_exit_2_and_failures_1() {
     assert!(message.ends_with(expected), "{message}");
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("a.csv");
-    std::fs::write(&csv, "time_s,A.x (mm),A.y (mm),A.z (mm)\n0,1,2,3\n0.01,1,2,3\n").unwrap();
+    std::fs::write(&csv, "time_s,A.x,A.y,A.z\n0,1,2,3\n0.01,1,2,3\n").unwrap();
     let message = fails(&[csv.to_str().unwrap(), "--pty", "--residuals"], 2);
     assert!(message.contains("a.csv has no residuals"), "{message}");
     let taken = folder.path().join("taken");

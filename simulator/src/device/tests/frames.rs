@@ -138,11 +138,11 @@ fn compact_frames_are_within_half_a_micrometre() {
 #[test]
 fn residuals_are_those_of_the_nearest_recorded_frame_and_of_seen_markers_only() {
     let motion = jump(1.0);
-    let residuals = std::sync::Arc::new(crate::source::Residuals::generated(3, &motion));
+    let residuals = Arc::new(crate::source::Residuals::generated(3, &motion));
     let n_reported = residuals.frame(0).iter().filter(|count| **count > 0).count();
     assert!(n_reported > 10 && residuals.frame(100).is_empty());
     for (rate_hz, per_frame) in [(None, 1.0), (Some(40.0), 2.5)] {
-        let residuals = Some(std::sync::Arc::clone(&residuals));
+        let residuals = Some(Arc::clone(&residuals));
         let settings = DeviceSettings { rate_hz, residuals, ..DeviceSettings::default() };
         let recorded = settings.residuals.clone().unwrap();
         let mut bench = Bench::new(motion.clone(), settings);
