@@ -201,6 +201,13 @@ fn a_device_that_starts_again_or_whose_clock_jumps_keeps_every_row_in_step() {
     let map = map_of(&take);
     assert_eq!(map.n_rows, 1200);
     assert_has(&take, &motion, all(0..1200));
+    // Readers that know nothing of rows find the time of each frame.
+    let clock = map.recorded_groups().next().unwrap().clock(TICK_HZ);
+    for frame in 0..1200 {
+        let before = if (400..800).contains(&frame) { 3600 * TICK_HZ } else { 0 };
+        let time = clock.at(frame).unwrap();
+        assert_eq!(time.device_ticks, before + frame * TICK_HZ / 200, "frame {frame}");
+    }
     // The counter jumped, which the ledger of the frames says.
     let ledger = Summary::read(&take[..]).unwrap().take.sample_ledger.unwrap().groups[0];
     assert_eq!((ledger.taken, ledger.stored, ledger.jumps), (1200, 1200, 0));
