@@ -12,6 +12,8 @@
 //!
 //! A batch belongs to the take that was open when it arrived, as a whole: takes are divided between batches, at the
 //! place in the device's stream at which they are divided between frames.
+//!
+//! Residuals of markers have a sample in each row of the frames: it follows its row, and is lost where the row is.
 
 mod counter;
 mod intake;
