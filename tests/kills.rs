@@ -28,6 +28,7 @@ use mocapd_simulator::{
     generator::{JumpSpec, Occlusion, RigidBodies, Rng},
     pty::{ServeOptions, serve_pty},
     sampled::SampledSource,
+    source::Residuals,
 };
 use mocapd_take::{
     TakeEvent, TakeFrames, TakeMap,
@@ -36,6 +37,7 @@ use mocapd_take::{
     poses::{Pose as StoredPose, PoseState},
     reader::read_events,
     recovery::RecoveryScan,
+    sampled::Recording,
 };
 
 use crate::support::distance_mm;
@@ -75,6 +77,11 @@ fn electrodes() -> SampledSource {
 fn bodies() -> RigidBodies {
     let occlusion = Some(Occlusion { fraction: 0.05, mean_gap_s: 0.1 });
     RigidBodies::new(&JumpSpec { occlusion, ..JumpSpec::new(1, RATE_HZ) }, 3).unwrap()
+}
+
+/// The residuals of the markers.
+fn residuals(motion: &Motion) -> Residuals {
+    Residuals::generated(11, motion)
 }
 
 /// A log that is read while it is written.
@@ -144,6 +151,7 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
             looping: true,
             sampled: vec![electrodes()],
             bodies: Some(Arc::new(bodies())),
+            residuals: Some(Arc::new(residuals(motion))),
             queue_bytes: Some(64 << 20),
             ..DeviceSettings::default()
         };
@@ -279,6 +287,9 @@ fn check(
 
     (cost.sampled, cost.lost_sampled_ms) = check_sampled(take, sent, killed_ns, seed);
     cost.sampled += check_poses(take, seed);
+    let seqs: Vec<(u64, usize)> =
+        recorded.iter().map(|(row, ticks, _)| (*row, sent[ticks].seq)).collect();
+    cost.sampled += check_residuals((motion, take), &seqs, seed);
 
     let scan = RecoveryScan::read(take).unwrap();
     let mut new = Vec::new();
@@ -368,13 +379,44 @@ fn check_poses(take: &[u8], seed: u64) -> u64 {
     recorded.len() as u64
 }
 
+/// The residuals of every row are those of its frame, and up to some row every row has them. `seqs` has the rows and the numbers
+/// of their frames. Returns how many samples there are.
+fn check_residuals((motion, take): (&Motion, &[u8]), seqs: &[(u64, usize)], seed: u64) -> u64 {
+    let map = TakeMap::scan(&mut Cursor::new(take)).unwrap();
+    let group = map.recorded_groups().find(|group| group.group.has_residuals());
+    let Some(group) = group else { return 0 };
+    let mut n_stored = 0;
+    let count = |_, n, decoded: Option<&[f32]>| {
+        n_stored += if decoded.is_some() { n } else { 0 };
+        Ok(())
+    };
+    assert_eq!(group.read(&mut Cursor::new(take), count).unwrap(), [], "seed {seed}");
+    let recording = Recording::open(&map, Cursor::new(take.to_vec())).unwrap().unwrap();
+    let mut rows = recording.residuals(&(0..map.n_rows), MARKERS).unwrap();
+    let residuals = residuals(motion);
+    let rows: Vec<Vec<u8>> = (0..map.n_rows).map(|_| rows.next_row().unwrap().to_vec()).collect();
+    let mut n_reported = 0;
+    for &(row, seq) in seqs {
+        let original = motion.frame(seq % motion.n_frames());
+        let sent = residuals.frame((seq % motion.n_frames()) as u64);
+        let found = &rows[row as usize];
+        for ((&found, &sent), &position) in found.iter().zip(sent).zip(original) {
+            let is_missing = is_gap(position) || row >= group.n_samples();
+            assert_eq!(found, if is_missing { 0 } else { sent }, "seed {seed}: row {row}");
+            n_reported += u64::from(found > 0);
+        }
+    }
+    assert!(n_reported > 0 || n_stored == 0 || seqs.is_empty(), "seed {seed}");
+    n_stored
+}
+
 /// A running `mocapd record`, killed on drop.
 struct Recorder(Child);
 
 impl Recorder {
     fn start(uri: &str, take: &Path, options: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd"));
-        command.args(["record", "-d", uri, "-o"]).arg(take).args(options);
+        command.args(["record", "--residuals", "-d", uri, "-o"]).arg(take).args(options);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         Self(command.spawn().unwrap())
     }

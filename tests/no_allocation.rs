@@ -103,8 +103,8 @@ fn group() -> SampledGroupInfo {
 /// Rigid bodies of two groups.
 const N_BODIES: u16 = 9;
 
-/// Groups with samples: that of the sampled channels, and two of poses.
-const N_GROUPS: u64 = 3;
+/// Groups with samples: that of the sampled channels, two of poses, and two of residuals.
+const N_GROUPS: u64 = 5;
 
 /// The bytes of frames `from..to`, and of a batch of samples and of poses for each, as a pty would bring them.
 fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
@@ -114,8 +114,8 @@ fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
         let sample = |(id, &position_mm): (usize, &[f32; 3])| MarkerSample {
             id: id as u16,
             occluded: is_gap(position_mm),
+            residual_10um: ((seq * 7 + id) % 40) as u8,
             position_mm,
-            ..MarkerSample::default()
         };
         let markers: Vec<_> = motion.frame(seq).iter().enumerate().map(sample).collect();
         let frame =
@@ -197,6 +197,7 @@ fn allocations(
     let config = PipelineConfig {
         sampled: vec![group()],
         bodies: (0..N_BODIES).map(|id| BodyInfo { id, name: String::new() }).collect(),
+        residuals: true,
         ..PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels)
     };
     let mut header = header::new(&codec, RATE_HZ).unwrap();
@@ -224,7 +225,8 @@ fn allocations(
     let groups = written.sample_ledger.unwrap().groups;
     let stored: Vec<_> = groups.iter().map(|group| (group.stored, group.lost())).collect();
     let frames = 504 + 20 * 120;
-    assert_eq!(stored, [(frames * SAMPLES_EACH, 0), (frames, 0), (frames, 0)]);
+    let of_frames = [(frames, 0); 4];
+    assert_eq!(stored, [&[(frames * SAMPLES_EACH, 0)][..], &of_frames].concat());
     (allocations, ledgers)
 }
 
@@ -249,7 +251,7 @@ fn the_sample_path_does_not_allocate_after_the_start() {
         assert_eq!(
             n,
             Some(0),
-            "{kind}: 2400 frames of 70 markers, 20 sampled channels and 9 bodies"
+            "{kind}: 2400 frames of 70 markers, 20 sampled channels, 9 bodies and residuals"
         );
     }
 }

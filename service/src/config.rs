@@ -108,6 +108,8 @@ pub struct TakeConfig {
     pub codec: Settings,
     /// Largest error of the rotations of rigid bodies, in degrees; `None` for the one that follows from the tolerance.
     pub angle_degrees: Option<f64>,
+    /// Whether the residuals of markers are recorded.
+    pub residuals: bool,
     /// Length of a stretch: a killed process loses at most one.
     pub stretch: Duration,
     /// Time between syncs: a power cut loses at most this time and one stretch.

@@ -16,14 +16,15 @@ use mocapd_drivers::device::{
 };
 use mocapd_drivers::link::GROUPS_MAX;
 use mocapd_drivers::plain_file;
-use mocapd_take::interchange::{Format, InterchangeError};
-use mocapd_take::motion::{GAP, Motion, Position, is_gap};
+use mocapd_take::foreign::content::{MemoryScratch, ScratchFile};
+use mocapd_take::interchange::{Format, InterchangeError, residuals_10um};
+use mocapd_take::motion::{FrameSource, GAP, Motion, Position, is_gap};
 use mocapd_take::poses::{Pose as StoredPose, PoseBody, PoseState, PosesByRow, RowPoses};
 use mocapd_take::record::{RecordedPlate, SampleForm as StoredForm};
-use mocapd_take::sampled::{GroupSamples, SampleTimeLine};
-use mocapd_take::{TakeError, TakeMap};
+use mocapd_take::sampled::{GroupSamples, Recording, SampleTimeLine};
+use mocapd_take::{TakeError, TakeFrames, TakeMap};
 
-use crate::generator::{RecordedPoses, RigidBodies};
+use crate::generator::{RecordedPoses, RigidBodies, Rng};
 use crate::sampled::{RecordedSamples, SampledSource};
 
 /// Why a motion could not be read.
@@ -166,6 +167,12 @@ impl Replay {
         u64::try_from(steps).unwrap_or(u64::MAX - 1) + 1
     }
 
+    /// The recorded frame that is nearest to a resampled one.
+    pub(crate) fn recorded_frame(&self, index: u64) -> u64 {
+        let (num, den) = (u128::from(self.step.0), u128::from(self.step.1));
+        u64::try_from((u128::from(index) * num + den / 2) / den).unwrap_or(u64::MAX)
+    }
+
     /// Replaces `row` by one frame, with one position per marker, in millimetres; empty past the end.
     pub fn frame(&self, index: u64, row: &mut Vec<Position>) {
         row.clear();
@@ -223,6 +230,77 @@ fn cubic(
     out
 }
 
+/// The residuals of the markers of a motion, as devices report them: in units of 10 micrometres, 255 for larger ones, and 0
+/// for none.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Residuals {
+    n_markers: usize,
+    /// Frame after frame, and in each all markers.
+    counts_10um: Vec<u8>,
+}
+
+impl Residuals {
+    /// Random ones: between 0.05 mm and 0.69 mm, each marker around a value of its own, and none now and then.
+    #[must_use]
+    pub fn generated(seed: u64, motion: &Motion) -> Self {
+        let n_markers = motion.info.markers.len();
+        let mut streams: Vec<Rng> =
+            (0..n_markers as u64).map(|marker| Rng::stream(seed, marker)).collect();
+        let usual: Vec<f64> = streams.iter_mut().map(|rng| 5.0 + 50.0 * rng.unit()).collect();
+        let mut counts_10um = Vec::with_capacity(motion.n_frames() * n_markers);
+        for _ in 0..motion.n_frames() {
+            counts_10um.extend(streams.iter_mut().zip(&usual).map(|(rng, usual)| {
+                let has_one = rng.below(256) > 0;
+                let noise = 14.0 * (rng.unit() + rng.unit()) / 2.0;
+                if has_one { (usual + noise) as u8 } else { 0 }
+            }));
+        }
+        Self { n_markers, counts_10um }
+    }
+
+    /// Those of a C3D file, or of a take that was imported from one or recorded with them; `None` if there are none.
+    /// `motion` is what was read from the file.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn read(path: &Path, motion: &Motion) -> Result<Option<Self>, SourceError> {
+        let owned = || path.to_owned();
+        let n_markers = motion.info.markers.len();
+        let read = |source| SourceError::Read { path: owned(), source };
+        if !is_take(path) {
+            let counts = residuals_10um(&motion.info).map_err(read)?;
+            return Ok(counts.map(|counts_10um| Self { n_markers, counts_10um }));
+        }
+        let of_take = |source| SourceError::Take { path: owned(), source };
+        let open = || plain_file::open(path).map(BufReader::new).map_err(read);
+        let map = TakeMap::scan(&mut open()?).map_err(of_take)?;
+        if let Some(recording) = Recording::open(&map, open()?).map_err(of_take)?
+            && recording.has_residuals()
+        {
+            let n_frames = motion.n_frames();
+            let rows = 0..n_frames as u64;
+            let mut rows = recording.residuals(&rows, n_markers).map_err(of_take)?;
+            let mut counts_10um = Vec::with_capacity(n_frames * n_markers);
+            for _ in 0..n_frames {
+                counts_10um.extend_from_slice(rows.next_row().map_err(read)?);
+            }
+            return Ok(Some(Self { n_markers, counts_10um }));
+        }
+        let is_of_c3d = |kind: &str| kind.starts_with("c3d/");
+        let in_memory = || Ok(Arc::new(MemoryScratch::default()) as Arc<dyn ScratchFile>);
+        let frames = TakeFrames::open_with(open()?, is_of_c3d, in_memory).map_err(of_take)?;
+        let counts = residuals_10um(frames.info()).map_err(read)?;
+        Ok(counts.map(|counts_10um| Self { n_markers, counts_10um }))
+    }
+
+    /// Those of a frame of the motion, by marker; none past its end.
+    #[must_use]
+    pub fn frame(&self, index: u64) -> &[u8] {
+        let mut rows = self.counts_10um.chunks_exact(self.n_markers.max(1));
+        usize::try_from(index).ok().and_then(|index| rows.nth(index)).unwrap_or_default()
+    }
+}
+
 /// Limit on what is held in memory: half an hour of 64 channels at 2 kHz, and as much of poses.
 const BYTES_MAX: usize = 1 << 30;
 
@@ -261,6 +339,10 @@ fn read_from(
         let (plates, unusable) = map.force_plates();
         found.left_out.extend(unusable.iter().map(|why| format!("a force plate: {why}")));
         for (index, group) in line.groups().iter().enumerate() {
+            // Frames have the residuals of their markers.
+            if group.group.has_residuals() {
+                continue;
+            }
             let first = first_sample(&line, index, map.n_rows);
             match read_group(input, group, (first, seconds), &mut bytes_left)? {
                 Ok(samples) => {

@@ -11,6 +11,7 @@ use mocapd_codec::poses::{
     POSE_CHANNELS, PoseBounds, PoseRow, RESIDUAL_ERROR_MM, code_without_pose, has_pose, unit,
 };
 
+pub(crate) use self::by_row::rows_of;
 pub use self::by_row::{PoseBody, PosesByRow, RowPoses};
 use crate::{
     TakeError,

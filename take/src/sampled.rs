@@ -12,14 +12,18 @@ mod time_line;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
+
 pub(crate) use self::encoder::PartContext;
 pub(crate) use self::part::{GroupReader, RecoveredSamples, SampleRun};
 pub(crate) use self::resample::{FILTER, Resampler, reach};
-pub(crate) use self::time_line::epochs_of;
+pub(crate) use self::time_line::{RowPiece, epochs_of};
 pub use self::{
     encoder::{EncodedSpan, KeySpan, KeySpans, SamplesPlan, SpanEncoder, sample_count},
     part::{GroupSamples, LostSamples, SampledPart},
-    recording::{ReadSeek, RecordedPoses, RecordedSamples, Recording, SampleBlock},
+    recording::{
+        ReadSeek, RecordedPoses, RecordedResiduals, RecordedSamples, Recording, SampleBlock,
+    },
     time_line::{PlaceIndex, RecordingClock, RowClock, SampleTimeLine},
 };
 use crate::{
@@ -41,6 +45,25 @@ pub const RECORDED: &str = "";
 
 /// The kind of the parts that are poses of rigid bodies in a recording ([`poses`](crate::poses)).
 pub const POSES: &str = "poses";
+
+/// The numbers of the groups that are residuals of markers: those behind the numbers of a device's own groups and of poses,
+/// as many as a recorder can number.
+pub const RESIDUAL_GROUPS: Range<u32> = 32..256;
+
+/// What is behind a marker's label in the name of the channel of its residuals.
+pub const RESIDUAL_SUFFIX: &str = ".residual";
+
+/// Millimetres in a count of such a channel: devices report 10 micrometres.
+pub const RESIDUAL_SCALE: f64 = 0.01;
+
+impl SampledGroup {
+    /// Whether its channels are the residuals of markers: one sample in each row. The index of a channel is that of its
+    /// marker in the take's table.
+    #[must_use]
+    pub fn has_residuals(&self) -> bool {
+        self.kind == RECORDED && RESIDUAL_GROUPS.contains(&self.number)
+    }
+}
 
 /// Whether the parts of this kind are channels of a recording: scalar ones, or the poses of rigid bodies.
 #[must_use]

@@ -5,10 +5,14 @@ pub(super) mod played;
 mod poses;
 mod sampled;
 
-use std::fs;
+use std::{fs, io::Cursor};
 
 use mocapd_acquire::inspect::Finding;
 use mocapd_simulator::faults::{ExpectedRecording, Fate, LedgerMatch, Script};
+use mocapd_take::{
+    TakeMap,
+    sampled::{RESIDUAL_GROUPS, Recording},
+};
 use serde_json::Value;
 
 use self::{
@@ -88,6 +92,7 @@ fn agrees(name: &str) {
     take_holds_what_was_sent(&folder, &script, &played);
     sampled::take_holds_what_was_sent(&folder, &played);
     poses::take_holds_what_was_sent(&folder, &script, &played);
+    residuals_are_those_of_the_frames(&folder, &script, &played);
     contradictions_are_reported(&folder, &played, &expect);
     logs_account_for_the_take(&folder, &played, name == "lying-counter");
 }
@@ -128,6 +133,36 @@ fn logs_account_for_the_take(folder: &Folder, played: &Played, counter_lies: boo
     folder.write("other.csv", rows.collect::<String>().as_bytes());
     let ran = folder.run(&["verify", "a.take", "--against", "other.csv"]).with_code(1);
     assert_mentions(&ran.stdout, &["NO TIME IN COMMON"]);
+}
+
+/// Every recorded row has the residuals of its frame, but for markers that the motion does not have, and those of all others
+/// are lost.
+fn residuals_are_those_of_the_frames(folder: &Folder, script: &Script, played: &Played) {
+    let take = folder.read("a.take");
+    let map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
+    let recording = Recording::open(&map, Cursor::new(take.clone())).unwrap().unwrap();
+    let (n_rows, n_markers) = (map.n_rows, map.channels.len());
+    let mut rows = recording.residuals(&(0..n_rows), n_markers).unwrap();
+    let found: Vec<Vec<u8>> = (0..n_rows).map(|_| rows.next_row().unwrap().to_vec()).collect();
+    let (timelines, sent) = (chunks(&take).timelines, sent_frames(script, played));
+    let whole = played.fates.iter().zip(&sent).filter(|(fate, _)| fate.fate == Fate::Whole);
+    let mut wanted = vec![vec![0; n_markers]; n_rows as usize];
+    let recorded = timelines.iter().flat_map(mocapd_take::timeline::Timeline::recorded);
+    for ((row, _), (_, markers)) in recorded.zip(whole) {
+        for marker in markers.iter().filter(|marker| !marker.occluded) {
+            wanted[row as usize][usize::from(marker.id)] = marker.residual_10um;
+        }
+    }
+    let n_reported = wanted.iter().flatten().filter(|count| **count > 0).count();
+    assert!(n_reported > 1000, "{n_reported}");
+    for (row, (found, wanted)) in found.iter().zip(&wanted).enumerate() {
+        assert_eq!(found, wanted, "row {row}");
+    }
+    let ledgers = played.report["sample_ledger"]["groups"].as_array().unwrap();
+    let ledger = ledgers.last().unwrap();
+    assert_eq!(ledger["group"], RESIDUAL_GROUPS.start);
+    let frames = &played.report["ledger"];
+    assert_eq!((&ledger["taken"], &ledger["stored"]), (&n_rows.into(), &frames["recorded"]));
 }
 
 /// `record` and the commands that read the take explain an exit code of 3; a ledger that closes causes no such
@@ -209,6 +244,8 @@ pub(super) fn texts_agree(ledger: &Value, info: &Value, expect: &ExpectedRecordi
     if !expect.events.iter().any(|words| words.contains(SILENCE)) {
         events.retain(|text| !text.contains(SILENCE));
     }
+    // Of markers that a script adds, where residuals are recorded.
+    events.retain(|text| !text.contains("whose residuals are not recorded"));
     for (what, found, wanted) in [
         ("contradictions", contradictions(ledger), &expect.contradictions),
         ("events", events, &expect.events),

@@ -33,6 +33,7 @@ mod recording;
 mod recoveries;
 mod reloads;
 mod replays;
+mod residuals;
 pub(crate) mod service;
 mod shared_pages;
 mod splits;

@@ -30,7 +30,7 @@ const RATE_HZ: f64 = 240.0;
 const SECONDS: f64 = 3.0;
 
 /// A port that is free now, for a group of this test alone.
-fn free_port() -> u16 {
+pub(super) fn free_port() -> u16 {
     UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap().port()
 }
 

@@ -13,6 +13,7 @@ mod overload;
 mod pose_rows;
 mod poses;
 mod publish;
+mod residuals;
 mod sampled;
 mod splits;
 mod statistics;

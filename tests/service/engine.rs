@@ -26,6 +26,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
             name: NameTemplate::parse("take-{count}").unwrap(),
             codec: dense(1.0),
             angle_degrees: None,
+            residuals: false,
             stretch: Duration::from_millis(500),
             sync: Duration::from_millis(500),
             keep_free_bytes: 0,

@@ -10,6 +10,7 @@ use mocapd_codec::{GROUP_CHANNELS, Settings, poses::PoseBounds};
 use mocapd_drivers::device::{BODIES_MAX, BodyInfo, SampledGroupInfo};
 use mocapd_take::{
     record::{Channel, RATES_HZ},
+    sampled::RESIDUAL_GROUPS,
     stretch::SAMPLES_MAX,
 };
 
@@ -45,6 +46,8 @@ pub struct PipelineConfig {
     pub bodies: Vec<BodyInfo>,
     /// The largest errors of their poses; `None` to record every bit.
     pub pose_bounds: Option<PoseBounds>,
+    /// Whether the residuals of the markers are recorded: of those known at the start, and none that appear later.
+    pub residuals: bool,
     /// Number of channels that may be added later.
     pub reserve: usize,
     /// Resampler threads.
@@ -88,6 +91,7 @@ impl PipelineConfig {
             bodies: Vec::new(),
             pose_bounds: (!codec.kind.is_lossless())
                 .then(|| PoseBounds::of_tolerance(codec.tolerance)),
+            residuals: false,
             reserve: SPARE_MIN,
             workers: crate::threads::default_workers(),
             stretch: STRETCH,
@@ -117,6 +121,13 @@ impl PipelineConfig {
     #[must_use]
     pub fn recorded_bodies(&self) -> &[BodyInfo] {
         self.bodies.get(..BODIES_MAX).unwrap_or(&self.bodies)
+    }
+
+    /// The channels whose residuals are recorded: as many as there are numbers of groups for.
+    #[must_use]
+    pub fn recorded_residuals(&self) -> &[Channel] {
+        let channels = if self.residuals { &self.channels[..] } else { &[] };
+        channels.get(..RESIDUAL_GROUPS.len() * GROUP_CHANNELS).unwrap_or(channels)
     }
 
     /// Rows of a full stretch.

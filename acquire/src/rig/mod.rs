@@ -73,6 +73,8 @@ pub struct Rig {
     loss_limits: Option<(Duration, Duration)>,
     /// The largest error of rotations in degrees, if the user chose it.
     angle_degrees: Option<f64>,
+    /// Whether the residuals of markers are recorded.
+    residuals: bool,
     /// Also receives every byte, when a raw log is written.
     raw_log: Option<RawLogTap>,
 }
@@ -141,6 +143,11 @@ impl Rig {
         self.angle_degrees = degrees;
     }
 
+    /// Whether to record the residuals of markers too.
+    pub fn record_residuals(&mut self, residuals: bool) {
+        self.residuals = residuals;
+    }
+
     /// How the device identified itself.
     #[must_use]
     pub fn hello(&self) -> &Hello {
@@ -198,7 +205,7 @@ impl Rig {
         let angle = self.angle_degrees.filter(|_| config.pose_bounds.is_some());
         let chosen = angle.and_then(|angle| PoseBounds::new(codec.tolerance, angle).ok());
         let pose_bounds = chosen.or(config.pose_bounds);
-        let config = PipelineConfig { pose_bounds, ..config };
+        let config = PipelineConfig { pose_bounds, residuals: self.residuals, ..config };
         let config = match self.loss_limits {
             Some((stretch, sync_every)) => PipelineConfig { stretch, sync_every, ..config },
             None => config,
@@ -350,6 +357,7 @@ impl Rig {
             replug_timeout: Duration::ZERO,
             loss_limits: None,
             angle_degrees: None,
+            residuals: false,
             raw_log,
         };
         rig.query_identity(&|| false)?;

@@ -142,6 +142,10 @@ keys! {
             },
             to_json: |config| config.take.angle_degrees.map(|degrees| json!(format!("{degrees}deg"))),
         };
+    /// Record the residuals that the device reports with its markers, as sampled channels.
+    /// They show how well each marker was seen, but are noise that hardly compresses: most takes become several times as large.
+    take.residuals: ValueType::Flag,
+        DefaultValue::Flag(false), ReloadPolicy::NextArm, field!(take.residuals);
     /// Store every sample bit for bit; the same as `resampler = "lossless"`.
     /// For archives that must not change; takes are several times as large.
     take.lossless: ValueType::Flag,

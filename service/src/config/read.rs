@@ -189,6 +189,7 @@ impl Config {
                 name: NameTemplate::parse("{date}").map_err(bug)?,
                 codec: Settings { kind: ResamplerKind::default(), tolerance },
                 angle_degrees: None,
+                residuals: false,
                 stretch: Duration::ZERO,
                 sync: Duration::ZERO,
                 keep_free_bytes: 0,

@@ -295,6 +295,7 @@ mod tests {
                     tolerance: Tolerance::from_mm(1.0).unwrap(),
                 },
                 angle_degrees: None,
+                residuals: false,
                 stretch: Duration::from_millis(500),
                 sync: Duration::from_millis(500),
                 keep_free_bytes: 0,

@@ -291,6 +291,7 @@ fn open_rig(
         None => Rig::open_logged(uri, tap)?,
     };
     rig.limit_angles(options.take.angle_degrees);
+    rig.record_residuals(options.take.residuals);
     if let Some(rate_hz) = options.device.rate_hz {
         rig.set_rate(rate_hz)?;
     }

@@ -275,7 +275,10 @@ impl Device {
             faults.positions(since_ns, &mut self.row);
             faults.count_clock_faults(since_ns);
         }
-        let present = fill_samples(&self.table, &self.row, &mut self.samples);
+        let residuals = self.settings.residuals.as_deref();
+        let recorded = self.replay.recorded_frame(number % n_frames);
+        let residuals = residuals.map_or(&[][..], |residuals| residuals.frame(recorded));
+        let present = fill_samples(&self.table, (&self.row, residuals), &mut self.samples);
         self.add_ghosts(since_ns);
         let early_ns = self.faults.as_mut().map_or(0, |faults| faults.stamp_jitter_ns(since_ns));
         let device_ticks = self.ticks(at_ns).saturating_add_signed(-early_ns / NS_PER_TICK);
@@ -407,14 +410,20 @@ fn link_label(label: &str) -> String {
 ///
 /// A labelled marker without a position is listed as occluded. An unlabelled one is omitted, because it is unknown
 /// whether it still exists.
-fn fill_samples(table: &[MarkerInfo], row: &[Position], samples: &mut Vec<MarkerSample>) -> u32 {
+fn fill_samples(
+    table: &[MarkerInfo],
+    (row, residuals): (&[Position], &[u8]),
+    samples: &mut Vec<MarkerSample>,
+) -> u32 {
     samples.clear();
     let mut present = 0;
-    for (marker, &position_mm) in table.iter().zip(row) {
+    let residuals = residuals.iter().copied().chain(std::iter::repeat(0));
+    for ((marker, &position_mm), residual_10um) in table.iter().zip(row).zip(residuals) {
         let occluded = is_gap(position_mm);
         if !occluded {
             present += 1;
-            samples.push(MarkerSample { id: marker.id, position_mm, ..MarkerSample::default() });
+            let id = marker.id;
+            samples.push(MarkerSample { id, occluded, residual_10um, position_mm });
         } else if marker.labelled {
             samples.push(MarkerSample { id: marker.id, occluded, ..MarkerSample::default() });
         }

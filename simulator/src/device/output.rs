@@ -233,7 +233,8 @@ impl Device {
         let lines = [self.settings.line_bytes_per_s, host_line_bytes_per_s];
         let line = lines.into_iter().filter(|line| *line > 0).min().unwrap_or(0);
         let frame_bytes = frame_bytes_in_volume(self.settings.form, self.table.len());
-        let frame_bytes = frame_bytes + self.pose_bytes();
+        let residuals = if self.settings.residuals.is_some() { self.table.len() } else { 0 };
+        let frame_bytes = frame_bytes + residuals + self.pose_bytes();
         let rate_max_millihertz = self.hello.rate_max_millihertz;
         let samples = self.samples_bytes_per_s();
         link_budget(frame_bytes, rate_millihertz, rate_max_millihertz, samples, line)

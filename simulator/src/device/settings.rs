@@ -9,7 +9,7 @@ use super::SECOND_NS;
 use crate::faults::Script;
 use crate::generator::RigidBodies;
 use crate::sampled::SampledSource;
-use crate::source::Replay;
+use crate::source::{Replay, Residuals};
 
 /// Frame rates of a simulated device, in millihertz: 1 Hz to 10 kHz.
 pub const RATE_MILLIHERTZ: std::ops::RangeInclusive<u32> = 1_000..=10_000_000;
@@ -41,6 +41,8 @@ pub struct DeviceSettings {
     pub sampled: Vec<SampledSource>,
     /// Rigid bodies, whose poses follow each frame.
     pub bodies: Option<Arc<RigidBodies>>,
+    /// The residuals of the motion's markers; `None` for a device that reports none.
+    pub residuals: Option<Arc<Residuals>>,
     /// Faults inside the device. [`FaultyDevice`](crate::faults::FaultyDevice) applies those of wire and connection.
     pub faults: Option<Arc<Script>>,
     /// Keep a [`SentFrame`](super::SentFrame) for every frame; the caller must take them regularly.
@@ -60,6 +62,7 @@ impl Default for DeviceSettings {
             queue_bytes: None,
             sampled: Vec::new(),
             bodies: None,
+            residuals: None,
             faults: None,
             log_frames: false,
         }

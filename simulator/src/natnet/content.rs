@@ -12,7 +12,7 @@ use mocapd_take::motion::{Motion, Position};
 use super::{NatNetError, NatNetSettings};
 use crate::{generator::PLATE_COMPONENTS, sampled::SampledSource};
 
-/// Residual of every marker, which motions do not have.
+/// Residual of every marker of a motion without any, and of every rigid body.
 const RESIDUAL_M: f32 = 0.000_25;
 
 /// Radians by which a rigid body turns in a frame.
@@ -156,11 +156,24 @@ impl Content {
     }
 
     /// Takes over the positions of a frame, which is the `played`th since the motion began.
-    pub(super) fn fill(&mut self, row: &[Position], ghosts: &[MarkerSample], played: u64) {
-        let served = |position_mm| ServedMarker { position_mm, residual_m: RESIDUAL_M };
-        self.table.fill(|column| row.get(column).copied().map(served));
+    /// `residuals` has those of the motion in units of 10 micrometres, if it has some.
+    pub(super) fn fill(
+        &mut self,
+        (row, residuals): (&[Position], Option<&[u8]>),
+        ghosts: &[MarkerSample],
+        played: u64,
+    ) {
+        let residual_m = |column: usize| match residuals {
+            Some(counts) => f32::from(counts.get(column).copied().unwrap_or(0)) / 1e5,
+            None => RESIDUAL_M,
+        };
+        self.table.fill(|column| {
+            let position_mm = row.get(column).copied()?;
+            Some(ServedMarker { position_mm, residual_m: residual_m(column) })
+        });
         for ghost in ghosts {
-            self.table.add_unlabelled(ghost.id.into(), served(ghost.position_mm));
+            let served = ServedMarker { position_mm: ghost.position_mm, residual_m: RESIDUAL_M };
+            self.table.add_unlabelled(ghost.id.into(), served);
         }
         self.fill_bodies(played);
         self.fill_samples(played);

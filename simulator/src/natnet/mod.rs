@@ -31,7 +31,7 @@ use crate::{
     faults::{ConnectionFaults, ConnectionState, Fault, Kind, Kinds, Script, SourceFaults, stream},
     qtm::{fates::DeliveryLog, happens},
     sampled::SampledSource,
-    source::Replay,
+    source::{Replay, Residuals},
 };
 
 pub use self::serve::{NatNetListener, NatNetServeError};
@@ -60,6 +60,8 @@ pub struct NatNetSettings {
     pub sampled: Vec<SampledSource>,
     /// Faults of frames, time, connection and definitions.
     pub faults: Option<Arc<Script>>,
+    /// The residuals of the motion's markers; by default all are alike.
+    pub residuals: Option<Arc<Residuals>>,
 }
 
 impl NatNetSettings {
@@ -75,6 +77,7 @@ impl NatNetSettings {
             rigid_bodies: Vec::new(),
             sampled: Vec::new(),
             faults: None,
+            residuals: None,
         }
     }
 
@@ -299,7 +302,7 @@ impl NatNetDevice {
             let Fault::EarlyFrames { count } = scheduled.fault else { continue };
             for number in 0..count {
                 self.replay.frame(u64::from(number) % self.replay.n_frames(), &mut self.row);
-                self.content.fill(&self.row, &[], 0);
+                self.content.fill((&self.row, None), &[], 0);
                 let end = FrameEnd::default();
                 self.content.send(&mut self.server, number, end, now_ns);
             }
@@ -442,7 +445,9 @@ impl NatNetDevice {
             faults.count_clock_faults(since_ns);
             faults.add_ghosts(since_ns, &mut self.ghosts);
         }
-        self.content.fill(&self.row, &self.ghosts, self.played);
+        let recorded = self.replay.recorded_frame(index);
+        let residuals = self.settings.residuals.as_deref().map(|of| of.frame(recorded));
+        self.content.fill((&self.row, residuals), &self.ghosts, self.played);
         self.played += 1;
         let ticks = self.time_ns(at_ns) / TICK_NS;
         let way = self.faults_on_the_way(since_ns);

@@ -30,12 +30,12 @@ use crate::faults::{
 };
 use crate::generator::RigidBodies;
 use crate::sampled::SampledSource;
-use crate::source::Replay;
+use crate::source::{Replay, Residuals};
 
 pub use samples::force_of;
 pub use serve::{QtmListener, ServeError};
 
-/// Residual of every marker, which motions do not have.
+/// Residual of every marker of a motion without any.
 const RESIDUAL_MM: f32 = 0.25;
 
 /// Id of the first unlabelled marker: unlike a marker's place, so that nobody can take one for the other.
@@ -59,6 +59,8 @@ pub struct QtmSettings {
     pub sampled: Vec<SampledSource>,
     /// Rigid bodies.
     pub bodies: Option<Arc<RigidBodies>>,
+    /// The residuals of the motion's markers; by default all are alike.
+    pub residuals: Option<Arc<Residuals>>,
 }
 
 impl Default for QtmSettings {
@@ -70,6 +72,7 @@ impl Default for QtmSettings {
             faults: None,
             sampled: Vec::new(),
             bodies: None,
+            residuals: None,
         }
     }
 }
@@ -420,7 +423,7 @@ impl QtmDevice {
             ahead_ns = faults.clock_offset_ns(since_ns) - faults.stamp_jitter_ns(since_ns);
         }
         self.apply_changes(since_ns);
-        self.fill_markers();
+        self.fill_markers(index);
         self.fill_bodies(index, since_ns);
         let present = self.row.iter().filter(|position| !is_gap(**position)).count();
         let time_ns = at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns));
@@ -538,15 +541,21 @@ impl QtmDevice {
     }
 
     /// The markers of the current frame, labelled and unlabelled.
-    fn fill_markers(&mut self) {
+    fn fill_markers(&mut self, index: u64) {
         let Self { row, labelled, unlabelled, ghosts, changes, .. } = self;
+        let recorded = self.replay.recorded_frame(index);
+        let residuals = self.settings.residuals.as_deref().map(|of| of.frame(recorded));
+        let residual_mm = |column: usize| match residuals {
+            Some(counts) => f32::from(counts.get(column).copied().unwrap_or(0)) / 100.0,
+            None => RESIDUAL_MM,
+        };
         let [with_label, without] = &mut self.markers;
         let wire = |column: &usize| {
             let position = row.get(*column).copied().filter(|position| !is_gap(*position));
             WireMarker {
                 position_mm: position.unwrap_or([MISSING; 3]),
                 id: FIRST_ID + *column as u32,
-                residual_mm: RESIDUAL_MM,
+                residual_mm: residual_mm(*column),
             }
         };
         let n_labelled = labelled.len() - usize::from(changes.hides_last() && !labelled.is_empty());

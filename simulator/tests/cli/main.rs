@@ -126,6 +126,8 @@ fn usage_errors_exit_2_and_failures_1() {
         &["--generate", "jump", "--pty", "--protocol", "ndi", "--wire", "um"],
         &["--generate", "jump", "--pty", "--protocol", "ndi", "--tool", "nobody"],
         &["--generate", "jump", "--pty", "--protocol", "ndi", "--faults", "faults/garbage.toml"],
+        &["--generate", "jump", "--pty", "--protocol", "ndi", "--residuals"],
+        &["--generate", "jump", "--protocol", "lsl", "--residuals"],
         &["--generate", "jump", "--pty", "--batch", "2s"],
         &["--generate", "jump", "--pty", "--batch", "16ms", "--batch-ms", "16"],
         &["--generate", "jump", "--pty", "--noise", "-1mm"],
@@ -142,6 +144,10 @@ fn usage_errors_exit_2_and_failures_1() {
     let expected = "mocapd-sim: the folder /nowhere does not exist: create it first\n";
     assert!(message.ends_with(expected), "{message}");
     let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    std::fs::write(&csv, "time_s,A.x,A.y,A.z\n0,1,2,3\n0.01,1,2,3\n").unwrap();
+    let message = fails(&[csv.to_str().unwrap(), "--pty", "--residuals"], 2);
+    assert!(message.contains("a.csv has no residuals"), "{message}");
     let taken = folder.path().join("taken");
     std::fs::write(&taken, "").unwrap();
     let link = format!("--pty={}", taken.display());

@@ -25,6 +25,9 @@ use crate::cli::{
 #[derive(Debug, Serialize)]
 pub(super) struct SampledGroupReport {
     pub(super) kind: String,
+    /// Whether its channels are the residuals of markers.
+    #[serde(skip)]
+    pub(super) has_residuals: bool,
     number: u32,
     form: &'static str,
     rate_hz: f64,
@@ -72,6 +75,7 @@ impl SampledGroupReport {
         };
         Self {
             kind: group.kind.clone(),
+            has_residuals: group.has_residuals(),
             number: group.number,
             form: group.form.name(),
             rate_hz: group.rate_hz,

@@ -133,9 +133,15 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
             line("note", warning);
         }
     }
-    for group in report.sampled_groups.iter().filter(|group| group.kind.is_empty()) {
+    let recorded = || report.sampled_groups.iter().filter(|group| group.kind.is_empty());
+    for group in recorded().filter(|group| !group.has_residuals) {
         let shape = contents::channels_text(&[group]);
         line("sampled", shape.trim_start_matches(": "));
+    }
+    let residuals: Vec<_> = recorded().filter(|group| group.has_residuals).collect();
+    if !residuals.is_empty() {
+        let shape = contents::channels_text(&residuals);
+        line("residuals", shape.trim_start_matches(": "));
     }
     if let Some(poses) = &report.poses {
         line("poses", &poses.text());

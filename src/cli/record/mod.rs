@@ -81,6 +81,10 @@ pub(crate) struct Args {
     /// 200 mm away moves by the tolerance]
     #[arg(long, value_name = "ANGLE", value_parser = units::angle_degrees, conflicts_with = "lossless", allow_hyphen_values = true)]
     angle_tolerance: Option<f64>,
+    /// Record the residuals that the device reports with its markers, as sampled channels; takes become several times as
+    /// large
+    #[arg(long)]
+    residuals: bool,
     #[command(flatten)]
     codec: CodecArgs,
     #[command(flatten)]
@@ -142,6 +146,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rig.wait_for_replug(args.reconnect);
         rig.limit_loss(args.stretch, args.sync);
         rig.limit_angles(args.angle_tolerance);
+        rig.record_residuals(args.residuals);
         let same_disk = log.filter(|log| paths::are_on_one_disk(log.path(), &first));
         let limits = Limits {
             length: args.seconds,

@@ -266,7 +266,8 @@ pub fn compare_log(
         found.accounts.push(StoredSeries::of_rows(map, input)?.account(None, sent));
         return Ok(found);
     }
-    for group in map.sample_groups() {
+    // The log of frames has the residuals.
+    for group in map.sample_groups().filter(|group| !group.group.has_residuals()) {
         let number = group.group.number;
         let of_log = if group.group.has_poses() { POSES } else { number };
         match log.series.get(&of_log) {

@@ -1,5 +1,5 @@
 //! The sampled channels of recordings in edited takes: copied as they are where whole groups are kept, encoded again in
-//! a part; of poses, those of the part's rows.
+//! a part; of poses and residuals, those of the part's rows.
 
 use std::{
     io::{Read, Seek, SeekFrom, Write},
@@ -388,7 +388,7 @@ impl Part<'_> {
     }
 }
 
-/// Which poses of a group are in a part, and times of theirs.
+/// Which poses or residuals of a group are in a part, and times of theirs.
 pub(super) struct PoseEnds {
     /// Number of the group.
     pub group: u32,
@@ -405,15 +405,17 @@ pub(super) struct PoseEnds {
 }
 
 impl PoseEnds {
-    /// Those of all groups of poses. At the ends of the take, poses before its first row and behind its last one belong to
-    /// the part.
+    /// Those of all groups of poses and of residuals. At the ends of the take, samples before its first row and behind its
+    /// last one belong to the part.
     pub(super) fn read(
         map: &TakeMap,
         input: &mut (impl Read + Seek),
         rows: &Range<u64>,
         tick_hz: u64,
     ) -> Result<Vec<Self>, TakeError> {
-        let Some(by_row) = PosesByRow::read(&mut *input, map)? else { return Ok(Vec::new()) };
+        let Some(by_row) = PosesByRow::with_residuals(&mut *input, map)? else {
+            return Ok(Vec::new());
+        };
         let mut all: Vec<Self> = Vec::new();
         for (index, group) in by_row.groups().enumerate() {
             let n = group.n_samples();

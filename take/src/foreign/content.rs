@@ -405,7 +405,7 @@ impl<'a> ContentWriter<'a> {
 
 /// A scratch file in memory, for callers that have the whole source in memory anyway.
 #[derive(Debug, Default)]
-pub(crate) struct MemoryScratch(Mutex<Vec<u8>>);
+pub struct MemoryScratch(Mutex<Vec<u8>>);
 
 impl ScratchFile for MemoryScratch {
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {

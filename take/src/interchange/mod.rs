@@ -46,6 +46,7 @@ use crate::{
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionInfo, Notes, Position, UpAxis, is_gap},
 };
+pub use c3d::residuals_10um;
 pub use csv::quote as csv_cell;
 pub use motion_reader::{MotionReader, ReaderSettings};
 pub use recorded_rows::{output_names, plates_of_group, recorded_plates};

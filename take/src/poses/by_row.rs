@@ -12,7 +12,7 @@ use mocapd_codec::poses::POSE_CHANNELS;
 use super::{Pose, PoseReader, PoseState};
 use crate::{
     TakeError, TakeMap,
-    sampled::{GroupReader, GroupSamples, RowClock, SampleAnchor, epochs_of},
+    sampled::{GroupReader, GroupSamples, RowClock, RowPiece, SampleAnchor, epochs_of},
 };
 
 /// Most rows with the time of an anchor that are remembered, in 96 MiB: a recorder writes two anchors in half a second, so
@@ -33,40 +33,6 @@ pub struct PoseBody {
     pub number: u32,
     /// Its name, which may be empty or that of another one, too.
     pub name: String,
-}
-
-/// Samples of a group that follow each other, as their rows do.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct RowPiece {
-    numbers: Range<u64>,
-    /// The row of the first of them.
-    first_row: u64,
-    /// Whether a recorded row has the time of an anchor; else the row is the nearest one to it.
-    is_exact: bool,
-}
-
-impl RowPiece {
-    /// The row after the last one.
-    fn end_row(&self) -> u64 {
-        self.first_row + (self.numbers.end - self.numbers.start)
-    }
-
-    /// Leaves out the rows before this one.
-    fn begin_at(&mut self, row: u64) {
-        let by = row.saturating_sub(self.first_row).min(self.numbers.end - self.numbers.start);
-        self.numbers.start += by;
-        self.first_row += by;
-    }
-
-    /// Leaves out this row and those after it.
-    fn end_before(&mut self, row: u64) {
-        let n = row.saturating_sub(self.first_row).min(self.numbers.end - self.numbers.start);
-        self.numbers.end = self.numbers.start + n;
-    }
-
-    fn is_empty(&self) -> bool {
-        self.numbers.is_empty()
-    }
 }
 
 /// A recorded row that has the time of an anchor.
@@ -230,6 +196,19 @@ fn in_order(pieces: Vec<RowPiece>, n_rows: u64) -> Vec<RowPiece> {
     kept
 }
 
+/// The samples of groups that have one in each row, and their rows.
+///
+/// # Errors
+/// Those of [`RowClock::read`].
+pub(crate) fn rows_of(
+    input: impl Read + Seek,
+    map: &TakeMap,
+    groups: &[GroupSamples],
+) -> Result<Vec<Vec<RowPiece>>, TakeError> {
+    let times = RowTimes::read(input, map, groups)?;
+    Ok(groups.iter().map(|samples| times.pieces(samples, map.n_rows)).collect())
+}
+
 #[derive(Debug, Clone)]
 struct GroupByRow {
     samples: GroupSamples,
@@ -251,7 +230,26 @@ impl PosesByRow {
     /// # Errors
     /// Those of [`RowClock::read`].
     pub fn read(input: impl Read + Seek, map: &TakeMap) -> Result<Option<Self>, TakeError> {
-        let groups: Vec<GroupSamples> = map.pose_groups().cloned().collect();
+        Self::read_groups(input, map, |samples| samples.group.has_poses())
+    }
+
+    /// The same with the groups of residuals, which have a sample in each row, too, but no bodies.
+    pub(crate) fn with_residuals(
+        input: impl Read + Seek,
+        map: &TakeMap,
+    ) -> Result<Option<Self>, TakeError> {
+        Self::read_groups(input, map, |samples| {
+            samples.group.has_poses() || samples.group.has_residuals()
+        })
+    }
+
+    fn read_groups(
+        input: impl Read + Seek,
+        map: &TakeMap,
+        is_wanted: impl Fn(&GroupSamples) -> bool,
+    ) -> Result<Option<Self>, TakeError> {
+        let groups: Vec<GroupSamples> =
+            map.sample_groups().filter(|samples| is_wanted(samples)).cloned().collect();
         if groups.is_empty() {
             return Ok(None);
         }

@@ -11,10 +11,12 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use super::{GroupReader, GroupSamples, RecordingClock, SampleRun, SampleTimeLine};
+use super::{
+    GroupReader, GroupSamples, RESIDUAL_SCALE, RecordingClock, RowPiece, SampleRun, SampleTimeLine,
+};
 use crate::{
     TakeError, TakeMap,
-    poses::{Pose, PoseBody, PoseTurn, PosesByRow, RowPoses},
+    poses::{Pose, PoseBody, PoseTurn, PosesByRow, RowPoses, rows_of},
     record::{RecordedPlate, SampledChannel},
 };
 
@@ -43,6 +45,8 @@ type FoundNumbers = (RowsOfGroup, Arc<[Range<u64>]>);
 struct Shared {
     line: SampleTimeLine,
     poses: Option<PosesByRow>,
+    /// By group, the rows of its samples if they are residuals.
+    residual_rows: Vec<Option<Vec<RowPiece>>>,
     rate_hz: f64,
     n_rows: u64,
     first_frame: u64,
@@ -93,10 +97,12 @@ impl Recording {
         }
         let line = SampleTimeLine::read(&mut input, map)?;
         let poses = PosesByRow::read(&mut input, map)?;
+        let residual_rows = residual_rows(&mut input, map, line.groups())?;
         let (plates, warnings) = map.force_plates();
         let shared = Arc::new(Shared {
             line,
             poses,
+            residual_rows,
             rate_hz: map.header.rate_hz,
             n_rows: map.n_rows,
             first_frame: map.header.source.as_ref().map_or(1, |source| source.first_frame),
@@ -176,7 +182,36 @@ impl Recording {
     /// The clock of a group; `None` beyond the last one.
     #[must_use]
     pub fn clock(&self, group: usize) -> Option<RecordingClock<'_>> {
-        self.shared.line.clock(group)
+        let clock = self.shared.line.clock(group)?;
+        let rows = self.shared.residual_rows.get(group).and_then(Option::as_deref);
+        Some(rows.map_or(clock, |rows| clock.with_rows(rows)))
+    }
+
+    /// Whether it has residuals of markers.
+    #[must_use]
+    pub fn has_residuals(&self) -> bool {
+        self.shared.residual_rows.iter().any(Option::is_some)
+    }
+
+    /// The residuals of the markers in these rows, of `n_markers` in the take's table.
+    ///
+    /// # Errors
+    /// Those of [`numbers`](Self::numbers).
+    pub fn residuals(
+        &self,
+        rows: &Range<u64>,
+        n_markers: usize,
+    ) -> Result<RecordedResiduals<'_>, TakeError> {
+        let of = |(index, found): (usize, &GroupSamples)| {
+            let samples = found.group.has_residuals().then(|| self.samples(index, rows))?;
+            Some(samples.map(|samples| ResidualCursor {
+                samples,
+                block: SampleBlock::default(),
+                next: 0,
+            }))
+        };
+        let groups = self.groups().iter().enumerate().filter_map(of).collect::<Result<_, _>>()?;
+        Ok(RecordedResiduals { groups, row: rows.start, counts_10um: vec![0; n_markers] })
     }
 
     /// The time of a place among the rows, in seconds from row `first_row`, to the nanosecond.
@@ -295,6 +330,86 @@ impl Recording {
             numbers,
             next_range: 0,
             lost: None,
+        }
+    }
+}
+
+/// By group, the rows of its samples if they are residuals.
+fn residual_rows(
+    input: &mut (impl Read + Seek),
+    map: &TakeMap,
+    groups: &[GroupSamples],
+) -> Result<Vec<Option<Vec<RowPiece>>>, TakeError> {
+    let wanted = groups.iter().filter(|samples| samples.group.has_residuals());
+    let wanted: Vec<GroupSamples> = wanted.cloned().collect();
+    if wanted.is_empty() {
+        return Ok(Vec::new());
+    }
+    let mut found = rows_of(input, map, &wanted)?.into_iter();
+    let of = |samples: &GroupSamples| samples.group.has_residuals().then(|| found.next()).flatten();
+    Ok(groups.iter().map(of).collect())
+}
+
+/// The residuals of the markers of a recording, row by row.
+#[derive(Debug)]
+pub struct RecordedResiduals<'a> {
+    groups: Vec<ResidualCursor<'a>>,
+    row: u64,
+    counts_10um: Vec<u8>,
+}
+
+#[derive(Debug)]
+struct ResidualCursor<'a> {
+    samples: RecordedSamples<'a>,
+    block: SampleBlock,
+    /// The next sample of the block.
+    next: usize,
+}
+
+impl RecordedResiduals<'_> {
+    /// The residuals of the next row, by marker in the order of the take's table: in units of 10 micrometres, as devices report
+    /// them; 0 where the take has none.
+    ///
+    /// # Errors
+    /// Those of reading the take.
+    pub fn next_row(&mut self) -> io::Result<&[u8]> {
+        self.counts_10um.fill(0);
+        for cursor in &mut self.groups {
+            cursor.add_row(self.row, &mut self.counts_10um)?;
+        }
+        self.row += 1;
+        Ok(&self.counts_10um)
+    }
+}
+
+impl ResidualCursor<'_> {
+    fn add_row(&mut self, row: u64, counts_10um: &mut [u8]) -> io::Result<()> {
+        let channels = self.samples.channels();
+        loop {
+            let Some(&at) = self.block.positions.get(self.next) else {
+                self.next = 0;
+                if !self.samples.next_block(&mut self.block)? {
+                    self.block = SampleBlock::default();
+                    return Ok(());
+                }
+                continue;
+            };
+            if at > row as f64 {
+                return Ok(());
+            }
+            let n_before = self.next * channels.len();
+            self.next += 1;
+            if at < row as f64 || self.block.is_lost {
+                continue;
+            }
+            let stored = self.block.stored.get(n_before..).unwrap_or_default();
+            for (channel, &stored) in channels.iter().zip(stored) {
+                if let Some(count) = counts_10um.get_mut(channel.index as usize) {
+                    // NaN becomes 0.
+                    *count = (channel.value(stored) / RESIDUAL_SCALE).round() as u8;
+                }
+            }
+            return Ok(());
         }
     }
 }

@@ -111,7 +111,7 @@ impl SampleTimeLine {
     pub fn clock(&self, group: usize) -> Option<RecordingClock<'_>> {
         let places = self.places.get(group)?;
         let samples = self.groups.get(group)?.clock_by(&places.anchors, self.tick_hz);
-        Some(RecordingClock { samples, rows: &self.clock, epochs: &places.epochs })
+        Some(RecordingClock { samples, rows: &self.clock, epochs: &places.epochs, own_rows: None })
     }
 
     /// Entries that it holds in memory: times of rows and samples, and blocks.
@@ -130,18 +130,64 @@ impl SampleTimeLine {
     }
 }
 
+/// Samples of a group that follow each other, as their rows do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct RowPiece {
+    pub(crate) numbers: Range<u64>,
+    /// The row of the first of them.
+    pub(crate) first_row: u64,
+    /// Whether a recorded row has the time of an anchor; else the row is the nearest one to it.
+    pub(crate) is_exact: bool,
+}
+
+impl RowPiece {
+    /// The row after the last one.
+    pub(crate) fn end_row(&self) -> u64 {
+        self.first_row + (self.numbers.end - self.numbers.start)
+    }
+
+    /// Leaves out the rows before this one.
+    pub(crate) fn begin_at(&mut self, row: u64) {
+        let by = row.saturating_sub(self.first_row).min(self.numbers.end - self.numbers.start);
+        self.numbers.start += by;
+        self.first_row += by;
+    }
+
+    /// Leaves out this row and those after it.
+    pub(crate) fn end_before(&mut self, row: u64) {
+        let n = row.saturating_sub(self.first_row).min(self.numbers.end - self.numbers.start);
+        self.numbers.end = self.numbers.start + n;
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.numbers.is_empty()
+    }
+}
+
 /// The times of a group's samples on the time line of the rows.
 #[derive(Debug, Clone, Copy)]
 pub struct RecordingClock<'a> {
     samples: SampleClock<'a>,
     rows: &'a RowClock,
     epochs: &'a [(u64, Option<usize>)],
+    /// Of a group with a sample in each row: the rows of its samples, in ascending order.
+    own_rows: Option<&'a [RowPiece]>,
 }
 
-impl RecordingClock<'_> {
+impl<'a> RecordingClock<'a> {
+    /// The same for a group with a sample in each row.
+    pub(super) fn with_rows(self, own_rows: &'a [RowPiece]) -> Self {
+        Self { own_rows: Some(own_rows), ..self }
+    }
+
     /// The place of a sample among the rows.
     #[must_use]
     pub fn position(&self, number: u64) -> Option<f64> {
+        if let Some(pieces) = self.own_rows {
+            let at = pieces.partition_point(|piece| piece.numbers.end <= number);
+            let piece = pieces.get(at).filter(|piece| piece.numbers.contains(&number))?;
+            return Some((piece.first_row + (number - piece.numbers.start)) as f64);
+        }
         let time = self.samples.at(number)?;
         let run =
             self.epochs.partition_point(|(start, _)| *start <= time.run_start).checked_sub(1)?;

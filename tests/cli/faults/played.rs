@@ -19,6 +19,7 @@ use mocapd_simulator::{
     generator::{ForcePlates, JumpSpec, Occlusion, RigidBodies},
     pty::{PtyLine, ServeOptions, serve},
     sampled::SampledSource,
+    source::Residuals,
 };
 use mocapd_take::motion::Motion;
 use serde_json::Value;
@@ -90,12 +91,17 @@ pub(crate) fn bodies() -> RigidBodies {
     RigidBodies::new(&JumpSpec { occlusion, ..JumpSpec::new(1, RATE_HZ) }, 10).unwrap()
 }
 
+/// The residuals of the motion.
+fn residuals() -> Residuals {
+    Residuals::generated(5, &motion())
+}
+
 fn settings(script: &Arc<Script>) -> DeviceSettings {
     // A busy machine must not make the device drop frames; a stall must.
     let queue_bytes = if script.has(Kind::Stall) { None } else { Some(64 << 20) };
     let (sampled, faults) = (sources(), Some(Arc::clone(script)));
-    let bodies = Some(Arc::new(bodies()));
-    DeviceSettings { queue_bytes, faults, sampled, bodies, ..DeviceSettings::default() }
+    let (bodies, residuals) = (Some(Arc::new(bodies())), Some(Arc::new(residuals())));
+    DeviceSettings { queue_bytes, faults, sampled, bodies, residuals, ..DeviceSettings::default() }
 }
 
 /// A log file that the test reads when the device is done.
@@ -125,7 +131,8 @@ pub(super) fn play(folder: &Folder, script: &Script) -> Played {
     let device = FaultyDevice::new(device, &script);
     let logs = [SharedLog::default(), SharedLog::default()];
     let [log, batch_log] = logs.clone().map(|log| Some(Box::new(log) as Box<dyn Write + Send>));
-    let (ran, sent) = record_from(folder, device, [log, batch_log], &["-o", "a.take"]);
+    let (ran, sent) =
+        record_from(folder, device, [log, batch_log], &["-o", "a.take", "--residuals"]);
     let [log, batch_log] = logs.map(|log| log.text());
     let report = ran.json();
     let info = folder.run(&["info", "a.take", "--json"]).json();
@@ -175,11 +182,15 @@ pub(super) fn sent_frames(script: &Script, played: &Played) -> Vec<Vec<MarkerSam
         assert!(all, "one run, as below");
         return in_virtual_time(script).0;
     }
-    let motion = motion(script);
+    let (motion, residuals) = (motion(script), residuals());
     let mut run = (0, 0);
     let frame = |fate: &FrameFate| {
         run = if run.0 == fate.frame.run { (run.0, run.1 + 1) } else { (fate.frame.run, 0) };
-        samples(motion.frame(run.1))
+        let mut markers = samples(motion.frame(run.1));
+        for (marker, residual) in markers.iter_mut().zip(residuals.frame(run.1 as u64)) {
+            marker.residual_10um = *residual;
+        }
+        markers
     };
     played.fates.iter().map(frame).collect()
 }

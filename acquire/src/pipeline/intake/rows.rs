@@ -12,7 +12,7 @@ use mocapd_drivers::device::{
     BODIES_MAX, BodyInfo, EndOfPoses, Frame, MarkerInfo, Pose, PoseFrame,
 };
 use mocapd_take::{
-    record::EndingKind,
+    record::{EndingKind, Event, EventKind},
     stretch::{NUMBERS, Span},
     timeline::RowTime,
 };
@@ -62,6 +62,8 @@ impl Intake {
         if self.open_rows == 0 {
             self.open_first_row = self.next_row;
         }
+        let (stretch, segment) = (self.feed.next_stretch(), self.clocks.segment());
+        self.samples.residuals(&self.row, time.device_ticks, stretch, segment);
         let mut present = 0;
         self.push_samples(|sample| {
             present += u64::from(sample.present);
@@ -97,6 +99,7 @@ impl Intake {
     fn push_lost(&mut self, lost: &mut PendingLoss) {
         self.next_row += lost.rows();
         for (rows, causes) in lost.drain() {
+            self.samples.lose_residuals(rows, causes);
             self.timeline.push(TimelineItem::Lost { rows, causes });
         }
         self.progress.lost.store(self.counts.lost(), Ordering::Relaxed);
@@ -313,6 +316,16 @@ impl Intake {
         self.n_channels += 1;
         self.counts.markers_appeared += 1;
         self.rows_free = 0;
+        self.report_without_residuals();
+    }
+
+    /// Reports the first marker whose residuals are not recorded because it appeared after the start.
+    fn report_without_residuals(&mut self) {
+        if std::mem::take(&mut self.residuals_are_due) {
+            let text = "markers appeared during the recording, whose residuals are not recorded: \
+                        start again to record them";
+            self.event(Event::new(EventKind::Host, self.now_ns, text.to_owned()));
+        }
     }
 }
 

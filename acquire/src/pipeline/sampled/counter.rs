@@ -27,6 +27,45 @@ const JITTER_S: f64 = 5e-3;
 /// stay well below.
 const DRIFT: f64 = 1e-3;
 
+/// The same of the rows of frames, whose samples have their rows by their numbers: their times need be only those of the
+/// neighbourhood.
+const ROW_JITTER_S: f64 = 0.1;
+
+/// Follows the times of the rows of frames.
+#[derive(Debug)]
+pub(super) struct RowSteps {
+    rate_hz: f64,
+    tick_hz: f64,
+    /// The last row's ticks, and how many rows were lost since.
+    last: Option<(u64, u64)>,
+}
+
+impl RowSteps {
+    pub(super) fn new(rate_hz: f64, tick_hz: u64) -> Self {
+        Self { rate_hz, tick_hz: tick_hz as f64, last: None }
+    }
+
+    pub(super) fn lose(&mut self, rows: u64) {
+        if let Some((_, lost)) = &mut self.last {
+            *lost = lost.saturating_add(rows);
+        }
+    }
+
+    /// Takes a row's time. Returns whether it is where the row before leads.
+    pub(super) fn step(&mut self, device_ticks: u64) -> bool {
+        let Some((before, lost)) = self.last.replace((device_ticks, 0)) else { return false };
+        let passed_s = device_ticks.wrapping_sub(before).cast_signed() as f64 / self.tick_hz;
+        let ahead_s = lost.saturating_add(1) as f64 / self.rate_hz;
+        let jitter_s = ROW_JITTER_S.max(2.0 / self.rate_hz) + DRIFT * ahead_s;
+        passed_s > 0.0 && (passed_s - ahead_s).abs() <= jitter_s
+    }
+
+    /// The device was away or started again.
+    pub(super) fn rejoin(&mut self) {
+        self.last = None;
+    }
+}
+
 /// What the numbers of a batch say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BatchStep {
@@ -169,6 +208,20 @@ mod tests {
 
     fn next(missing: u64, causes: LossCauses, continues: bool) -> BatchStep {
         BatchStep::Next { missing, causes, continues }
+    }
+
+    #[test]
+    fn rows_go_on_through_jitter_and_losses_but_not_through_jumps_of_the_clock() {
+        let mut rows = RowSteps::new(100.0, 1_000_000);
+        assert!(!rows.step(5_000_000), "there is none before");
+        assert!(rows.step(5_010_000) && rows.step(5_090_000), "stamped late");
+        rows.lose(20);
+        assert!(rows.step(5_300_000));
+        assert!(!rows.step(5_300_000), "the clock stood");
+        assert!(!rows.step(5_100_000), "it went back");
+        assert!(rows.step(5_110_000) && !rows.step(6_000_000), "it jumped");
+        rows.rejoin();
+        assert!(!rows.step(6_010_000));
     }
 
     fn started() -> SampleCounter {

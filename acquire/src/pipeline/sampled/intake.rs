@@ -1,19 +1,20 @@
 //! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
 
+use mocapd_codec::GROUP_CHANNELS;
 use mocapd_drivers::{
     device::{BodyInfo, EndOfPoses, PoseFrame, SampleBatch, SampledGroupInfo},
     link::SAMPLE_VALUES_MAX,
 };
-use mocapd_take::timeline::LossCauses;
+use mocapd_take::{sampled::RESIDUAL_GROUPS, timeline::LossCauses};
 
 use super::{
     GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
     SampleWakes,
-    counter::{BatchStep, SampleCounter},
+    counter::{BatchStep, RowSteps, SampleCounter},
     poses::{NewPoses, PoseRows, PosesOutcome},
     tap::SampleTapSender,
 };
-use crate::pipeline::{PipelineConfig, messages::BlockTime};
+use crate::pipeline::{PipelineConfig, messages::BlockTime, ring::Sample};
 
 /// The causes of losses that have not been stated yet, in the order in which they are stated.
 const CAUSES: [LossCauses; 5] = [
@@ -56,7 +57,19 @@ pub(in crate::pipeline) struct SampledIntake {
     poses: PoseRows,
     /// Whether the poses of the last frame had not come before.
     has_new_poses: bool,
+    residuals: ResidualRows,
     tap: SampleTapSender,
+}
+
+/// The groups of the residuals: they have a sample of each row of the frames, lost ones included, so that the number of a
+/// sample less that of another is the difference of their rows.
+#[derive(Debug)]
+struct ResidualRows {
+    /// Index of the first of them, behind all other groups.
+    first_group: usize,
+    /// The counts of the current row, group after group; NaN where a marker has none.
+    row: Vec<f32>,
+    steps: RowSteps,
 }
 
 /// One group.
@@ -144,6 +157,14 @@ impl SampledIntake {
             wakes,
             poses: PoseRows::new(config.recorded_bodies()),
             has_new_poses: false,
+            residuals: ResidualRows {
+                first_group: infos
+                    .iter()
+                    .position(|info| RESIDUAL_GROUPS.contains(&info.id.into()))
+                    .unwrap_or(infos.len()),
+                row: vec![f32::NAN; config.recorded_residuals().len()],
+                steps: RowSteps::new(config.rate_hz, config.tick_hz),
+            },
             tap,
         }
     }
@@ -265,6 +286,48 @@ impl SampledIntake {
         are_new
     }
 
+    /// Accepts the residuals of a recorded row, by slot: all of them, or they are lost as if the ring were full.
+    pub(in crate::pipeline) fn residuals(
+        &mut self,
+        samples: &[Sample],
+        device_ticks: u64,
+        stretch: u64,
+        segment: u32,
+    ) {
+        let Self { groups, wakes, residuals, .. } = self;
+        let Some(groups) = groups.get_mut(residuals.first_group..).filter(|of| !of.is_empty())
+        else {
+            return;
+        };
+        for (count, sample) in residuals.row.iter_mut().zip(samples) {
+            // 0: the device reports none.
+            let has_one = sample.present && sample.residual_10um > 0;
+            *count = if has_one { f32::from(sample.residual_10um) } else { f32::NAN };
+        }
+        let continues = residuals.steps.step(device_ticks);
+        let have_room = groups.iter().all(|group| group.has_room_for(group.plan.n_channels));
+        let rows = residuals.row.chunks(GROUP_CHANNELS);
+        for (index, (group, samples)) in groups.iter_mut().zip(rows).enumerate() {
+            group.begins_run |= !continues;
+            if !have_room {
+                group.add_lost(1, LossCauses::RING_FULL);
+            } else if group.append((samples, 1, device_ticks), stretch, segment) {
+                wakes.wake(residuals.first_group + index);
+            }
+        }
+    }
+
+    /// The residuals of rows that were lost with their frames.
+    pub(in crate::pipeline) fn lose_residuals(&mut self, rows: u64, causes: LossCauses) {
+        self.residuals.steps.lose(rows);
+        // A ledger of samples has one cause.
+        let one = [LossCauses::DISCONNECTED, LossCauses::NOT_RECEIVED, LossCauses::RING_FULL];
+        let cause = one.into_iter().find(|cause| causes.contains(*cause)).unwrap_or(causes);
+        let cause = if CAUSES.contains(&cause) { cause } else { REFUSED };
+        let groups = self.groups.get_mut(self.residuals.first_group..).unwrap_or_default();
+        groups.iter_mut().for_each(|group| group.add_lost(rows, cause));
+    }
+
     /// Ends the open blocks with a stretch, so that they are in the same takes, and begin where it can be decoded from
     /// the start. `is_boundary`: a take may begin or end behind it.
     pub(in crate::pipeline) fn end_stretch(
@@ -306,6 +369,7 @@ impl SampledIntake {
     /// The device was away or started again: its numbers may begin again.
     pub(in crate::pipeline) fn rejoin(&mut self) {
         self.groups.iter_mut().for_each(|group| group.counter.rejoin());
+        self.residuals.steps.rejoin();
     }
 }
 
@@ -344,7 +408,12 @@ impl GroupIntake {
     }
 
     fn has_room(&self, batch: &SampleBatch<'_>) -> bool {
-        self.samples.vacant() >= batch.samples.len() && self.items.vacant() > ITEMS_RESERVED
+        self.has_room_for(batch.samples.len())
+    }
+
+    /// Whether this many samples fit, those of all channels.
+    fn has_room_for(&self, values: usize) -> bool {
+        self.samples.vacant() >= values && self.items.vacant() > ITEMS_RESERVED
     }
 
     fn has_numbers_for(&self, missing: u64) -> bool {
@@ -367,6 +436,16 @@ impl GroupIntake {
             self.add_lost(n.into(), LossCauses::RING_FULL);
             return false;
         }
+        self.append((batch.samples, n, batch.device_ticks), stretch, segment)
+    }
+
+    /// Appends `n` samples of each channel, for which there is room. Returns whether there is something to encode.
+    fn append(
+        &mut self,
+        (samples, n, ticks): (&[f32], u32, u64),
+        stretch: u64,
+        segment: u32,
+    ) -> bool {
         let is_apart = self.begins_run || self.pending.iter().any(|&n| n > 0);
         let is_ended = is_apart
             || self.open.is_some_and(|open| {
@@ -378,13 +457,12 @@ impl GroupIntake {
         if std::mem::take(&mut self.begins_run) {
             (self.run_start, self.segment, self.segment_stretches) = (self.next, None, 0);
         }
-        let ticks = batch.device_ticks;
         let open = OpenBlock { n: 0, device_ticks: ticks, last_batch: (0, ticks) };
         let open = self.open.get_or_insert(open);
         open.last_batch = (open.n, ticks);
         open.n += n;
         self.next += u64::from(n);
-        self.samples.push_slice(batch.samples);
+        self.samples.push_slice(samples);
         is_ended
     }
 

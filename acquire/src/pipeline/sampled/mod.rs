@@ -12,6 +12,8 @@
 //!
 //! A batch belongs to the take that was open when it arrived, as a whole: takes are divided between batches, at the
 //! place in the device's stream at which they are divided between frames.
+//!
+//! Residuals of markers have a sample in each row of the frames: it follows its row, and is lost where the row is.
 
 mod counter;
 mod intake;
@@ -32,10 +34,16 @@ use mocapd_codec::{
     poses::{GROUP_BODIES, POSE_CHANNELS, PoseBounds, PoseErrors, PoseQuantiser},
     sampled::{SampledEncoder, max_block_bytes},
 };
-use mocapd_drivers::{device::SampledGroupInfo, link::SAMPLE_VALUES_MAX};
+use mocapd_drivers::{
+    device::{SampleForm as FormSent, SampledChannelInfo, SampledGroupInfo},
+    link::SAMPLE_VALUES_MAX,
+};
 use mocapd_take::{
-    record::{SampleForm, SampledChannel, SampledGroup},
-    sampled::{BLOCK_ROWS_MAX, POSES, RECORDED, block_rows_max},
+    record::{Channel, SampleForm, SampledChannel, SampledGroup},
+    sampled::{
+        BLOCK_ROWS_MAX, POSES, RECORDED, RESIDUAL_GROUPS, RESIDUAL_SCALE, RESIDUAL_SUFFIX,
+        block_rows_max,
+    },
     timeline::LossCauses,
 };
 
@@ -265,16 +273,38 @@ impl SamplingThreads {
     }
 }
 
-/// The device's groups, and those of the poses of its bodies.
+/// The device's groups, those of the poses of its bodies, and those of the residuals of its markers.
 pub(super) fn groups(config: &PipelineConfig) -> Vec<SampledGroupInfo> {
     let rate_millihertz = (config.rate_hz * 1000.0).round() as u32;
     let poses = poses::groups(config.recorded_bodies(), rate_millihertz);
-    config.sampled.iter().cloned().chain(poses).collect()
+    let residuals = residual_groups(config, rate_millihertz);
+    config.sampled.iter().cloned().chain(poses).chain(residuals).collect()
+}
+
+/// Of each marker that is known at the start a channel, in hundredths of a millimetre as drivers report them.
+fn residual_groups(
+    config: &PipelineConfig,
+    rate_millihertz: u32,
+) -> impl Iterator<Item = SampledGroupInfo> {
+    let channel = |channel: &Channel| SampledChannelInfo {
+        name: format!("{}{RESIDUAL_SUFFIX}", channel.label),
+        unit: "mm".to_owned(),
+        scale: RESIDUAL_SCALE,
+        offset: 0.0,
+    };
+    let channels = config.recorded_residuals().chunks(GROUP_CHANNELS);
+    (RESIDUAL_GROUPS.start..).zip(channels).map(move |(id, channels)| SampledGroupInfo {
+        // Those that are recorded are not more than there are numbers.
+        id: id as u8,
+        form: FormSent::Float32,
+        rate_millihertz,
+        channels: channels.iter().map(channel).collect(),
+    })
 }
 
 /// One for each body of a group of poses; none if all bits are kept, or for a group of the device.
 fn quantisers(group: &SampledGroupInfo, bounds: Option<PoseBounds>) -> Vec<PoseQuantiser> {
-    let bounds = bounds.filter(|_| group.id >= poses::FIRST_GROUP);
+    let bounds = bounds.filter(|_| poses::NUMBERS.contains(&group.id));
     let n_bodies = (group.channels.len() / POSE_CHANNELS).min(GROUP_BODIES);
     bounds.map_or_else(Vec::new, |bounds| vec![PoseQuantiser::new(bounds); n_bodies])
 }
@@ -285,10 +315,9 @@ pub(super) fn records(config: &PipelineConfig) -> Vec<SampledGroup> {
         number: group.id.into(),
         kind: RECORDED.to_owned(),
         form: match group.form {
-            mocapd_drivers::device::SampleForm::Int16 => SampleForm::Int16,
+            FormSent::Int16 => SampleForm::Int16,
             // All counts of the link are numbers of float32.
-            mocapd_drivers::device::SampleForm::Int32
-            | mocapd_drivers::device::SampleForm::Float32 => SampleForm::Float32,
+            FormSent::Int32 | FormSent::Float32 => SampleForm::Float32,
         },
         part_channels: group.channels.len() as u32,
         rate_hz: f64::from(group.rate_millihertz) / 1000.0,
@@ -305,11 +334,18 @@ pub(super) fn records(config: &PipelineConfig) -> Vec<SampledGroup> {
         ..SampledGroup::default()
     };
     let mut records: Vec<SampledGroup> = groups(config).iter().map(record).collect();
-    let are_poses = |group: &&mut SampledGroup| group.number >= poses::FIRST_GROUP.into();
-    for group in records.iter_mut().filter(are_poses) {
+    for group in &mut records {
+        if let Some(before) = group.number.checked_sub(RESIDUAL_GROUPS.start) {
+            // The number of a channel is that of its marker in the take's table.
+            let first = before * GROUP_CHANNELS as u32;
+            group.channels.iter_mut().for_each(|channel| channel.index += first);
+            continue;
+        }
+        let Some(before) = group.number.checked_sub((*poses::NUMBERS.start()).into()) else {
+            continue;
+        };
         group.kind = POSES.to_owned();
-        let bodies = config.recorded_bodies().chunks(GROUP_BODIES);
-        let bodies = bodies.skip((group.number - u32::from(poses::FIRST_GROUP)) as usize);
+        let bodies = config.recorded_bodies().chunks(GROUP_BODIES).skip(before as usize);
         let ids = bodies.flatten().flat_map(|body| [u32::from(body.id); POSE_CHANNELS]);
         group.channels.iter_mut().zip(ids).for_each(|(channel, id)| channel.index = id);
         config.pose_bounds.iter().for_each(|bounds| group.set_pose_bounds(bounds));

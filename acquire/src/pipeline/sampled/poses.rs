@@ -1,20 +1,28 @@
 //! Poses of rigid bodies as sampled channels: eight of a body, eight bodies a group, one sample a frame.
 
+use std::ops::RangeInclusive;
+
 use mocapd_codec::{
     GROUP_CHANNELS,
     poses::{GROUP_BODIES, POSE_CHANNELS, PoseRow, RESIDUAL_NOT_REPORTED, has_pose, without_pose},
 };
 use mocapd_drivers::{
     device::{
-        BodyInfo, EndOfPoses, Pose, PoseFrame, PoseStatus, SampleBatch, SampleForm,
+        BODIES_MAX, BodyInfo, EndOfPoses, Pose, PoseFrame, PoseStatus, SampleBatch, SampleForm,
         SampledChannelInfo, SampledGroupInfo,
     },
     link::GROUPS_MAX,
 };
-use mocapd_take::poses::{CHANNEL_NAMES, CHANNEL_UNITS, REFUSED, UNLISTED};
+use mocapd_take::{
+    poses::{CHANNEL_NAMES, CHANNEL_UNITS, REFUSED, UNLISTED},
+    sampled::RESIDUAL_GROUPS,
+};
 
 /// Numbers of the groups of poses: those behind the numbers of the device's own groups.
-pub(super) const FIRST_GROUP: u8 = GROUPS_MAX as u8;
+pub(super) const NUMBERS: RangeInclusive<u8> =
+    GROUPS_MAX as u8..=(GROUPS_MAX + BODIES_MAX / GROUP_BODIES - 1) as u8;
+
+const _: () = assert!(*NUMBERS.end() as u32 + 1 == RESIDUAL_GROUPS.start);
 
 /// The bodies as groups of sampled channels.
 pub(super) fn groups(bodies: &[BodyInfo], rate_millihertz: u32) -> Vec<SampledGroupInfo> {
@@ -24,7 +32,7 @@ pub(super) fn groups(bodies: &[BodyInfo], rate_millihertz: u32) -> Vec<SampledGr
         rate_millihertz,
         channels: bodies.iter().flat_map(channels).collect(),
     };
-    (FIRST_GROUP..).zip(bodies.chunks(GROUP_BODIES)).map(group).collect()
+    (*NUMBERS.start()..).zip(bodies.chunks(GROUP_BODIES)).map(group).collect()
 }
 
 fn channels(body: &BodyInfo) -> impl Iterator<Item = SampledChannelInfo> {
@@ -171,7 +179,7 @@ impl PoseRows {
         let first = self.last.map_or(0, |(_, count)| count);
         let groups = self.bodies.chunks(GROUP_BODIES).enumerate();
         groups.map(move |(index, bodies)| SampleBatch {
-            group: FIRST_GROUP + index as u8,
+            group: NUMBERS.start() + index as u8,
             number,
             first,
             device_ticks,

@@ -13,7 +13,9 @@ use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
 use mocapd_simulator::generator::{ForcePlates, JumpSpec, Occlusion, RigidBodies};
 use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
 use mocapd_simulator::sampled::SampledSource;
-use mocapd_simulator::source::{self, Generated, RecordedSignals, SourceError, is_motion};
+use mocapd_simulator::source::{
+    self, Generated, RecordedSignals, Residuals, SourceError, is_motion,
+};
 use mocapd_take::motion::Motion;
 
 use super::{DeviceProtocol, ServeArgs};
@@ -54,6 +56,30 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
         source::keep_first(&mut motion, seconds.as_secs_f64());
     }
     Ok(motion)
+}
+
+/// The residuals of the markers, if they are asked for.
+pub(super) fn residuals(
+    args: &ServeArgs,
+    motion: &Motion,
+) -> Result<Option<Arc<Residuals>>, Failure> {
+    if !args.residuals {
+        return Ok(None);
+    }
+    if let Some(Generated { seed }) = args.generate {
+        return Ok(Some(Arc::new(Residuals::generated(seed, motion))));
+    }
+    let path = args.take.as_deref().unwrap_or(Path::new(""));
+    let found = Residuals::read(path, motion).map_err(|error| match error {
+        SourceError::Read { path, source } => cli::cannot_read(&path, source).into(),
+        error => Failure::from(error),
+    })?;
+    let none = || {
+        let message =
+            "has no residuals: remove --residuals, or play a C3D file or a take that has them";
+        Failure::usage_message(format!("{} {message}", path.display()))
+    };
+    Ok(Some(Arc::new(found.ok_or_else(none)?)))
 }
 
 /// The sampled channels and the rigid bodies of the device: those of the take, and those that the options add.
@@ -247,6 +273,7 @@ fn refuse_motion_options(args: &ServeArgs, path: &Path) -> Result<(), Failure> {
         ("--log", args.log.is_some()),
         ("--batch-log", args.batch_log.is_some()),
         ("--emg", !args.emg.is_empty()),
+        ("--residuals", args.residuals),
         ("--drift-ppm", args.drift_ppm != 0.0),
         ("--protocol", args.protocol != DeviceProtocol::Dvmc),
         ("--tool", !args.tool.is_empty()),

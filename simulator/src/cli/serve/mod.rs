@@ -123,6 +123,10 @@ pub(super) struct ServeArgs {
     /// With --generate: send the poses of this many rigid bodies, which move with the segments of the body, up to 128
     #[arg(long, value_name = "N")]
     bodies: Option<usize>,
+    /// Send the residuals of the markers: those of the file, or random ones with --generate; by default the link protocol has
+    /// none, and other systems have the same for all markers
+    #[arg(long)]
+    residuals: bool,
     /// Log what became of every batch of samples, and of the poses of every frame, to this CSV file; it must not exist (docs/faults.md)
     #[arg(long, value_name = "FILE")]
     batch_log: Option<PathBuf>,
@@ -339,6 +343,9 @@ fn device(
                 "--plates, --emg and --bodies do not apply to an NDI system: remove --protocol ndi",
             );
         }
+        DeviceProtocol::Ndi if args.residuals => {
+            return usage("--residuals does not apply to an NDI system: remove it");
+        }
         DeviceProtocol::Ndi if script.is_some() => {
             return usage("--faults applies to the link protocol only: remove --protocol ndi");
         }
@@ -352,7 +359,8 @@ fn device(
             }
             let RecordedSignals { sampled, bodies, .. } = input::signals(args)?;
             let faults = script.clone();
-            let settings = DeviceSettings { faults, sampled, bodies, ..settings(args) };
+            let residuals = input::residuals(args, &motion)?;
+            let settings = DeviceSettings { faults, sampled, bodies, residuals, ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));
             let RecordedSignals { sampled, bodies, .. } = input::signals(args)?;

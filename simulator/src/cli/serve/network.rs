@@ -76,6 +76,7 @@ pub(super) fn run_natnet(args: &ServeArgs) -> Result<(), Failure> {
         rigid_bodies: natnet.rigid_body.clone(),
         sampled: input::network_sampled(args)?,
         faults: input::script(args)?,
+        residuals: input::residuals(args, &motion)?,
         ..NatNetSettings::new(stream)
     };
     let mut device = NatNetDevice::new(motion, settings).map_err(|error| match error {
@@ -139,6 +140,7 @@ pub(super) fn run_qtm(args: &ServeArgs) -> Result<(), Failure> {
         faults: input::script(args)?,
         sampled,
         bodies,
+        residuals: input::residuals(args, &motion)?,
     };
     let mut device = QtmDevice::new(motion, settings).map_err(|error| match error {
         QtmError::Device(error) => refused(error),
@@ -220,6 +222,7 @@ fn check_lsl(args: &ServeArgs) -> Result<(), Failure> {
         ("--batch", args.batch().is_some()),
         ("--batch-log", args.batch_log.is_some()),
         ("--baud", args.baud.is_some()),
+        ("--residuals", args.residuals),
         ("--drift-ppm", args.drift_ppm != 0.0),
     ];
     match options.iter().find(|(_, is_set)| *is_set) {

@@ -134,3 +134,28 @@ fn compact_frames_are_within_half_a_micrometre() {
     }
     assert_eq!(bench.frames().len(), 100);
 }
+
+#[test]
+fn residuals_are_those_of_the_nearest_recorded_frame_and_of_seen_markers_only() {
+    let motion = jump(1.0);
+    let residuals = Arc::new(crate::source::Residuals::generated(3, &motion));
+    let n_reported = residuals.frame(0).iter().filter(|count| **count > 0).count();
+    assert!(n_reported > 10 && residuals.frame(100).is_empty());
+    for (rate_hz, per_frame) in [(None, 1.0), (Some(40.0), 2.5)] {
+        let residuals = Some(Arc::clone(&residuals));
+        let settings = DeviceSettings { rate_hz, residuals, ..DeviceSettings::default() };
+        let recorded = settings.residuals.clone().unwrap();
+        let mut bench = Bench::new(motion.clone(), settings);
+        bench.send(start());
+        bench.pass(2_000 * MS, true);
+        let frames = bench.frames();
+        assert_eq!(frames.len(), (99.0 / per_frame) as usize + 1);
+        for (index, (_, _, samples)) in frames.iter().enumerate() {
+            let sent = recorded.frame((index as f64 * per_frame).round() as u64);
+            for sample in samples {
+                let wanted = if sample.occluded { 0 } else { sent[usize::from(sample.id)] };
+                assert_eq!(sample.residual_10um, wanted, "frame {index}");
+            }
+        }
+    }
+}

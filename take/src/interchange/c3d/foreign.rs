@@ -14,7 +14,7 @@ use std::io;
 use super::{
     Frames, Points, VERSION,
     columns::{
-        ANALOG, ColumnReader, ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered,
+        self, ANALOG, ColumnReader, ColumnWriter, MODEL_OUTPUTS, RESIDUALS, SampleHeader, ordered,
     },
     gap_coordinates,
     header::{ByteOrder, C3dHeader, HeaderEvent, MAX_EVENTS},
@@ -23,7 +23,8 @@ use super::{
 };
 use crate::{
     foreign::content::{Content, PartStore},
-    motion::{Foreign, Position, is_gap},
+    motion::{Foreign, MotionInfo, Position, is_gap},
+    sampled::RESIDUAL_SCALE,
     up_axis::Rotation,
 };
 
@@ -361,6 +362,47 @@ pub(crate) fn kept_parameters(foreign: &[Foreign]) -> io::Result<Option<(C3dHead
     let part = foreign.iter().find(|part| part.kind == PARAMETERS);
     let data = part.map(|part| part.data.to_vec(PARAMETERS_BYTES_MAX)).transpose()?.flatten();
     Ok(data.and_then(|data| parse_parameters(&data)))
+}
+
+/// The residuals that a C3D file had, frame after frame and in each all markers: in units of 10 micrometres as devices report
+/// them, 255 for larger ones and 0 where the file states none. `None` for a motion that does not come from a C3D file with
+/// residuals.
+///
+/// # Errors
+/// Those of the scratch file that the samples may be in.
+pub fn residuals_10um(info: &MotionInfo) -> io::Result<Option<Vec<u8>>> {
+    let first = info.source.first_frame;
+    let Some(mut kept) = PartSamples::residuals(&info.foreign, first)? else { return Ok(None) };
+    let n_markers = info.markers.len();
+    let Some((_, parameters)) = kept_parameters(&info.foreign)? else { return Ok(None) };
+    if kept.header.n_signals != n_markers {
+        return Ok(None);
+    }
+    let scale_10um = f64::from(residual_scale(&parameters, info.source.factor)) / RESIDUAL_SCALE;
+    let width = kept.header.width;
+    let mut counts = Vec::new();
+    for _ in 0..info.n_frames {
+        let Some(words) = kept.next_frame()? else {
+            counts.resize(counts.len() + n_markers, 0);
+            continue;
+        };
+        counts.extend(words.iter().map(|&word| {
+            // The high byte has the cameras.
+            let residual = columns::value(width, word, false) as i32 & 0xff;
+            let count = (f64::from(residual) * scale_10um).round();
+            // A small one is not none.
+            if residual == 0 { 0 } else { count.clamp(1.0, 255.0) as u8 }
+        }));
+    }
+    Ok(Some(counts))
+}
+
+/// The magnitude of POINT:SCALE: the unit of residuals in millimetres.
+pub(super) fn residual_scale(parameters: &Parameters, factor: f64) -> f32 {
+    let source = parameters.number("POINT", "SCALE").unwrap_or(1.0).abs();
+    let factor = if factor.is_finite() && factor > 0.0 { factor } else { 1.0 };
+    let scale = (source * factor) as f32;
+    if scale.is_finite() && scale > 0.0 { scale } else { 1.0 }
 }
 
 fn parse_parameters(data: &[u8]) -> Option<(C3dHeader, Parameters)> {

@@ -49,6 +49,7 @@ pub(crate) use analog::{
 };
 pub(super) use columns::MODEL_OUTPUTS;
 pub(crate) use columns::{ANALOG, value as sample_value};
+pub use foreign::residuals_10um;
 pub(super) use foreign::rotate;
 pub(crate) use foreign::{PARAMETERS, PartSamples, kept_parameters};
 pub(super) use groups::EVENTS_MAX;

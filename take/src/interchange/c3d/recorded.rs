@@ -18,7 +18,7 @@ use crate::{
     interchange::{InterchangeError, Result, counted, recorded_rows::unknown_units},
     motion::MotionInfo,
     record::{RecordedPlate, SampledChannel, SampledGroup},
-    sampled::{FILTER, RecordedSamples, Recording, Resampler, SampleBlock, reach},
+    sampled::{FILTER, GroupSamples, RecordedSamples, Recording, Resampler, SampleBlock, reach},
 };
 
 /// Largest distance between the earliest and the latest place of a run's samples against the frames, in samples, at which
@@ -53,6 +53,9 @@ enum GroupPlacement {
     /// By the filter.
     Resampled,
 }
+
+/// The index of a group, and its samples in a frame if they fit, or why they do not.
+type GroupFit = (usize, std::result::Result<(usize, GroupPlacement), String>);
 
 /// What a C3D file has of a recording.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -113,13 +116,16 @@ impl RecordedPlan {
     /// What a file of `info` has.
     pub(crate) fn of(info: &MotionInfo) -> Self {
         let Some(recording) = &info.recording else { return Self::default() };
-        let fits: Vec<_> = (0..recording.groups().len())
-            .map(|index| fit(recording, index, info.rate_hz))
+        // Residuals are in the points.
+        let is_analog = |(_, found): &(usize, &GroupSamples)| !found.group.has_residuals();
+        let fits: Vec<GroupFit> = (recording.groups().iter().enumerate().filter(is_analog))
+            .map(|(index, _)| (index, fit(recording, index, info.rate_hz)))
             .collect();
         let ratio = Self::choose_ratio(recording, &fits, info.rate_hz);
         let mut plan = Self { ratio, ..Self::default() };
         let mut n_channels = 0;
-        for (index, (found, fit)) in recording.groups().iter().zip(fits).enumerate() {
+        for (index, fit) in fits {
+            let Some(found) = recording.groups().get(index) else { continue };
             let more = found.group.channels.len();
             let name = name_of(&found.group);
             if (ratio * (n_channels + more)) as u64 > ANALOG_MAX {
@@ -158,22 +164,17 @@ impl RecordedPlan {
 
     /// The samples in a frame: those of the groups if they agree; else the most that any group has, if channels may be
     /// resampled, or those of the first group of force plates that fits, or of the first group that does.
-    fn choose_ratio(
-        recording: &Recording,
-        fits: &[std::result::Result<(usize, GroupPlacement), String>],
-        rate_hz: f64,
-    ) -> usize {
-        let own = |index: usize| {
-            fits.get(index).and_then(|fit| fit.as_ref().ok()).map(|(ratio, _)| *ratio)
-        };
-        let first = (0..fits.len()).find_map(own);
-        let all_agree = (0..fits.len()).all(|index| own(index).is_some() && own(index) == first);
+    fn choose_ratio(recording: &Recording, fits: &[GroupFit], rate_hz: f64) -> usize {
+        let ratio_of = |(_, fit): &GroupFit| fit.as_ref().ok().map(|(ratio, _)| *ratio);
+        let own = |index: usize| fits.iter().find(|(of, _)| *of == index).and_then(ratio_of);
+        let first = fits.iter().find_map(ratio_of);
+        let all_agree = fits.iter().all(|fit| ratio_of(fit).is_some() && ratio_of(fit) == first);
         if let (true, Some(ratio)) = (all_agree, first) {
             return ratio;
         }
         if recording.resamples() {
-            let highest =
-                recording.groups().iter().map(|found| found.group.rate_hz).fold(0.0, f64::max);
+            let rates = fits.iter().filter_map(|(index, _)| recording.groups().get(*index));
+            let highest = rates.map(|found| found.group.rate_hz).fold(0.0, f64::max);
             return (highest / rate_hz - WHOLE).ceil().clamp(1.0, ANALOG_MAX as f64) as usize;
         }
         let of_plate = |group: u32| {
@@ -625,7 +626,7 @@ impl GroupWriter<'_> {
     }
 }
 
-fn of_take(error: TakeError) -> InterchangeError {
+pub(super) fn of_take(error: TakeError) -> InterchangeError {
     match error {
         TakeError::Io(error) => error.into(),
         other => InterchangeError::Unsupported(other.to_string()),

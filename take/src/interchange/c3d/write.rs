@@ -5,17 +5,18 @@ use std::io::{self, Write};
 use super::{
     analog::{self, ANALOG},
     columns,
-    foreign::{PartSamples, kept_parameters},
+    foreign::{PartSamples, kept_parameters, residual_scale},
     gap_coordinates::PartCoordinates,
     groups::{self, ROTATION, Rotations},
     header::{BLOCK, C3dHeader, is_counted_by_length},
     is_missing,
     parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records, is_unsigned},
-    recorded::RecordedAnalog,
+    recorded::{RecordedAnalog, of_take},
 };
 use crate::{
     interchange::{InterchangeError, Result, check_frame_count, write_frames},
     motion::{FrameSource, GAP, Marker, MotionInfo, Position, UpAxis, is_gap},
+    sampled::{RESIDUAL_SCALE, RecordedResiduals},
 };
 
 /// The parameter section's processor code for Intel.
@@ -89,7 +90,11 @@ fn fill_parameters(
     let labels = labels(parameters, info, &body.points);
     let mut descriptions = parameters.texts("POINT", "DESCRIPTIONS");
     parameters.set_integer("POINT", "USED", n_points);
-    parameters.set_float("POINT", "SCALE", -residual_scale(parameters, info.source.factor));
+    let scale = match body.recorded_residuals {
+        Some(_) => RESIDUAL_SCALE as f32,
+        None => residual_scale(parameters, info.source.factor),
+    };
+    parameters.set_float("POINT", "SCALE", -scale);
     parameters.set_float("POINT", "RATE", info.rate_hz as f32);
     parameters.set_integer("POINT", "DATA_START", 0);
     parameters.set_integer("POINT", "FRAMES", u16::try_from(info.n_frames).unwrap_or(u16::MAX));
@@ -302,12 +307,12 @@ fn last_frame(info: &MotionInfo) -> Option<u32> {
     u32::try_from(last).ok()
 }
 
-/// The magnitude of POINT:SCALE: the unit of residuals in millimetres.
-fn residual_scale(parameters: &Parameters, factor: f64) -> f32 {
-    let source = parameters.number("POINT", "SCALE").unwrap_or(1.0).abs();
-    let factor = if factor.is_finite() && factor > 0.0 { factor } else { 1.0 };
-    let scale = (source * factor) as f32;
-    if scale.is_finite() && scale > 0.0 { scale } else { 1.0 }
+/// The residuals of the frames of a recording; `None` if it has none.
+fn recorded_residuals(info: &MotionInfo) -> Result<Option<RecordedResiduals<'_>>> {
+    let recording = info.recording.as_ref().filter(|recording| recording.has_residuals());
+    let residuals =
+        recording.map(|recording| recording.residuals(&info.rows(), info.markers.len()));
+    residuals.transpose().map_err(of_take)
 }
 
 fn set_header(header: &mut C3dHeader, parameters: &Parameters, info: &MotionInfo, body: &Body<'_>) {
@@ -393,6 +398,8 @@ struct Body<'a> {
     /// The poses of a recording, unless they do not fit.
     rotations: Option<Rotations<'a>>,
     residuals: Option<PartSamples<'a>>,
+    /// The residuals of a recording, in units of POINT:SCALE.
+    recorded_residuals: Option<RecordedResiduals<'a>>,
     outputs: Option<PartSamples<'a>>,
     gap_coordinates: Option<PartCoordinates<'a>>,
     /// For each marker the kept words of a missing sample in the current frame; all `None` between frames.
@@ -419,6 +426,7 @@ impl<'a> Body<'a> {
             rotations: None,
             residuals: PartSamples::residuals(foreign, first_frame)?
                 .filter(|kept| kept.header.n_signals == n_markers),
+            recorded_residuals: recorded_residuals(info)?,
             outputs,
             unsigned_analog: is_unsigned(parameters),
         };
@@ -447,6 +455,8 @@ impl<'a> Body<'a> {
         let width = self.residuals.as_ref().map_or(0, |kept| kept.header.width);
         let residuals = self.residuals.as_mut().map(PartSamples::next_frame).transpose()?.flatten();
         let outputs = self.outputs.as_mut().map(PartSamples::next_frame).transpose()?.flatten();
+        let recorded = self.recorded_residuals.as_mut();
+        let recorded = recorded.map(RecordedResiduals::next_row).transpose()?;
         if let Some(kept) = &mut self.gap_coordinates {
             for &(marker, words) in kept.next_frame()? {
                 if let Some(place) = self.gap_words.get_mut(marker) {
@@ -460,6 +470,8 @@ impl<'a> Body<'a> {
                     let position = row.get(index).copied().unwrap_or(GAP);
                     let fourth = residuals.and_then(|words| words.get(index));
                     let fourth = fourth.map(|&word| columns::value(width, word, false));
+                    let recorded = recorded.and_then(|counts| counts.get(index));
+                    let fourth = fourth.or(recorded.map(|&count| count.into()));
                     let gap_words = self.gap_words.get_mut(index).and_then(Option::take);
                     marker_words(position, fourth, gap_words)
                 }

@@ -1,0 +1,403 @@
+//! Residuals of markers beside their positions: every row of a take has those of its frame, or says that they are lost.
+
+use std::{io::Cursor, ops::Range};
+
+use mocapd_acquire::{
+    inspect::{Summary, Verdict},
+    pipeline::{Intake, PipelineConfig, PreRollConfig},
+};
+use mocapd_codec::Settings;
+use mocapd_drivers::device::{Frame, MarkerInfo, MarkerSample};
+use mocapd_take::{
+    TakeFrames, TakeMap,
+    edit::{EditContext, SourceTake, concat, cut, repack},
+    interchange::{Format, residuals_10um, write_c3d},
+    motion::{FrameSource, Motion, is_gap},
+    record::GroupLedger,
+    recovery::RecoveryScan,
+    sampled::Recording,
+};
+
+use super::takes::{PRE_ROLL, ended, header, new_take};
+use crate::support::{TICK_HZ, config, crowd, dense, jump, lossless, samples, start};
+
+/// What the device reports: every marker has values of its own, small and large ones, and none now and then.
+fn residual(marker: usize, frame: usize) -> u8 {
+    match (marker * 7 + frame) % 31 {
+        0..=1 => 0,
+        2 => 255,
+        n => (1 + (marker * 5) % 90 + n) as u8,
+    }
+}
+
+fn markers(motion: &Motion, frame: usize) -> Vec<MarkerSample> {
+    let mut all = samples(motion.frame(frame));
+    for (marker, sample) in all.iter_mut().enumerate() {
+        sample.residual_10um = residual(marker, frame);
+    }
+    all
+}
+
+/// Sends a frame at its time; the clock counts from `ticks_before`.
+fn send_at(intake: &mut Intake, motion: &Motion, frame: usize, (seq, ticks_before): (u32, u64)) {
+    let after = (frame as f64 * TICK_HZ as f64 / motion.info.rate_hz).round() as u64;
+    let device_ticks = ticks_before + after;
+    let markers = markers(motion, frame);
+    let sent = Frame { seq, device_ticks, timecode: None, markers: &markers };
+    intake.frame(&sent, 5_000_000 + after * 1000);
+}
+
+fn send(intake: &mut Intake, motion: &Motion, frame: usize) {
+    wait_for_room(intake);
+    send_at(intake, motion, frame, (frame as u32, 0));
+}
+
+fn wait_for_room(intake: &mut Intake) {
+    while intake.is_full() {
+        std::thread::yield_now();
+    }
+}
+
+fn with_residuals(motion: &Motion, codec: Settings) -> PipelineConfig {
+    PipelineConfig { residuals: true, ..config(motion, codec) }
+}
+
+fn map_of(take: &[u8]) -> TakeMap {
+    TakeMap::scan(&mut Cursor::new(take)).unwrap()
+}
+
+/// The residuals of the take, row by row.
+fn read(take: &[u8]) -> Vec<Vec<u8>> {
+    let map = map_of(take);
+    let Some(recording) = Recording::open(&map, Cursor::new(take.to_vec())).unwrap() else {
+        return Vec::new();
+    };
+    let (n_rows, n_markers) = (map.n_rows, map.channels.len());
+    let mut rows = recording.residuals(&(0..n_rows), n_markers).unwrap();
+    (0..n_rows).map(|_| rows.next_row().unwrap().to_vec()).collect()
+}
+
+/// What frame `frame` comes to in a take: nothing where a marker is not seen.
+fn expected(motion: &Motion, frame: usize) -> Vec<u8> {
+    let of = |sample: &MarkerSample| if sample.occluded { 0 } else { sample.residual_10um };
+    markers(motion, frame).iter().map(of).collect()
+}
+
+/// Asserts that the rows of a take have the residuals of these frames, and nothing those that are `None`.
+#[track_caller]
+fn assert_has(take: &[u8], motion: &Motion, frames: impl IntoIterator<Item = Option<usize>>) {
+    let found = read(take);
+    let frames: Vec<Option<usize>> = frames.into_iter().collect();
+    assert_eq!(found.len(), frames.len());
+    for (row, (found, frame)) in found.iter().zip(frames).enumerate() {
+        let n = found.len();
+        let wanted = frame.map_or(vec![0; n], |frame| expected(motion, frame));
+        assert_eq!(found, &wanted, "row {row}, frame {frame:?}");
+    }
+}
+
+#[track_caller]
+fn assert_clean(take: &[u8]) -> Vec<GroupLedger> {
+    let summary = Summary::read(take).unwrap();
+    let verdict = Verdict::of(&summary);
+    assert!(verdict.problems.is_empty(), "{:?}", verdict.problems);
+    assert_eq!(verdict.contradictions, [""; 0]);
+    let ledger = summary.take.sample_ledger.clone().unwrap();
+    assert!(ledger.finished && ledger.groups.iter().all(GroupLedger::closes), "{ledger:?}");
+    ledger.groups
+}
+
+fn record(motion: &Motion, codec: Settings, frames: impl Iterator<Item = usize>) -> Vec<u8> {
+    let (mut intake, pipeline) = start(&with_residuals(motion, codec), Vec::new());
+    frames.for_each(|frame| send(&mut intake, motion, frame));
+    intake.finish();
+    pipeline.finish().unwrap().1
+}
+
+fn all(frames: Range<usize>) -> impl Iterator<Item = Option<usize>> {
+    frames.map(Some)
+}
+
+#[test]
+fn every_row_has_the_residuals_of_its_frame_and_without_the_option_there_are_none() {
+    let motion = crowd(1, 200.0, 12.0);
+    for codec in [lossless(), dense(0.5)] {
+        let take = record(&motion, codec, 0..2400);
+        assert_has(&take, &motion, all(0..2400));
+        let map = map_of(&take);
+        let groups: Vec<_> = map.recorded_groups().map(|found| &found.group).collect();
+        assert_eq!(groups.iter().map(|of| of.number).collect::<Vec<_>>(), [32, 33, 34]);
+        let channels = groups.iter().flat_map(|group| &group.channels);
+        for (marker, (found, channel)) in map.channels.iter().zip(channels).enumerate() {
+            assert_eq!(channel.name, format!("{}.residual", found.label));
+            assert_eq!((channel.index, &channel.unit[..]), (marker as u32, "mm"));
+            assert!((channel.value(255.0) - 2.55).abs() < 1e-12);
+        }
+        for ledger in assert_clean(&take) {
+            assert_eq!((ledger.taken, ledger.stored, ledger.lost()), (2400, 2400, 0));
+        }
+    }
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    (0..100).for_each(|frame| send(&mut intake, &motion, frame));
+    intake.finish();
+    let take = pipeline.finish().unwrap().1;
+    assert_eq!(map_of(&take).sample_groups().count(), 0);
+}
+
+#[test]
+fn a_marker_without_a_residual_has_nan_as_other_readers_see_it() {
+    let motion = jump(2, 200.0, 1.0);
+    let take = record(&motion, lossless(), 0..200);
+    let map = map_of(&take);
+    let group = map.recorded_groups().next().unwrap();
+    let undecodable = group.read(&mut Cursor::new(&take), |first, n, found| {
+        let found = found.unwrap();
+        for (marker, column) in found.chunks_exact(n as usize).enumerate() {
+            for (frame, &stored) in (first as usize..).zip(column) {
+                match expected(&motion, frame)[marker] {
+                    0 => assert!(stored.is_nan()),
+                    count => assert_eq!(stored, f32::from(count)),
+                }
+            }
+        }
+        Ok(())
+    });
+    assert_eq!(undecodable.unwrap(), []);
+}
+
+#[test]
+fn rows_whose_frames_are_lost_have_lost_residuals_with_the_cause_of_the_frames() {
+    let motion = jump(3, 200.0, 6.0);
+    let is_lost = |frame: &usize| (100..110).contains(frame) || frame.is_multiple_of(97);
+    let take = record(&motion, lossless(), (1..1200).filter(|frame| !is_lost(frame)));
+    let rows = (1..1200).map(|frame| Some(frame).filter(|frame| !is_lost(frame)));
+    // The last frame of all is not one of them.
+    assert_has(&take, &motion, rows);
+    let summary = Summary::read(&take[..]).unwrap();
+    let frames = summary.take.ledger.clone().unwrap();
+    let ledger = assert_clean(&take)[0];
+    assert_eq!((ledger.stored, ledger.lost_on_link), (frames.recorded, frames.lost_on_link));
+    assert_eq!((ledger.taken, ledger.lost()), (1199, frames.lost_on_link));
+}
+
+#[test]
+fn a_device_that_starts_again_or_whose_clock_jumps_keeps_every_row_in_step() {
+    let motion = jump(4, 200.0, 6.0);
+    let (mut intake, pipeline) = start(&with_residuals(&motion, dense(0.5)), Vec::new());
+    for frame in 0..1200 {
+        wait_for_room(&mut intake);
+        match frame {
+            0..400 => send(&mut intake, &motion, frame),
+            // Its clock goes on an hour later.
+            400..800 => {
+                send_at(&mut intake, &motion, frame, (frame as u32, 3600 * TICK_HZ));
+            }
+            // It counts anew, and its clock, too.
+            _ => send_at(&mut intake, &motion, frame, (frame as u32 - 800, 0)),
+        }
+    }
+    intake.finish();
+    let take = pipeline.finish().unwrap().1;
+    let map = map_of(&take);
+    assert_eq!(map.n_rows, 1200);
+    assert_has(&take, &motion, all(0..1200));
+    // Readers that know nothing of rows find the time of each frame.
+    let clock = map.recorded_groups().next().unwrap().clock(TICK_HZ);
+    for frame in 0..1200 {
+        let before = if (400..800).contains(&frame) { 3600 * TICK_HZ } else { 0 };
+        let time = clock.at(frame).unwrap();
+        assert_eq!(time.device_ticks, before + frame * TICK_HZ / 200, "frame {frame}");
+    }
+    // The counter jumped, which the ledger of the frames says.
+    let ledger = Summary::read(&take[..]).unwrap().take.sample_ledger.unwrap().groups[0];
+    assert_eq!((ledger.taken, ledger.stored, ledger.jumps), (1200, 1200, 0));
+}
+
+/// A ring that is full costs all groups the same rows, whose frames are in the take.
+#[test]
+fn residuals_that_do_not_fit_are_lost_as_a_whole_and_counted() {
+    let motion = crowd(5, 200.0, 12.0);
+    let mut config = with_residuals(&motion, lossless());
+    // The residuals have rings of two seconds, and the markers longer ones; no thread is as fast as the loop below.
+    config.stretch = std::time::Duration::from_secs(10);
+    let (mut intake, pipeline) = start(&config, Vec::new());
+    (0..2400).for_each(|frame| send_at(&mut intake, &motion, frame, (frame as u32, 0)));
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    let ledgers = assert_clean(&take);
+    let counts = |ledger: &GroupLedger| GroupLedger { group: 0, ..*ledger };
+    assert!(ledgers.iter().all(|ledger| counts(ledger) == counts(&ledgers[0])), "{ledgers:?}");
+    let ledger = ledgers[0];
+    assert_eq!(ledger.taken, written.ledger.recorded + written.ledger.lost_ring_full);
+    assert_eq!(ledger.lost(), ledger.lost_ring_full);
+    let found = read(&take);
+    let is_there = |(frame, row): (usize, &Vec<u8>)| *row == expected(&motion, frame);
+    let n_there = found.iter().enumerate().filter(|&at| is_there(at)).count() as u64;
+    assert!(n_there >= ledger.stored, "{n_there} of {}", ledger.stored);
+    let are_none = |row: &Vec<u8>| row.iter().all(|count| *count == 0);
+    assert!(found.iter().enumerate().all(|at| is_there(at) || are_none(at.1)));
+}
+
+#[test]
+fn markers_that_appear_later_have_no_residuals_and_the_take_says_so() {
+    let motion = jump(6, 200.0, 2.0);
+    let n_markers = motion.info.markers.len();
+    let (mut intake, pipeline) = start(&with_residuals(&motion, lossless()), Vec::new());
+    for frame in 0..400 {
+        let mut markers = markers(&motion, frame);
+        if frame == 100 {
+            let (id, label) = (900, "late".to_owned());
+            intake.announce(&[MarkerInfo { id, label, labelled: true }]);
+        }
+        if frame >= 100 {
+            let (position_mm, occluded) = ([1.0, 2.0, 3.0], false);
+            markers.push(MarkerSample { id: 900, occluded, residual_10um: 9, position_mm });
+        }
+        let device_ticks = frame as u64 * TICK_HZ / 200;
+        let sent = Frame { seq: frame as u32, device_ticks, timecode: None, markers: &markers };
+        intake.frame(&sent, device_ticks * 1000);
+    }
+    intake.finish();
+    let take = pipeline.finish().unwrap().1;
+    assert_clean(&take);
+    for (frame, row) in read(&take).iter().enumerate() {
+        assert_eq!(row[..n_markers], expected(&motion, frame));
+        assert_eq!(row[n_markers..], [0]);
+    }
+    let events = map_of(&take).events;
+    let texts: Vec<_> = events.iter().map(|event| &event.text[..]).collect();
+    let told = texts.iter().filter(|text| text.contains("residuals are not recorded"));
+    assert_eq!(told.count(), 1, "{texts:?}");
+}
+
+#[test]
+fn takes_of_a_recording_that_is_divided_or_armed_have_the_residuals_of_their_frames() {
+    let motion = jump(7, 200.0, 8.0);
+    let config = with_residuals(&motion, lossless());
+    let takes = super::splits::record_parts((&motion, &config), 100, |intake| {
+        // Two parts begin with, and end in, lost frames.
+        let frames = (0..600).filter(|frame| !(195..203).contains(frame));
+        frames.for_each(|frame| send(intake, &motion, frame));
+    });
+    let mut from = 0;
+    for take in &takes {
+        let n_rows = Summary::read(&take[..]).unwrap().take.n_rows as usize;
+        let frame = |frame| Some(frame).filter(|frame| !(195..203).contains(frame));
+        assert_has(take, &motion, (from..from + n_rows).map(frame));
+        let ledger = assert_clean(take)[0];
+        assert_eq!(ledger.taken, n_rows as u64);
+        from += n_rows;
+    }
+    assert_eq!((takes.len(), from), (6, 600));
+
+    let mut armed = with_residuals(&motion, dense(1.0));
+    armed.pre_roll = Some(PreRollConfig { ..PRE_ROLL });
+    let (mut intake, pipeline, mut handles) =
+        mocapd_acquire::pipeline::Pipeline::arm(&armed, &header(&motion)).unwrap();
+    (0..700).for_each(|frame| send(&mut intake, &motion, frame));
+    let pre_roll = std::time::Duration::from_secs(2);
+    let begun = handles.takes.begin(new_take(&motion, pre_roll, 700)).unwrap();
+    (700..900).for_each(|frame| send(&mut intake, &motion, frame));
+    handles.takes.end(mocapd_take::record::EndingKind::Stopped).unwrap();
+    (900..1000).for_each(|frame| send(&mut intake, &motion, frame));
+    let (_, take) = ended(&begun);
+    let n_rows = Summary::read(&take[..]).unwrap().take.n_rows as usize;
+    assert!(n_rows >= 600, "{n_rows}");
+    assert_has(&take, &motion, all(900 - n_rows..900));
+    assert_clean(&take);
+    intake.finish();
+    pipeline.join().unwrap();
+}
+
+fn context<'a>(
+    new_scratch: &'a dyn Fn() -> std::io::Result<
+        std::sync::Arc<dyn mocapd_take::foreign::content::ScratchFile>,
+    >,
+) -> EditContext<'a> {
+    EditContext { software: "test", new_scratch, on_rows: &|_| () }
+}
+
+#[test]
+fn parts_have_the_residuals_of_their_frames_and_joined_again_they_are_those_of_the_take() {
+    let motion = jump(8, 200.0, 12.0);
+    let is_lost = |frame: &usize| (1000..1013).contains(frame);
+    let take = record(&motion, dense(0.5), (0..2400).filter(|frame| !is_lost(frame)));
+    let frames = |rows: Range<usize>| rows.map(|frame| Some(frame).filter(|at| !is_lost(at)));
+    let new_scratch = || Err(std::io::ErrorKind::Unsupported.into());
+    let context = context(&new_scratch);
+    let source = |take: &[u8]| SourceTake::read(&mut Cursor::new(take)).unwrap();
+    let cut_to = |rows: Range<u64>| {
+        let mut part = Vec::new();
+        cut(&source(&take), Cursor::new(&take), rows, &mut part, &context).unwrap();
+        part
+    };
+    let parts = [cut_to(0..777), cut_to(777..778), cut_to(778..1005), cut_to(1005..2400)];
+    for (part, rows) in parts.iter().zip([0..777, 777..778, 778..1005, 1005..2400]) {
+        assert_eq!(assert_clean(part)[0].taken, rows.len() as u64);
+        assert_has(part, &motion, frames(rows));
+    }
+    let sources: Vec<SourceTake> = parts.iter().map(|part| source(part)).collect();
+    let (mut joined, mut repacked) = (Vec::new(), Vec::new());
+    concat(&sources, |i| Ok(Cursor::new(parts[i].clone())), &mut joined, &context).unwrap();
+    repack(&source(&take), Cursor::new(&take), None, &mut repacked, &context).unwrap();
+    for other in [&joined, &repacked] {
+        assert_has(other, &motion, frames(0..2400));
+        assert_clean(other);
+    }
+}
+
+#[test]
+fn a_take_that_is_cut_off_anywhere_is_true_and_can_be_recovered() {
+    let motion = jump(9, 200.0, 0.3);
+    let take = record(&motion, lossless(), 0..60);
+    let mut longest = 0;
+    for cut in 0..take.len() {
+        let part = &take[..cut];
+        let Ok(map) = TakeMap::scan(&mut Cursor::new(part)) else { continue };
+        if map.sample_groups().next().is_none() {
+            continue;
+        }
+        let (frames, are_none) = (read(part), |row: &Vec<u8>| row.iter().all(|count| *count == 0));
+        // Blocks of residuals may be behind or before the stretch of their rows.
+        let n = frames.iter().take_while(|row| !are_none(row)).count();
+        assert!(frames[n..].iter().all(are_none), "{cut}");
+        let same = (0..n).all(|frame| frames[frame] == expected(&motion, frame));
+        assert!(same && n >= longest, "{cut}: what was readable stays so");
+        longest = n;
+        let mut recovered = Vec::new();
+        let scan = RecoveryScan::read(part).unwrap();
+        scan.write(Cursor::new(part), &mut recovered, "test").unwrap();
+        assert_eq!(read(&recovered), frames, "{cut}");
+        assert_clean(&recovered);
+    }
+    assert_eq!(longest, 60);
+}
+
+/// A C3D file has them in its points, in steps of 10 micrometres, and as nothing else.
+#[test]
+fn an_export_to_c3d_has_the_residuals_in_its_points() {
+    let motion = crowd(10, 200.0, 2.0);
+    let take = record(&motion, lossless(), (0..400).filter(|frame| *frame != 50));
+    let mut frames = TakeFrames::open(Cursor::new(take.clone())).unwrap();
+    frames.open_recording(Cursor::new(take), false).unwrap();
+    let mut file = Vec::new();
+    let remarks = write_c3d(&mut frames, &mut file).unwrap();
+    assert!(remarks.is_empty(), "{remarks:?}");
+    let found = Format::C3d.read(&file).unwrap();
+    assert_eq!(found.info.source.warnings, [""; 0]);
+    let counts = residuals_10um(&found.info).unwrap().unwrap();
+    let n_markers = motion.info.markers.len();
+    for (frame, counts) in counts.chunks_exact(n_markers).enumerate() {
+        for (marker, &count) in counts.iter().enumerate() {
+            if frame == 50 || is_gap(motion.frame(frame)[marker]) {
+                assert!(is_gap(found.frame(frame)[marker]));
+                continue;
+            }
+            assert_eq!(count, residual(marker, frame), "frame {frame} marker {marker}");
+        }
+    }
+    // The fourth word is a count, and its unit that of a count.
+    let kinds: Vec<&str> = found.info.foreign.iter().map(|part| &part.kind[..]).collect();
+    assert!(kinds.contains(&"c3d/residuals") && !kinds.contains(&"c3d/analog"), "{kinds:?}");
+    assert_eq!(frames.info().markers.len(), n_markers);
+}
