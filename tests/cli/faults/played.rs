@@ -92,15 +92,15 @@ pub(crate) fn bodies() -> RigidBodies {
 }
 
 /// The residuals of the motion.
-fn residuals() -> Residuals {
-    Residuals::generated(5, &motion())
+fn residuals(script: &Script) -> Residuals {
+    Residuals::generated(5, &motion(script))
 }
 
 fn settings(script: &Arc<Script>) -> DeviceSettings {
     // A busy machine must not make the device drop frames; a stall must.
     let queue_bytes = if script.has(Kind::Stall) { None } else { Some(64 << 20) };
     let (sampled, faults) = (sources(), Some(Arc::clone(script)));
-    let (bodies, residuals) = (Some(Arc::new(bodies())), Some(Arc::new(residuals())));
+    let (bodies, residuals) = (Some(Arc::new(bodies())), Some(Arc::new(residuals(script))));
     DeviceSettings { queue_bytes, faults, sampled, bodies, residuals, ..DeviceSettings::default() }
 }
 
@@ -182,7 +182,7 @@ pub(super) fn sent_frames(script: &Script, played: &Played) -> Vec<Vec<MarkerSam
         assert!(all, "one run, as below");
         return in_virtual_time(script).0;
     }
-    let (motion, residuals) = (motion(script), residuals());
+    let (motion, residuals) = (motion(script), residuals(script));
     let mut run = (0, 0);
     let frame = |fate: &FrameFate| {
         run = if run.0 == fate.frame.run { (run.0, run.1 + 1) } else { (fate.frame.run, 0) };
