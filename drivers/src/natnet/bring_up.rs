@@ -7,9 +7,7 @@ use super::{
     COMMAND_PORT, DATA_PORT, GROUP, HostPhase, MS, NatNetHost, REPLY_TIMEOUT_NS, SetupStep,
     assets::MarkerNames,
     frame::FrameOfData,
-    message::{
-        Bitstream, Message, MessageKind, ServerInfo, put_connect, put_discovery, put_message,
-    },
+    message::{Bitstream, Message, MessageKind, ServerInfo, put_discovery, put_message},
     model::{AssetKind, Model, ModelError},
     sampled::{DeviceGroups, SAMPLES_PER_FRAME_MAX},
 };
@@ -59,12 +57,7 @@ impl NatNetHost {
 
     fn send_request(&mut self, step: SetupStep) {
         match step {
-            SetupStep::Connect => {
-                let mut message = Vec::new();
-                put_connect(None, &mut message);
-                self.send(&message);
-                self.request_ns = self.line.now_ns();
-            }
+            SetupStep::Connect => self.send_connect(),
             SetupStep::Bitstream => {
                 self.send_text(MessageKind::Request, &format!("Bitstream,{}", Bitstream::NEWEST));
             }
@@ -86,6 +79,8 @@ impl NatNetHost {
         };
         if waited_ns <= timeout_ns {
             if is_overdue {
+                // Servers that read only one of the two forms answer each second request.
+                self.connects_by_ping ^= step == SetupStep::Connect;
                 self.send_request(step);
             }
             return;

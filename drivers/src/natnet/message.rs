@@ -133,10 +133,10 @@ pub fn put_text(kind: MessageKind, text: &str, out: &mut Vec<u8>) {
 const WANTED_VERSION_AT: usize = NAME_BYTES + 4 + 4 + 1;
 
 /// Bytes of a client's request to connect from the SDK of Motive 3 on.
-const CONNECT_BYTES: usize = 270;
+const CONNECT_BYTES: usize = 271;
 
-/// Appends a client's request to connect, with the version of the bitstream that it wants, or `None` for any. Servers read no
-/// more of it than they know: `Ping`, or the sender's name and versions in front of what it wants.
+/// Appends a client's request to connect, with the version of the bitstream that it wants, or `None` for any. `Ping` stands
+/// where older clients have the sender's name, which some servers of others need, and the versions behind it.
 pub fn put_connect(wanted: Option<Bitstream>, out: &mut Vec<u8>) {
     put_message(MessageKind::Connect, out, |out| {
         let start = out.len();

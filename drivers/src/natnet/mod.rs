@@ -153,6 +153,8 @@ pub struct NatNetHost {
     last_message_ns: u64,
     /// When the server was asked whether it is there, if it has not answered.
     check_ns: Option<u64>,
+    /// Whether `Ping` alone was the request to connect that the server answered, or the last one.
+    connects_by_ping: bool,
     keep_alive_ns: u64,
     counters: LinkCounters,
     hello: Hello,
@@ -205,6 +207,7 @@ impl NatNetHost {
             step_ns: 0,
             last_message_ns: 0,
             check_ns: None,
+            connects_by_ping: false,
             keep_alive_ns: 0,
             counters: LinkCounters::default(),
             hello: Hello::default(),
@@ -242,6 +245,16 @@ impl NatNetHost {
     fn send_text(&mut self, kind: MessageKind, text: &str) {
         let mut message = Vec::new();
         put_text(kind, text, &mut message);
+        self.send(&message);
+        self.request_ns = self.line.now_ns();
+    }
+
+    fn send_connect(&mut self) {
+        if self.connects_by_ping {
+            return self.send_text(MessageKind::Connect, "Ping");
+        }
+        let mut message = Vec::new();
+        put_connect(None, &mut message);
         self.send(&message);
         self.request_ns = self.line.now_ns();
     }
@@ -298,7 +311,7 @@ impl NatNetHost {
 
             (MessageKind::DisconnectByTimeout, HostPhase::Streaming) => {
                 self.note("the server took mocapd for gone: connecting again", on_event);
-                self.send_text(MessageKind::Connect, "Ping");
+                self.send_connect();
             }
             (MessageKind::Text, HostPhase::Streaming) => {
                 self.note(&format!("the server says: {}", message.text()), on_event);
@@ -359,14 +372,14 @@ impl NatNetHost {
         match self.check_ns {
             None if silent_ns > CHECK_AFTER_NS => {
                 self.check_ns = Some(now_ns);
-                self.send_text(MessageKind::Connect, "Ping");
+                self.send_connect();
             }
             Some(asked_ns) if now_ns.saturating_sub(asked_ns) > REPLY_TIMEOUT_NS => {
                 let seconds = silent_ns / (1_000 * MS);
                 self.lose(format!("the server has not answered for {seconds} s"));
             }
             Some(_) if now_ns.saturating_sub(self.request_ns) > 4 * REPEAT_NS => {
-                self.send_text(MessageKind::Connect, "Ping");
+                self.send_connect();
             }
             _ => {}
         }

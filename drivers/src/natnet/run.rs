@@ -368,7 +368,7 @@ impl NatNetHost {
                 self.line.send(LineCommand::StopListening);
                 self.line.send(LineCommand::Listen(source));
             }
-            None => self.send_text(MessageKind::Connect, "Ping"),
+            None => self.send_connect(),
         }
     }
 

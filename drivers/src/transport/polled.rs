@@ -27,7 +27,7 @@ use super::{DatagramSource, READ_TIMEOUT, Transport, TransportError};
 pub const LINE_COMMANDS_MAX: usize = 8;
 
 /// Maximum number of bytes of a request: those with which a client of NatNet connects.
-pub const REQUEST_BYTES_MAX: usize = 274;
+pub const REQUEST_BYTES_MAX: usize = 275;
 
 /// Time-out of the reply to a goodbye request.
 const GOODBYE_TIMEOUT: Duration = Duration::from_millis(100);
@@ -63,6 +63,7 @@ impl Request {
 
 /// A command of a protocol to its line.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[expect(clippy::large_enum_variant, reason = "a box would allocate")]
 pub enum LineCommand {
     /// Write a request at a given time or later.
     Write {

@@ -136,6 +136,21 @@ fn frames_that_race_with_the_servers_words_are_no_frames_of_the_stream() {
 }
 
 #[test]
+fn a_server_that_reads_one_form_of_the_request_to_connect_is_found() {
+    for len in [4 + 5, 4 + 271] {
+        let mut driver = Driver::new("natnet:lab");
+        driver.command(Command::Identify);
+        let reads =
+            |request: &Vec<u8>| request[0] == MessageKind::Connect as u8 && request.len() == len;
+        while !driver.written().iter().any(reads) {
+            driver.push(&[]);
+            driver.now_ns += 20 * MS;
+            assert!(driver.now_ns < 600 * MS, "{len}");
+        }
+    }
+}
+
+#[test]
 fn a_server_without_a_rate_is_explained() {
     let mut driver = Driver::new("natnet:lab");
     driver.command(Command::Identify);

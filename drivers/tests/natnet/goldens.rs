@@ -54,7 +54,7 @@ fn commands_have_their_bytes() {
     // As that of the SDK of Motive 3 writes it, for any version of the bitstream.
     connect.clear();
     mocapd_drivers::natnet::put_connect(None, &mut connect);
-    assert_eq!((&connect[..9], connect.len()), (&b"\0\0\x0e\x01Ping\0"[..], 4 + 270));
+    assert_eq!((&connect[..9], connect.len()), (&b"\0\0\x0f\x01Ping\0"[..], 4 + 271));
     assert!(connect[8..].iter().all(|byte| *byte == 0));
 }
 

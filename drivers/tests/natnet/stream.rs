@@ -351,7 +351,8 @@ fn a_server_of_this_machine_alone_is_kept_and_its_other_port_tried() {
     put_message(MessageKind::DisconnectByTimeout, &mut gone, |_| {});
     pair.driver.push(&gone);
     let written = pair.driver.written();
-    assert!(written.iter().any(|request| request[0] == MessageKind::Connect as u8));
+    let again = written.iter().find(|request| request[0] == MessageKind::Connect as u8).unwrap();
+    assert_eq!(again.len(), 4 + 271, "the request that the server answered");
     let mut text = Vec::new();
     put_text(MessageKind::Text, "a \u{1b}[2Jword", &mut text);
     pair.driver.push(&text);
