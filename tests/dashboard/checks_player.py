@@ -126,6 +126,7 @@ def plays(browser, log):
         assert stats["skipped"] == 0, stats
         # A browser that cannot draw as often plays more slowly, a row at a time.
         assert rows / took < 1.1 * 60 and rows > 0.9 * min(0.5 * 60 * took, drawn), (rows, drawn, took)
+        assert rows > 5 * took, (rows, took)
         browser.keys("k")
         before = row(browser)
         time.sleep(0.3)
