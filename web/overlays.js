@@ -49,6 +49,7 @@ export class Overlays {
   /** Begins to read the poses of the face, if the take has one. */
   openFace(source, isCurrent) {
     const { overview } = this.player;
+    this.#poses = null;
     if (overview.frames === 0 || !overview.face) return;
     const window = (firstRow, rows, every, signal) => source.poses(firstRow, rows, every, signal);
     const { canCancel } = source;

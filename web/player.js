@@ -24,6 +24,13 @@ const NAMED_MAX = 4;
 const ANNOUNCE_MS = 1000;
 /** Drawings over which the script time is measured. */
 const TIMES_MAX = 600;
+/** Longest time that the events wait for frames, and the time after which they are tried again. */
+const IDLE_MS = 5000;
+const RETRY_MS = 3000;
+/** What the overviews of a take have in common. */
+const SAME = ["frames", "markers", "rate_hz", "created_unix_ms"];
+
+const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 export class Player {
   motion = new TakeMotion();
@@ -104,20 +111,42 @@ export class Player {
   async #complete(source, isCurrent) {
     const { overview, buffer } = this;
     if (overview.is_complete) return;
-    try {
-      await buffer.idle();
-      const complete = await source.completeOverview();
-      if (!isCurrent()) return;
-      const isSameSubject = ["bones", "limbs", "face"].every((part) => JSON.stringify(overview[part]) === JSON.stringify(complete[part]));
-      Object.assign(overview, complete);
-      if (!isSameSubject) this.#showSubject(source, isCurrent);
-      this.lists.showEvents(overview);
-      byId("next-event").disabled = overview.events.length === 0;
-      this.#noticeDamage();
-      this.axis.invalidate();
-    } catch (error) {
-      if (isCurrent()) this.notice(`The events of this take cannot be read: ${error.message}`);
+    // While a take is played over a slow link, windows may be loading all the time.
+    await Promise.race([buffer.idle(), pause(IDLE_MS)]);
+    const complete = await this.#completeOverview(source, isCurrent);
+    if (!isCurrent()) return;
+    if (SAME.some((part) => overview[part] !== complete[part])) {
+      // Another take has the name by now.
+      await this.open(source.again(), this.other?.again() ?? null);
+      return;
     }
+    const isSameSubject = ["bones", "limbs", "face"].every((part) => JSON.stringify(overview[part]) === JSON.stringify(complete[part]));
+    Object.assign(overview, complete);
+    if (!isSameSubject) this.#showSubject(source, isCurrent);
+    this.lists.showEvents(overview);
+    byId("next-event").disabled = overview.events.length === 0;
+    this.#noticeDamage();
+    this.axis.invalidate();
+  }
+
+  /** The complete overview; one that cannot be read is tried again, as frames are. Null once another take is shown. */
+  async #completeOverview(source, isCurrent) {
+    let failure = null;
+    while (isCurrent()) {
+      try {
+        const complete = await source.completeOverview();
+        // The message is still there, unless another one came after it.
+        if (isCurrent() && failure !== null && byId("notice").textContent === failure) this.notice(null);
+        return complete;
+      } catch (error) {
+        if (!isCurrent()) return null;
+        failure = `The events of this take cannot be read: ${error.message}`;
+        this.lists.showEvents(this.overview, "cannot be read");
+        if (!this.hasFailed) this.notice(failure);
+      }
+      await pause(RETRY_MS);
+    }
+    return null;
   }
 
   /** Shows a subject that was found in the middle of the take. */

@@ -68,8 +68,8 @@ export class PlayerLists {
     this.#rows.forEach(({ element }, slot) => setHidden(element, !this.#labels[slot].toLowerCase().includes(text)));
   }
 
-  /** Events are unknown as long as the overview is not complete. */
-  showEvents({ events, events_total: total, rate_hz: rateHz, is_complete: isComplete }) {
+  /** Events are unknown as long as the overview is not complete; `unknown` says why. */
+  showEvents({ events, events_total: total, rate_hz: rateHz, is_complete: isComplete }, unknown = "reading") {
     const rows = events.map(({ frame, kind, text }) =>
       h("li", {}, h("button", { type: "button", click: () => this.onEvent(frame) },
         h("span", { class: "when" }, takeTime(frame / rateHz)),
@@ -77,7 +77,7 @@ export class PlayerLists {
         h("span", {}, text ? `${kind}: ${text}` : kind))));
     byId("event-list").replaceChildren(...rows);
     const shown = total > events.length ? `the first ${count(events.length)} of ${count(total)}` : plural(total, "event");
-    const none = isComplete ? "none" : "reading";
+    const none = isComplete ? "none" : unknown;
     setText(byId("events-count"), total === 0 ? none : shown);
   }
 }

@@ -56,8 +56,10 @@ export class ServiceSource {
   canCancel = true;
   #closed = new AbortController();
 
-  constructor(name) {
+  /** With `asksForAll` the first overview is the complete one, which takes longer. */
+  constructor(name, asksForAll = false) {
     this.name = name;
+    this.asksForAll = asksForAll;
     this.path = `/v1/takes/${encodeURIComponent(name)}`;
   }
 
@@ -68,8 +70,16 @@ export class ServiceSource {
 
   /** What the ends of the take state, in the same time for an hour as for a second; `is_complete` says whether that is all. */
   async overview() {
-    this.take = await this.#request(get, "overview?ends_only=true", FRAMES);
+    this.take = await this.#request(get, this.asksForAll ? "overview" : "overview?ends_only=true", FRAMES);
     return this.take;
+  }
+
+  /**
+   * A source for the take that has the name now. Its first overview is the complete one, so that a take whose ends contradict
+   * the rest of it is opened again only once.
+   */
+  again() {
+    return new ServiceSource(this.name, true);
   }
 
   /** The overview with the events and problems, for which the service looks through the take. */

@@ -128,6 +128,7 @@ fn a_take_can_be_closed_when_something_else_takes_all_that_is_left() {
         frames() { $mocapd info --json disk/a.take 2>/dev/null | sed -n 's/^  \"frames\": \\([0-9]*\\),$/\\1/p'; }
         tries=0
         until [ \"$(frames)\" -gt 500 ] || [ $((tries += 1)) -gt 400 ]; do sleep 0.1; done 2>/dev/null
+        echo $tries > a.tries
         cat /dev/zero > disk/more
         wait $recorder
         echo $? > a.code
@@ -135,6 +136,8 @@ fn a_take_can_be_closed_when_something_else_takes_all_that_is_left() {
     if on_small_disk(&folder, 12 << 20, &device.uri(), script).is_none() {
         return;
     }
+    let tries: u32 = folder.text("a.tries").trim().parse().unwrap();
+    assert!(tries <= 400, "info has not stated 500 frames: {}", folder.text("a.err"));
     assert_eq!(folder.text("a.code").trim(), "3", "{}", folder.text("a.err"));
     let report: serde_json::Value = serde_json::from_str(&folder.text("a.json")).unwrap();
     assert_eq!(

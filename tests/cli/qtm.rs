@@ -28,7 +28,7 @@ use serde_json::Value;
 
 use super::{
     Folder, Ran,
-    faults::{away_by_arrival_s, expected::expected, played::SharedLog, played::fates},
+    faults::{LATE_S_MAX, away_by_arrival_s, expected::expected, played::SharedLog, played::fates},
 };
 use crate::support::{assert_mentions, jump, rows};
 
@@ -202,6 +202,7 @@ fn ledger_agrees(transport: usize, name: &str, text: &str) -> (Value, String) {
         let unknown = count("unknown_after_disconnect") as f64 / RATE_HZ;
         let away = [wanted.away_s, away_by_arrival_s(&folder.read("a.take"))];
         assert!(away.iter().any(|s| (unknown - s).abs() < 0.5), "{unknown} s: {context}");
+        assert!(away[1] < away[0] + LATE_S_MAX, "{away:?} s: {context}");
     } else {
         assert_eq!(count("unknown_after_disconnect"), wanted.unknown, "{context}");
         assert_eq!(count("frames_sent"), fates.len() as u64, "{context}");
@@ -319,7 +320,7 @@ fn a_label_that_comes_late_is_followed_and_costs_no_sample() {
         // From 0.7 s on, or as soon as a busy machine has asked for the labels; the marker is seen all the time.
         let late = found(labels.last().unwrap()).unwrap();
         let samples = late["samples"].as_u64().unwrap();
-        assert!((1..=320).contains(&samples), "{late:#}");
+        assert!((60..=320).contains(&samples), "{late:#}");
         let channels = info["channels"].as_array().unwrap().iter();
         let recorded: u64 = channels.map(|channel| channel["samples"].as_u64().unwrap()).sum();
         let motion = motion();
@@ -349,7 +350,7 @@ fn settings_that_change_in_mid_stream_are_followed_and_cost_no_sample() {
         assert_eq!(before + after, seen(0..480), "{context}");
         // The change is due with the first frame half a second after the first request; a busy machine asks later what
         // has changed.
-        assert!(before >= seen(0..115) && after > 0, "{before} {after}");
+        assert!(before >= seen(0..115) && after >= 60, "{before} {after}");
     }
 }
 

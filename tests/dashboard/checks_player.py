@@ -126,6 +126,7 @@ def plays(browser, log):
         assert stats["skipped"] == 0, stats
         # A browser that cannot draw as often plays more slowly, a row at a time.
         assert rows / took < 1.1 * 60 and rows > 0.9 * min(0.5 * 60 * took, drawn), (rows, drawn, took)
+        assert rows > 5 * took, (rows, took)
         browser.keys("k")
         before = row(browser)
         time.sleep(0.3)
@@ -278,6 +279,32 @@ def keyboard(browser, _log):
             was = browser.js(pressed)
             browser.keys(key)
             assert browser.js(pressed) != was, key
+
+
+@check("events that cannot be read are tried again; a take that was replaced meanwhile is opened again")
+def read_later(browser, _log):
+    with Mock("--markers", "15") as mock:
+        mock.set(refuse_events=["disk", "cannot read the take: input/output error"])
+        open_take(browser, mock)
+        browser.wait("the notice", lambda: "input/output error" in browser.text("notice"))
+        browser.wait("the list", lambda: browser.text("events-count") == "cannot be read")
+        mock.set(refuse_events=None)
+        browser.wait("the events, tried again", lambda: browser.text("events-count") == "3 events")
+        browser.wait("no notice", "return document.getElementById('notice').hidden")
+
+        mock.set(refuse_events=["disk", "cannot read the take: input/output error"])
+        open_take(browser, mock)
+        browser.wait("the list", lambda: browser.text("events-count") == "cannot be read")
+        mock.set(add_take=[NAME, 6.0, "complete"], refuse_events=None)
+        replaced = MockTake(NAME, 6.0, 15, RATE_HZ)
+        browser.wait("the other take", f"return mocapdPlayer.playback.lastRow === {replaced.frames - 1}")
+        browser.wait("its events", lambda: browser.text("events-count") == "3 events")
+        browser.wait("its picture", "return document.getElementById('view-message').hidden && document.getElementById('notice').hidden")
+        assert "0:06.000" in browser.text("take-facts"), browser.text("take-facts")
+        browser.keys(Keys.END)
+        assert_shown(browser, replaced, replaced.frames - 1)
+        # A refused request is an error of the console.
+        browser.errors()
 
 
 @check("frames that cannot be read, a damaged take, and one that does not exist are reported")

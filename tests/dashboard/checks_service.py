@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import json
+import math
 import os
 import shutil
 import socket
@@ -20,6 +21,8 @@ JUMPS = ("--generate", "jump:3", "--seconds", "60", "--markers", MARKERS, "--rat
 DRAWN_HZ_MIN = 27
 #: From a frame's last byte at the host to the script in the browser, ms.
 LATENCY_P95_MS_MAX = 100
+#: The same, however much other programs load the machine: a page that draws slowly also holds up its own refreshes.
+LOADED_DRAWN_HZ_MIN, LOADED_LATENCY_P95_MS_MAX = 10, 500
 #: Measurements of both, one of which must pass.
 MEASUREMENTS = 6
 #: Share of the processors' time above which other programs load the machine.
@@ -219,7 +222,10 @@ def with_viewer(browser, log, rig):
             f"other programs {100 * by_others:.0f} % of the machine")
         drawn_min, latency_max = DRAWN_HZ_MIN, LATENCY_P95_MS_MAX
         if by_others > OTHERS_MAX:
-            drawn_min, latency_max = min(drawn_min, 0.9 * refresh_hz), latency_max + wait_ms
+            drawn_min = max(LOADED_DRAWN_HZ_MIN, min(drawn_min, 0.9 * refresh_hz))
+            # Without any refresh the time is infinite, for which JSON has null.
+            wait_ms = math.inf if wait_ms is None else wait_ms
+            latency_max = min(LOADED_LATENCY_P95_MS_MAX, latency_max + wait_ms)
         if stats["drawn_hz"] >= drawn_min and stats["latency_p95_ms"] < latency_max:
             return
         assert left, stats

@@ -104,6 +104,8 @@ class Handler(BaseHTTPRequestHandler):
             rig.requests.append(self.path)
             found = next((take for take in rig.takes if take["name"] == name), None)
             refused = rig.faults["refuse_windows"] if what == "window" else None
+            if what == "overview" and query.get("ends_only") != "true":
+                refused = rig.faults["refuse_events"]
         if found is None or found["is_open"]:
             return self.reply(404, {"kind": "not_found", "message": "no take has this name: see /v1/takes"})
         if refused:

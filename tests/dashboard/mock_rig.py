@@ -13,7 +13,8 @@ from mock_body import Body
 #: Faults: `lose_responses` executes that many commands without a response; `cut_streams` ends the streams opened before
 #: that time.
 FAULTS = {"presence": "streaming", "obstacle": None, "lossy": False, "frozen": False, "delay_s": 0.0, "refuse": None,
-          "free_bytes": 412_000_000_000, "lose_responses": 0, "cut_streams": 0.0, "refuse_windows": None}
+          "free_bytes": 412_000_000_000, "lose_responses": 0, "cut_streams": 0.0, "refuse_windows": None,
+          "refuse_events": None}
 
 
 class Refused(Exception):

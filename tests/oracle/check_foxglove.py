@@ -322,6 +322,7 @@ def check_recorded(options):
         for of in message.transforms:
             length = math.hypot(of.rotation.x, of.rotation.y, of.rotation.z, of.rotation.w)
             expect(abs(length - 1.0) < 1e-6, f"a rotation of length {length}")
+    expect(without < 0.1 * len(bodies), f"{without} of {len(bodies)} frames without bodies")
     expect(without <= published["poses_left_out"], f"{without} frames without bodies: {published}")
 
 

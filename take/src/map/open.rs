@@ -331,7 +331,7 @@ impl TakeTail {
     }
 
     /// Adds the subject that the beginning of the take states: writers put it behind the header. `None` if the take does not
-    /// begin with a header.
+    /// begin with a header, or with that of another take than the end states: only the whole file tells which one is right.
     ///
     /// # Errors
     /// `Io`.
@@ -341,13 +341,27 @@ impl TakeTail {
     ) -> Result<Option<Self>, TakeError> {
         input.seek(SeekFrom::Start(0))?;
         let mut chunks = ChunkCursor::new(input);
-        if !chunks.begin()? || chunks.record(types::HEADER)?.is_none() {
+        if !chunks.begin()? {
+            return Ok(None);
+        }
+        let offset = chunks.at;
+        let header = chunks.record(types::HEADER)?;
+        let header = header.and_then(|payload| Header::from_payload(&payload, offset).ok());
+        if !header.is_some_and(|header| self.continues(&header)) {
             return Ok(None);
         }
         let offset = chunks.at;
         let payload = chunks.record(types::SUBJECT)?;
         self.map.subject = payload.and_then(|payload| Subject::from_payload(&payload, offset).ok());
         Ok(Some(self))
+    }
+
+    /// Whether the end states the take that begins with this header. Markers may have been added since.
+    fn continues(&self, header: &Header) -> bool {
+        let stated = &self.map.header;
+        stated.take_id == header.take_id
+            && stated.rate_hz.to_bits() == header.rate_hz.to_bits()
+            && stated.channels.len() >= header.channels.len()
     }
 
     /// Whether the parts agree with each other.
@@ -408,6 +422,32 @@ mod tests {
             |map: &TakeMap| (map.order.clone(), map.channels.clone(), map.statistics.clone());
         assert!(!map.order.is_identity());
         assert_eq!(tail.as_ref().map(stated), Some(stated(&map)));
+    }
+
+    #[test]
+    fn the_ends_of_a_take_are_those_of_one_take() {
+        let begins_with = |header: &Header| {
+            let payload = header.to_payload().unwrap();
+            let ChunkParse::Whole { len, .. } = chunk::split(&TAKE[MAGIC.len()..]) else {
+                panic!("the take has no header")
+            };
+            let mut take = MAGIC.to_vec();
+            chunk::put(&mut take, types::HEADER, &payload).unwrap();
+            take.extend_from_slice(&TAKE[MAGIC.len() + len..]);
+            let tail = TakeTail::read(&mut Cursor::new(TAKE)).unwrap().unwrap();
+            tail.with_subject(&mut Cursor::new(take)).unwrap().is_some()
+        };
+        let map = TakeMap::open(&mut Cursor::new(TAKE)).unwrap();
+        let (header, n_channels) = (map.header, map.channels.len());
+        let with_channels = |n: usize| {
+            let channels = header.channels.iter().cycle().take(n).cloned().collect();
+            Header { channels, ..header.clone() }
+        };
+        assert!(begins_with(&header) && begins_with(&with_channels(n_channels)));
+        assert!(header.channels.len() < n_channels, "markers were added");
+        assert!(!begins_with(&with_channels(n_channels + 1)));
+        assert!(!begins_with(&Header { rate_hz: header.rate_hz * 2.0, ..header.clone() }));
+        assert!(!begins_with(&Header { take_id: [7; 16], ..header.clone() }));
     }
 
     #[test]
