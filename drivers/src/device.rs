@@ -53,6 +53,12 @@ pub struct MarkerSample {
     pub position_mm: [f32; 3],
 }
 
+/// A residual as [`MarkerSample::residual_10um`]. 0 stands for none, so that smaller ones than its unit are 1; what is no
+/// residual, such as a negative one and NaN, is none.
+pub(crate) fn residual_10um(residual_mm: f64) -> u8 {
+    if residual_mm > 0.0 { (residual_mm * 100.0).round().clamp(1.0, 255.0) as u8 } else { 0 }
+}
+
 /// One frame of marker samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame<'a> {
@@ -570,6 +576,14 @@ pub struct EndOfPoses {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_small_residual_is_not_none_and_a_large_one_is_the_largest() {
+        let found =
+            [0.001, 0.004, 0.005, 0.014, 0.12, 2.55, 40.0, f64::INFINITY].map(residual_10um);
+        assert_eq!(found, [1, 1, 1, 1, 12, 255, 255, 255]);
+        assert_eq!([0.0, -0.0, -1.0, f64::NAN].map(residual_10um), [0; 4]);
+    }
 
     #[test]
     fn what_is_no_pose_is_rejected_and_leaves_only_its_status() {

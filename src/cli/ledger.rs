@@ -13,6 +13,7 @@ use mocapd_acquire::{
 use mocapd_take::{
     damage::{DamageOrigin, LostRows},
     record::{ClockJitter, ClockLine},
+    sampled::RESIDUAL_GROUPS,
 };
 use serde::Serialize;
 
@@ -77,10 +78,33 @@ pub(crate) fn text(ledger: &LedgerDocument) -> String {
     out
 }
 
-/// The ledger of sampled channels, one line per group.
+/// The groups of a ledger with what they are: those of residuals, which have the same rows, as one. Of numbers that differ it
+/// states the worst.
+fn named_groups(ledger: &SampleLedgerDocument) -> Vec<(String, GroupLedgerDocument)> {
+    let is_residual = |group: &&GroupLedgerDocument| RESIDUAL_GROUPS.contains(&group.group);
+    let others = ledger.groups.iter().filter(|group| !is_residual(group));
+    let others = others.map(|group| (format!("group {}", group.group), *group));
+    let of_residuals = ledger.groups.iter().filter(is_residual).copied();
+    let residuals = of_residuals.reduce(|sum, group| GroupLedgerDocument {
+        group: sum.group,
+        taken: sum.taken.max(group.taken),
+        stored: sum.stored.min(group.stored),
+        lost_on_link: sum.lost_on_link.max(group.lost_on_link),
+        dropped_by_device: sum.dropped_by_device.max(group.dropped_by_device),
+        lost_ring_full: sum.lost_ring_full.max(group.lost_ring_full),
+        lost_other: sum.lost_other.max(group.lost_other),
+        unknown_after_disconnect: sum.unknown_after_disconnect.max(group.unknown_after_disconnect),
+        duplicates: sum.duplicates.max(group.duplicates),
+        jumps: sum.jumps.max(group.jumps),
+    });
+    let residuals = residuals.map(|sum| ("the residuals".to_owned(), sum));
+    others.chain(residuals).collect()
+}
+
+/// The ledger of sampled channels, one line per group, and one for all residuals.
 pub(crate) fn samples_text(ledger: &SampleLedgerDocument) -> String {
     let mut out = String::new();
-    for group in &ledger.groups {
+    for (name, group) in &named_groups(ledger) {
         let state = if ledger.closes { "the ledger closes" } else { "THE LEDGER DOES NOT CLOSE" };
         let lost = samples_lost(group).map(|lost| format!(", {lost}")).unwrap_or_default();
         let again = match group.duplicates {
@@ -89,9 +113,8 @@ pub(crate) fn samples_text(ledger: &SampleLedgerDocument) -> String {
         };
         writeln!(
             out,
-            "  {:>15} samples of each channel of group {}, {} in the take{lost}{again}: {state}",
+            "  {:>15} samples of each channel of {name}, {} in the take{lost}{again}: {state}",
             thousands(group.taken),
-            group.group,
             thousands(group.stored),
         )
         .ok();
@@ -118,11 +141,12 @@ fn samples_lost(group: &GroupLedgerDocument) -> Option<String> {
     (!lost.is_empty()).then(|| lost.join(", "))
 }
 
-/// The samples of sampled channels that are missing, one message per group, and the batches that were refused.
+/// The samples of sampled channels that are missing, one message per group and one for all
+/// residuals, and the batches that were refused.
 pub(crate) fn sample_losses(ledger: &SampleLedgerDocument) -> Vec<String> {
-    let of_group = |group: &GroupLedgerDocument| {
-        let lost = samples_lost(group)?;
-        Some(format!("not in the take, of each channel of group {}: {lost}", group.group))
+    let of_group = |(name, group): (String, GroupLedgerDocument)| {
+        let lost = samples_lost(&group)?;
+        Some(format!("not in the take, of each channel of {name}: {lost}"))
     };
     let refused = (ledger.batches_refused > 0).then(|| {
         let batches = ledger.batches_refused;
@@ -132,7 +156,7 @@ pub(crate) fn sample_losses(ledger: &SampleLedgerDocument) -> Vec<String> {
             thousands(batches)
         )
     });
-    ledger.groups.iter().filter_map(of_group).chain(refused).collect()
+    named_groups(ledger).into_iter().filter_map(of_group).chain(refused).collect()
 }
 
 /// The clock figures of a ledger, for takes that store no others.
@@ -475,6 +499,33 @@ mod tests {
             "        30 frames lost to damage: each of 2 markers\n"
         );
         assert_eq!(damage_by_marker(&[("a", 0)]), "");
+    }
+
+    #[test]
+    fn residuals_are_one_line_and_one_message() {
+        let group = |group, lost_ring_full| GroupLedgerDocument {
+            group,
+            taken: 1000,
+            stored: 1000 - lost_ring_full,
+            lost_ring_full,
+            ..GroupLedgerDocument::default()
+        };
+        let groups = vec![group(3, 0), group(32, 20), group(33, 20), group(34, 20)];
+        let ledger = SampleLedgerDocument { closes: true, groups, ..Default::default() };
+        let text = samples_text(&ledger);
+        let lines: Vec<&str> = text.lines().map(str::trim).collect();
+        let lost = "20 samples lost in the host because a ring was full";
+        let all = "1,000 samples of each channel of";
+        let closes = "the ledger closes";
+        assert_eq!(
+            lines,
+            [
+                format!("{all} group 3, 1,000 in the take: {closes}"),
+                format!("{all} the residuals, 980 in the take, {lost}: {closes}"),
+            ]
+        );
+        let told = format!("not in the take, of each channel of the residuals: {lost}");
+        assert_eq!(sample_losses(&ledger), [told]);
     }
 
     #[test]

@@ -19,6 +19,7 @@ use mocapd_simulator::{
     source::{self, Residuals},
 };
 use mocapd_take::motion::{Motion, is_gap};
+use serde_json::Value;
 
 use super::{Folder, faults::played::record_from, natnet::free_port};
 use crate::support::{assert_mentions, jump};
@@ -115,6 +116,13 @@ fn residuals_go_from_a_device_to_c3d_and_back() {
     assert!(head.contains(&format!("{label}.residual (mm)")), "{head}");
     let first: f64 = csv.lines().nth(1).unwrap().split(',').nth(1).unwrap().parse().unwrap();
     assert!((first - f64::from(sent.frame(0)[0]) / 100.0).abs() < 1e-6, "{first}");
+    let dataset = ["export", "a.take", "-o", "study", "--format", "bids"];
+    folder.run(&dataset).with_code(0);
+    let recording = "study/sub-01/motion/sub-01_task-a_tracksys-optical_recording-sampled32_physio";
+    let document: Value =
+        serde_json::from_slice(&folder.read(&format!("{recording}.json"))).unwrap();
+    assert_eq!(document["Columns"].as_array().unwrap().len(), 1 + 15, "{document:#}");
+    assert!(folder.read(&format!("{recording}.tsv.gz")).len() > 480);
 }
 
 #[test]

@@ -7,9 +7,12 @@ use mocapd_acquire::{
     pipeline::{Intake, PipelineConfig, PreRollConfig},
 };
 use mocapd_codec::Settings;
-use mocapd_drivers::device::{Frame, MarkerInfo, MarkerSample};
+use mocapd_drivers::device::{
+    Frame, MarkerInfo, MarkerSample, SampleBatch, SampleForm, SampledChannelInfo, SampledGroupInfo,
+};
 use mocapd_take::{
     TakeFrames, TakeMap,
+    compare::compare_samples,
     edit::{EditContext, SourceTake, concat, cut, repack},
     interchange::{Format, residuals_10um, write_c3d},
     motion::{FrameSource, Motion, is_gap},
@@ -243,31 +246,122 @@ fn markers_that_appear_later_have_no_residuals_and_the_take_says_so() {
     let motion = jump(6, 200.0, 2.0);
     let n_markers = motion.info.markers.len();
     let (mut intake, pipeline) = start(&with_residuals(&motion, lossless()), Vec::new());
-    for frame in 0..400 {
-        let mut markers = markers(&motion, frame);
-        if frame == 100 {
-            let (id, label) = (900, "late".to_owned());
-            intake.announce(&[MarkerInfo { id, label, labelled: true }]);
-        }
-        if frame >= 100 {
-            let (position_mm, occluded) = ([1.0, 2.0, 3.0], false);
-            markers.push(MarkerSample { id: 900, occluded, residual_10um: 9, position_mm });
-        }
-        let device_ticks = frame as u64 * TICK_HZ / 200;
-        let sent = Frame { seq: frame as u32, device_ticks, timecode: None, markers: &markers };
-        intake.frame(&sent, device_ticks * 1000);
-    }
+    (0..400).for_each(|frame| send_with_late(&mut intake, &motion, frame, 100));
     intake.finish();
     let take = pipeline.finish().unwrap().1;
     assert_clean(&take);
     for (frame, row) in read(&take).iter().enumerate() {
         assert_eq!(row[..n_markers], expected(&motion, frame));
-        assert_eq!(row[n_markers..], [0]);
+        assert_eq!(row[n_markers..], [0, 0]);
     }
-    let events = map_of(&take).events;
-    let texts: Vec<_> = events.iter().map(|event| &event.text[..]).collect();
-    let told = texts.iter().filter(|text| text.contains("residuals are not recorded"));
-    assert_eq!(told.count(), 1, "{texts:?}");
+    assert_eq!(told_at(&take), [100]);
+}
+
+/// A frame with one more marker from the frame `from` on, and with another one 50 frames later.
+fn send_with_late(intake: &mut Intake, motion: &Motion, frame: usize, from: usize) {
+    wait_for_room(intake);
+    let mut markers = markers(motion, frame);
+    for (id, from) in [(900, from), (901, from + 50)] {
+        if frame == from {
+            let label = format!("late {id}");
+            intake.announce(&[MarkerInfo { id, label, labelled: true }]);
+        }
+        if frame >= from {
+            let (position_mm, occluded) = ([1.0, 2.0, 3.0], false);
+            markers.push(MarkerSample { id, occluded, residual_10um: 9, position_mm });
+        }
+    }
+    let device_ticks = frame as u64 * TICK_HZ / 200;
+    let sent = Frame { seq: frame as u32, device_ticks, timecode: None, markers: &markers };
+    intake.frame(&sent, 5_000_000 + device_ticks * 1000);
+}
+
+/// The rows at which a take says that residuals are not recorded.
+fn told_at(take: &[u8]) -> Vec<u64> {
+    let events = map_of(take).events;
+    let told = events.iter().filter(|event| event.text.contains("residuals are not recorded"));
+    told.map(|event| event.row).collect()
+}
+
+#[test]
+fn every_take_and_part_says_once_that_markers_are_without_residuals() {
+    let motion = jump(6, 200.0, 6.0);
+    let config = with_residuals(&motion, lossless());
+    let parts = super::splits::record_parts((&motion, &config), 100, |intake| {
+        (0..400).for_each(|frame| send_with_late(intake, &motion, frame, 130));
+    });
+    let told: Vec<Vec<u64>> = parts.iter().map(|part| told_at(part)).collect();
+    assert_eq!(told, [vec![], vec![30], vec![0], vec![0]]);
+    // A part that begins with the marker.
+    let parts = super::splits::record_parts((&motion, &config), 100, |intake| {
+        (0..200).for_each(|frame| send_with_late(intake, &motion, frame, 100));
+    });
+    let told: Vec<Vec<u64>> = parts.iter().map(|part| told_at(part)).collect();
+    assert_eq!(told, [vec![], vec![0]]);
+
+    // They appear while no take is open, and before the pre-roll of the second one.
+    let armed = PipelineConfig { pre_roll: Some(PreRollConfig { ..PRE_ROLL }), ..config };
+    let (mut intake, pipeline, mut handles) =
+        mocapd_acquire::pipeline::Pipeline::arm(&armed, &header(&motion)).unwrap();
+    let mut record = |rows: Range<usize>, pre_roll_s| {
+        let from = intake.next_row() as usize;
+        (from..rows.start).for_each(|frame| send_with_late(&mut intake, &motion, frame, 150));
+        let pre_roll = std::time::Duration::from_secs(pre_roll_s);
+        let begun = handles.takes.begin(new_take(&motion, pre_roll, rows.start)).unwrap();
+        rows.clone().for_each(|frame| send_with_late(&mut intake, &motion, frame, 150));
+        handles.takes.end(mocapd_take::record::EndingKind::Stopped).unwrap();
+        send_with_late(&mut intake, &motion, rows.end, 150);
+        told_at(&ended(&begun).1)
+    };
+    assert_eq!(record(50..100, 0), [0; 0]);
+    let in_pre_roll = record(250..300, 1);
+    assert!(matches!(in_pre_roll[..], [row] if row < 200), "{in_pre_roll:?}");
+    assert_eq!([record(400..450, 0), record(700..750, 1)], [[0], [0]]);
+    intake.finish();
+    pipeline.join().unwrap();
+}
+
+/// Rows that are stamped alike have their own residuals, wherever they are in a block.
+#[test]
+fn where_the_clock_stands_every_row_has_the_residuals_of_its_frame() {
+    let motion = jump(11, 200.0, 6.0);
+    let record = |ticks_of: &dyn Fn(u64) -> u64| {
+        let (mut intake, pipeline) = start(&with_residuals(&motion, lossless()), Vec::new());
+        for frame in 0..1200_u64 {
+            wait_for_room(&mut intake);
+            let markers = markers(&motion, frame as usize);
+            let (seq, device_ticks) = (frame as u32, ticks_of(frame) * TICK_HZ / 200);
+            let sent = Frame { seq, device_ticks, timecode: None, markers: &markers };
+            intake.frame(&sent, 5_000_000 + frame * 5_000_000);
+        }
+        intake.finish();
+        pipeline.finish().unwrap().1
+    };
+    let n_runs = |take: &[u8]| {
+        let map = map_of(take);
+        let group = map.recorded_groups().next().unwrap();
+        let mut runs: Vec<u64> = group.anchors().iter().map(|anchor| anchor.run_start).collect();
+        runs.dedup();
+        runs.len()
+    };
+    // It stands for a few frames: at the start, at the ends of blocks, and in between.
+    for n in [2, 3, 7] {
+        for first in [0, 50, 97, 98, 99, 100, 101, 197, 199, 333, 1197] {
+            let take =
+                record(&|frame| if (first..first + n).contains(&frame) { first } else { frame });
+            assert_has(&take, &motion, all(0..1200));
+            assert_eq!(n_runs(&take), 1, "{n} from {first}");
+            assert_clean(&take);
+        }
+    }
+    // It counts slower than frames come, and never goes on.
+    for n in [2, 3, 4] {
+        assert_has(&record(&|frame| frame - frame % n), &motion, all(0..1200));
+    }
+    // One that goes back begins a run.
+    let take = record(&|frame| if frame < 600 { 10_000 + frame } else { 10_000 + frame - 2 });
+    assert_has(&take, &motion, all(0..1200));
+    assert_eq!(n_runs(&take), 2);
 }
 
 #[test]
@@ -343,6 +437,69 @@ fn parts_have_the_residuals_of_their_frames_and_joined_again_they_are_those_of_t
     for other in [&joined, &repacked] {
         assert_has(other, &motion, frames(0..2400));
         assert_clean(other);
+    }
+}
+
+/// Joined takes that do not have the same residuals lack these alone, and compared they differ in nothing else.
+#[test]
+fn residuals_that_only_one_take_has_cost_no_other_sampled_channels() {
+    let motion = jump(12, 200.0, 2.0);
+    let channel = |name: &str| SampledChannelInfo {
+        name: name.to_owned(),
+        unit: "V".to_owned(),
+        scale: 1.0,
+        offset: 0.0,
+    };
+    let group = SampledGroupInfo {
+        id: 3,
+        form: SampleForm::Float32,
+        rate_millihertz: 200_000,
+        channels: vec![channel("trigger"), channel("light")],
+    };
+    let record = |residuals| {
+        let config = with_residuals(&motion, lossless());
+        let config = PipelineConfig { residuals, sampled: vec![group.clone()], ..config };
+        let (mut intake, pipeline) = start(&config, Vec::new());
+        for frame in 0..400 {
+            send(&mut intake, &motion, frame);
+            let samples = [frame as f32, 1.0];
+            intake.samples(&SampleBatch {
+                group: 3,
+                number: frame as u32,
+                first: frame as u64,
+                device_ticks: frame as u64 * TICK_HZ / 200,
+                form: SampleForm::Float32,
+                n_channels: 2,
+                samples: &samples,
+            });
+        }
+        intake.finish();
+        pipeline.finish().unwrap().1
+    };
+    let takes = [record(true), record(false)];
+    let new_scratch = || Err(std::io::ErrorKind::Unsupported.into());
+    let context = context(&new_scratch);
+    for (order, groups) in [([0, 1], vec![3]), ([1, 0], vec![3]), ([0, 0], vec![3, 32])] {
+        let of = |i: usize| &takes[order[i]];
+        let sources = [0, 1].map(|i| SourceTake::read(&mut Cursor::new(of(i))).unwrap());
+        let mut joined = Vec::new();
+        let open = |i: usize| Ok(Cursor::new(of(i).clone()));
+        let report = concat(&sources, open, &mut joined, &context).unwrap();
+        let map = map_of(&joined);
+        let found: Vec<u32> = map.recorded_groups().map(|of| of.group.number).collect();
+        assert_eq!(found, groups);
+        assert_eq!(map.recorded_groups().next().unwrap().n_samples(), 800);
+        let ledger: Vec<u32> = assert_clean(&joined).iter().map(|ledger| ledger.group).collect();
+        assert_eq!(ledger, groups);
+        let is_told = report.left_out.iter().any(|what| what.contains("residuals of the markers"));
+        assert_eq!(is_told, groups.len() == 1, "{:?}", report.left_out);
+    }
+    for (ours, theirs, n_skipped) in [(0, 1, 1), (1, 0, 1), (0, 0, 0)] {
+        let maps = [&takes[ours], &takes[theirs]].map(|take| map_of(take));
+        let (ours, theirs) = (&mut Cursor::new(&takes[ours]), &mut Cursor::new(&takes[theirs]));
+        let found = compare_samples((&maps[0], ours), (&maps[1], theirs)).unwrap().unwrap();
+        assert!(found.is_within() && found.samples >= 800, "{found:?}");
+        assert_eq!(found.residual_groups_skipped, n_skipped);
     }
 }
 

@@ -106,8 +106,6 @@ pub struct Intake {
     pose_step: PoseStep,
     /// Announcements of sampled channels that were reported.
     groups_reported: u32,
-    /// Whether residuals are recorded, and no marker without them was reported.
-    residuals_are_due: bool,
 }
 
 /// Announcements of other sampled channels that get an event: a device that repeats them must not fill the take.
@@ -202,7 +200,6 @@ impl Intake {
             samples,
             pose_step: PoseStep::new(config.recorded_bodies().len()),
             groups_reported: 0,
-            residuals_are_due: config.residuals,
         })
     }
 

@@ -213,6 +213,8 @@ pub(super) struct Plan {
     pub(super) armed_key_rows: u64,
     pub(super) pre_roll: Option<PreRollConfig>,
     pub(super) sync_every: Duration,
+    /// How many channels have residuals, the first ones; `None` if residuals are not recorded.
+    pub(super) residuals: Option<usize>,
 }
 
 impl Plan {
@@ -243,6 +245,7 @@ impl Plan {
             armed_key_rows: u64::from(config.rows(config.key_every.min(ARMED_KEY_EVERY))),
             pre_roll: config.pre_roll,
             sync_every: config.sync_every,
+            residuals: config.residuals.then(|| config.recorded_residuals().len()),
         };
         let ring_bytes = plan.ring_rows.saturating_mul(n_slots).saturating_mul(size_of::<Sample>());
         ensure!(

@@ -75,6 +75,8 @@ pub(super) struct Writer {
     /// All channels so far, each with the number of the stretch that may be the first to contain it.
     table: Vec<(u64, Channel)>,
     sync_every: Duration,
+    /// How many channels have residuals, if these are recorded.
+    residuals: Option<usize>,
     pre_roll: Option<PreRollBuffer>,
     live: Option<LiveTake>,
     /// Whether the pipeline serves a single take, or those of a recording that is divided, and fails with it.
@@ -124,6 +126,7 @@ impl Writer {
             counts: Counts::default(),
             table,
             sync_every: plan.sync_every,
+            residuals: plan.residuals,
             pre_roll: plan.pre_roll.map(PreRollBuffer::new),
             live: None,
             single_take: false,
@@ -478,7 +481,8 @@ impl Writer {
         new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
         progress.set_file_state(FileState::InPlace, None);
-        let (place, groups) = (TakePlace { base, rows_before }, &self.samples.groups);
+        let place = TakePlace { base, rows_before, residuals: self.residuals };
+        let groups = &self.samples.groups;
         let mut take = match LiveTake::begin(new, reply, place, groups, self.sync_every) {
             Ok(take) => take,
             Err(error) => {

@@ -7,7 +7,9 @@ use super::{
     message::{Bitstream, Message, MessageKind},
 };
 use crate::{
-    device::{DeviceEvent, EndOfPoses, Frame, LinkBudget, MarkerSample, PoseFrame, Status},
+    device::{
+        DeviceEvent, EndOfPoses, Frame, LinkBudget, MarkerSample, PoseFrame, Status, residual_10um,
+    },
     transport::{DatagramSource, polled::LineCommand},
 };
 
@@ -262,8 +264,8 @@ impl NatNetHost {
     }
 
     fn add_marker(&mut self, marker: &NatNetMarker, has_flags: bool) {
-        // Metres per ray as hundredths of a millimetre; a negative one and NaN become 0.
-        let residual_10um = (marker.residual_m * 1e5).round().clamp(0.0, 255.0) as u8;
+        // Metres per ray.
+        let residual_10um = residual_10um(1000.0 * f64::from(marker.residual_m));
         let is_seen = marker.flags & OCCLUDED == 0;
         let labelled = is_labelled(marker, has_flags);
         let label = self.names.label(marker.id).filter(|_| labelled);

@@ -9,7 +9,9 @@ use super::{
     sampled::SampledComponentKind,
     stream_run::{FrameParts, OpenFrame, StreamRun, VendorLoss},
 };
-use crate::device::{DeviceEvent, EndOfPoses, Frame, LinkBudget, MarkerSample, PoseFrame};
+use crate::device::{
+    DeviceEvent, EndOfPoses, Frame, LinkBudget, MarkerSample, PoseFrame, residual_10um,
+};
 
 /// Components of a frame that the driver requests.
 const REQUESTED: [MarkerComponentKind; 2] =
@@ -194,8 +196,7 @@ impl QtmHost {
             self.samples.push(MarkerSample {
                 id,
                 occluded: !is_finite,
-                // 0 means that no residual is reported; a negative one and NaN become 0.
-                residual_10um: (marker.residual_mm * 100.0).round().clamp(0.0, 255.0) as u8,
+                residual_10um: residual_10um(f64::from(marker.residual_mm)),
                 position_mm: if is_finite { marker.position_mm } else { [0.0; 3] },
             });
         }

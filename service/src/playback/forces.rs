@@ -194,7 +194,8 @@ impl TakeForces {
         if plates.is_empty() {
             return Ok(());
         }
-        let line = SampleTimeLine::read(input, &self.map)?;
+        // Residuals, of which there are many, are not looked at.
+        let line = SampleTimeLine::read_groups(input, &self.map, |group| !group.has_residuals())?;
         let mut indices = Vec::new();
         for (group, of) in line.groups().iter().enumerate() {
             let found = plates_of_group(&plates, &of.group);

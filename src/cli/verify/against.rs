@@ -323,6 +323,7 @@ fn sampled_text(found: &SampledDifference) -> String {
         samples_lost,
         samples_missing,
         groups_missing,
+        residual_groups_skipped,
     } = *found;
     let mut out = match samples_differing {
         0 => format!("  {} of sampled channels, all exact\n", count(samples, "sample")),
@@ -343,6 +344,9 @@ fn sampled_text(found: &SampledDifference) -> String {
     if groups_missing > 0 {
         let groups = count(groups_missing as u64, "group");
         out += &format!("  in only one of the two: {groups} of sampled channels\n");
+    }
+    if residual_groups_skipped > 0 {
+        out += "  not compared, in only one of the two: residuals of markers\n";
     }
     out
 }

@@ -66,6 +66,8 @@ pub struct SampledDifference {
     pub samples_missing: u64,
     /// Groups that only one of the two has, or that have other channels.
     pub groups_missing: usize,
+    /// Groups of residuals that only one of the two has, which are not compared: they are recorded on request.
+    pub residual_groups_skipped: usize,
 }
 
 impl SampledDifference {
@@ -95,10 +97,16 @@ pub fn compare_samples(
         return Ok(None);
     }
     let mut found = SampledDifference::default();
+    let is_skipped = |group: &GroupSamples, other: &TakeMap| {
+        let is_there = || other.recorded_groups().any(|of| of.group.number == group.group.number);
+        group.group.has_residuals() && !is_there()
+    };
     let mut n_matched = 0;
     for ours in take.recorded_groups() {
         let Some(theirs) = original.recorded_groups().find(|other| is_like(ours, other)) else {
-            found.groups_missing += 1;
+            let is_skipped = is_skipped(ours, original);
+            found.residual_groups_skipped += usize::from(is_skipped);
+            found.groups_missing += usize::from(!is_skipped);
             continue;
         };
         n_matched += 1;
@@ -119,7 +127,10 @@ pub fn compare_samples(
         found.samples_lost = found.samples_lost.saturating_add(of_all(lost));
         found.samples_missing = found.samples_missing.saturating_add(of_all(missing));
     }
-    found.groups_missing += original.recorded_groups().count().saturating_sub(n_matched);
+    let n_skipped = original.recorded_groups().filter(|of| is_skipped(of, take)).count();
+    found.residual_groups_skipped += n_skipped;
+    let n_others = original.recorded_groups().count().saturating_sub(n_matched + n_skipped);
+    found.groups_missing += n_others;
     Ok(Some(found))
 }
 

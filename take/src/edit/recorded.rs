@@ -13,8 +13,8 @@ use crate::{
     TakeError, TakeMap, TakeTraversal, TakeWriter,
     damage::Problem,
     poses::PosesByRow,
-    record::{ClockLine, GroupLedger, SampleLedger, SampledGroup},
-    sampled::{GroupSamples, SampleAnchor, SampleContent, SampleSpan},
+    record::{ClockLine, GroupLedger, SampleLedger},
+    sampled::{GroupSamples, RESIDUAL_GROUPS, SampleAnchor, SampleContent, SampleSpan},
     timeline::{LossCauses, RowTime, Timeline},
     traversal::Decode,
 };
@@ -80,19 +80,25 @@ fn copy_group<W: Write>(
     anchors.try_for_each(|anchor| take.sample_time(number, &anchor.moved(by, by_segment), None))
 }
 
-/// Whether the groups of two takes can follow each other.
-fn are_alike(one: &TakeMap, other: &TakeMap) -> bool {
-    let of =
-        |map: &TakeMap| map.sample_groups().map(|g| g.group.clone()).collect::<Vec<SampledGroup>>();
+/// The groups of joined takes: all of them, or those that are not residuals.
+fn joined_groups(map: &TakeMap, residuals: bool) -> impl Iterator<Item = &GroupSamples> {
+    map.sample_groups().filter(move |samples| residuals || !samples.group.has_residuals())
+}
+
+/// Whether these groups of two takes can follow each other.
+fn are_alike(one: &TakeMap, other: &TakeMap, residuals: bool) -> bool {
+    let of = |map| joined_groups(map, residuals).map(|samples| &samples.group);
     // The header of the first take states the plates of all.
-    of(one) == of(other) && one.header.force_plates() == other.header.force_plates()
+    of(one).eq(of(other)) && one.header.force_plates() == other.header.force_plates()
 }
 
 /// The sampled channels of joined takes.
 #[derive(Debug, Default)]
 pub(super) struct JoinedSamples {
-    /// Whether all takes have the same groups.
+    /// Whether all takes have the same groups, without those of residuals.
     are_joined: bool,
+    /// Whether they have the same residuals, too.
+    has_residuals: bool,
     /// By group, the number of samples so far.
     next: Vec<u64>,
     ledger: Option<SampleLedger>,
@@ -105,13 +111,22 @@ impl JoinedSamples {
         take: &mut TakeWriter<W>,
     ) -> Result<(Self, Option<String>), TakeError> {
         let Some(first) = sources.first() else { return Ok((Self::default(), None)) };
-        if !sources.iter().all(|source| are_alike(first.map(), source.map())) {
+        let are_alike = |residuals| {
+            sources.iter().all(|source| are_alike(first.map(), source.map(), residuals))
+        };
+        if !are_alike(false) {
             let what = "the sampled channels, which are not the same in all takes".to_owned();
             return Ok((Self::default(), Some(what)));
         }
-        write_groups(first.map(), take)?;
-        let next = first.map().sample_groups().map(|_| 0).collect();
-        Ok((Self { are_joined: true, next, ledger: None }, None))
+        let has_residuals = are_alike(true);
+        let groups = || joined_groups(first.map(), has_residuals);
+        groups().try_for_each(|samples| take.sampled_group(&samples.group))?;
+        let next = groups().map(|_| 0).collect();
+        let left_out = (!has_residuals).then(|| {
+            "the residuals of the markers, which are not of the same markers in all takes"
+                .to_owned()
+        });
+        Ok((Self { are_joined: true, has_residuals, next, ledger: None }, left_out))
     }
 
     /// Appends the samples of a take, the first segment of whose clock has the number `segment` in the new one.
@@ -125,14 +140,17 @@ impl JoinedSamples {
         if !self.are_joined {
             return Ok(());
         }
-        for (group, next) in map.sample_groups().zip(&mut self.next) {
+        for (group, next) in joined_groups(map, self.has_residuals).zip(&mut self.next) {
             copy_group(group, input, take, (*next, segment))?;
             *next = next.saturating_add(group.n_samples());
         }
-        if let Some(ledger) = &map.sample_ledger {
+        if let Some(mut ledger) = map.sample_ledger.clone() {
+            if !self.has_residuals {
+                ledger.groups.retain(|group| !RESIDUAL_GROUPS.contains(&group.group));
+            }
             match &mut self.ledger {
-                Some(sum) => sum.add_counters(ledger),
-                None => self.ledger = Some(ledger.clone()),
+                Some(sum) => sum.add_counters(&ledger),
+                None => self.ledger = Some(ledger),
             }
         }
         Ok(())
@@ -472,7 +490,7 @@ mod tests {
     use super::*;
     use crate::{
         TakeEvent,
-        record::{Clock, Device, Header, SampledChannel},
+        record::{Clock, Device, Header, SampledChannel, SampledGroup},
         sampled::{SampleTimes, SamplesChunk},
     };
 

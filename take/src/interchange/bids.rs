@@ -32,6 +32,7 @@ use super::{
 use crate::{
     motion::{FrameSource, MotionInfo},
     poses::Pose,
+    sampled::RESIDUAL_GROUPS,
 };
 
 /// The version of the specification that the dataset follows.
@@ -43,8 +44,8 @@ const MISSING: &str = "n/a";
 const SUFFIXES: [&str; 6] =
     ["motion.tsv", "motion.json", "channels.tsv", "channels.json", "events.tsv", "events.json"];
 
-/// Most groups of sampled channels of a recording: the link protocol numbers them from 0 to 15.
-const GROUPS_MAX: u32 = 16;
+/// Most groups of sampled channels of a recording: behind those of the device have their numbers those of residuals.
+const GROUPS_MAX: u32 = RESIDUAL_GROUPS.end;
 
 /// The labels of continuous recordings: those of an imported file, and those of the groups of a recording.
 fn recordings() -> impl Iterator<Item = String> {
@@ -271,7 +272,7 @@ fn write_sampled(
         let recording = table.kind().name().replace('_', "");
         if !recordings().any(|known| known == recording) {
             return unsupported(&format!(
-                "BIDS: a recording has groups 0 to {}, but the take has {}",
+                "BIDS: expected groups with numbers up to {}, but the take has {}",
                 GROUPS_MAX - 1,
                 table.kind().description()
             ));

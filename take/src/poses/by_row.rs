@@ -3,6 +3,8 @@
 //! `docs/poses.md` has the rule, under "Poses and rows". Everything that puts poses beside frames reads them from here.
 
 use std::{
+    cmp::Reverse,
+    collections::BTreeMap,
     io::{Read, Seek},
     ops::Range,
 };
@@ -25,6 +27,9 @@ const ROW_MAX: i64 = 1 << 53;
 /// Most epochs of the clock in which rows with the time of an anchor are counted: a clock that begins again at equal times
 /// does so a few times, and a few bytes can claim that it always does.
 const EPOCHS_COUNTED: usize = 16;
+
+/// Most anchors of a run whose rows are looked for where the clock stands all the time: a few minutes tell which they are.
+const ANCHORS_COUNTED: usize = 1 << 10;
 
 /// A rigid body of a take.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -109,6 +114,33 @@ impl RowTimes {
         counts.iter().find(|(_, n)| *n == most).map(|(epoch, _)| *epoch)
     }
 
+    /// The row of an anchor where those of its run have times at which the clock stood, so that several rows have them: of
+    /// the rows near `known`, which is one of them, the one that leads to rows with the times of most other anchors.
+    fn most_likely<'a>(
+        &self,
+        run: &'a [SampleAnchor],
+        from: usize,
+        known: (&'a SampleAnchor, i64),
+    ) -> (&'a SampleAnchor, i64) {
+        // Numbers count rows, so that both are apart by the same for all anchors.
+        let apart = |anchor: &SampleAnchor, row: i64| {
+            let number = i64::try_from(anchor.number).ok().filter(|number| *number <= ROW_MAX)?;
+            Some(row - number)
+        };
+        let Some(of_known) = apart(known.0, known.1) else { return known };
+        let mut counts: BTreeMap<i64, (u64, &SampleAnchor)> = BTreeMap::new();
+        for anchor in run.iter().take(ANCHORS_COUNTED) {
+            let rows = self.rows_from(anchor, from).take(EPOCHS_COUNTED);
+            let rows = rows.filter_map(|found| apart(anchor, i64::try_from(found.row).ok()?));
+            for by in rows.filter(|by| by.abs_diff(of_known) <= EPOCHS_COUNTED as u64) {
+                counts.entry(by).or_insert((0, anchor)).0 += 1;
+            }
+        }
+        let most =
+            counts.into_iter().max_by_key(|(by, (n, _))| (*n, Reverse(by.abs_diff(of_known))));
+        most.map_or(known, |(by, (_, anchor))| (anchor, anchor.number.cast_signed() + by))
+    }
+
     /// The samples of a group whose rows are in the take.
     fn pieces(&self, samples: &GroupSamples, n_rows: u64) -> Vec<RowPiece> {
         let nearest = epochs_of(samples, &self.clock, self.tick_hz);
@@ -127,18 +159,18 @@ impl RowTimes {
             let end = next.map_or(end, |next| next.min(end));
             let nearest = nearest_of(first.run_start);
             let Some(epoch) = self.epoch_of(run, nearest, from) else { continue };
+            self.add_run(samples, (run, end), (from, epoch), &mut pieces);
             from = epoch;
-            self.add_run(samples, (run, end), epoch, &mut pieces);
         }
         in_order(pieces, n_rows)
     }
 
-    /// Adds the pieces of a run up to the sample `end`: in each, numbers count rows from an anchor on.
+    /// Adds the pieces of a run of an epoch, not before the epoch `from`, up to the sample `end`: in each, numbers count rows from an anchor on.
     fn add_run(
         &self,
         samples: &GroupSamples,
         (run, end): (&[SampleAnchor], u64),
-        epoch: usize,
+        (from, epoch): (usize, usize),
         pieces: &mut Vec<RowPiece>,
     ) {
         let exact = run.iter().filter_map(|anchor| {
@@ -146,6 +178,14 @@ impl RowTimes {
             Some((anchor, i64::try_from(row).ok().filter(|row| *row <= ROW_MAX)?))
         });
         let mut known: Vec<(&SampleAnchor, i64)> = exact.collect();
+        let is_doubtful =
+            |(anchor, _): &(&SampleAnchor, i64)| self.clock.stands_at(epoch, anchor.device_ticks);
+        match known.first() {
+            Some(first) if known.iter().all(is_doubtful) => {
+                known = vec![self.most_likely(run, from, *first)];
+            }
+            _ => known.retain(|found| !is_doubtful(found)),
+        }
         let is_exact = !known.is_empty();
         if !is_exact {
             let clock = samples.clock(self.tick_hz);

@@ -10,7 +10,7 @@ use std::{
 };
 
 use super::{GroupSamples, SampleAnchor, SampleClock, SampleRun, SampleTime};
-use crate::{TakeError, TakeMap, TakeTraversal, traversal::Decode};
+use crate::{TakeError, TakeMap, TakeTraversal, record::SampledGroup, traversal::Decode};
 
 /// The longest time by which a batch is stamped late, in seconds: a device sends one within a tenth of that.
 const LATE_S: f64 = 1.0;
@@ -89,7 +89,20 @@ impl SampleTimeLine {
     /// # Errors
     /// Those of [`RowClock::read`].
     pub fn read(input: impl Read + Seek, map: &TakeMap) -> Result<Self, TakeError> {
-        let groups: Vec<GroupSamples> = map.recorded_groups().cloned().collect();
+        Self::read_groups(input, map, |_| true)
+    }
+
+    /// The same for those groups only that `is_wanted` wants.
+    ///
+    /// # Errors
+    /// Those of [`RowClock::read`].
+    pub fn read_groups(
+        input: impl Read + Seek,
+        map: &TakeMap,
+        is_wanted: impl Fn(&SampledGroup) -> bool,
+    ) -> Result<Self, TakeError> {
+        let groups = map.recorded_groups().filter(|samples| is_wanted(&samples.group));
+        let groups: Vec<GroupSamples> = groups.cloned().collect();
         let has_groups = !groups.is_empty();
         let clock = if has_groups { RowClock::read(input, map)? } else { RowClock::default() };
         let tick_hz = map.header.device.as_ref().map_or(1, |device| device.tick_hz.max(1));
@@ -451,6 +464,15 @@ impl RowClock {
         }
         epochs.extend(open.map(EpochBuilder::finish));
         Ok(Self { epochs })
+    }
+
+    /// Whether a row next to an end of an epoch has the same time: the clock stood there.
+    pub(crate) fn stands_at(&self, epoch: usize, ticks: u64) -> bool {
+        let first = |epoch: usize| Some(self.epochs.get(epoch)?.knots.first()?.ticks);
+        let last = |epoch: usize| Some(self.epochs.get(epoch)?.knots.last()?.ticks);
+        let (here, before) = ([first(epoch), last(epoch)], epoch.checked_sub(1).and_then(last));
+        let ends = here.into_iter().zip([before, first(epoch + 1)]);
+        ends.into_iter().any(|ends| ends == (Some(ticks), Some(ticks)))
     }
 
     /// Times of rows that it holds in memory.

@@ -12,7 +12,7 @@ use mocapd_drivers::device::{
     BODIES_MAX, BodyInfo, EndOfPoses, Frame, MarkerInfo, Pose, PoseFrame,
 };
 use mocapd_take::{
-    record::{EndingKind, Event, EventKind},
+    record::EndingKind,
     stretch::{NUMBERS, Span},
     timeline::RowTime,
 };
@@ -316,16 +316,6 @@ impl Intake {
         self.n_channels += 1;
         self.counts.markers_appeared += 1;
         self.rows_free = 0;
-        self.report_without_residuals();
-    }
-
-    /// Reports the first marker whose residuals are not recorded because it appeared after the start.
-    fn report_without_residuals(&mut self) {
-        if std::mem::take(&mut self.residuals_are_due) {
-            let text = "markers appeared during the recording, whose residuals are not recorded: \
-                        start again to record them";
-            self.event(Event::new(EventKind::Host, self.now_ns, text.to_owned()));
-        }
     }
 }
 

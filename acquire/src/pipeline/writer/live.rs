@@ -7,12 +7,14 @@ use std::{
 };
 
 use anyhow::Context;
+use mocapd_codec::GROUP_CHANNELS;
 use mocapd_take::{
     TakeWriter,
     record::{
         Channel, ClockLine, EndingKind, Event, EventKind, Ledger, SampleLedger, SampledGroup,
         TakeEnding,
     },
+    sampled::RESIDUAL_GROUPS,
     stretch::{NUMBERS, Span, put_renumbered},
 };
 
@@ -21,8 +23,8 @@ use crate::{
     clock::ClockStatus,
     files::FileState,
     pipeline::{
-        Counts, FirstRow, NewTake, NothingRecorded, PipelineProgress, TakeAccount, TakeFailed,
-        TakeOutput, TakeResult,
+        Counts, FirstRow, NewTake, NothingRecorded, PipelineConfig, PipelineProgress, TakeAccount,
+        TakeFailed, TakeOutput, TakeResult,
         disk::DiskReserve,
         lock,
         messages::{FrameTimes, PartReport, Reply, SamplePart, StretchReport},
@@ -36,6 +38,16 @@ pub(in crate::pipeline) struct TakePlace {
     pub(in crate::pipeline) base: Counts,
     /// The pipeline's row that is its row 0.
     pub(in crate::pipeline) rows_before: u64,
+    /// How many channels have residuals, the first ones; `None` if residuals are not recorded.
+    pub(in crate::pipeline) residuals: Option<usize>,
+}
+
+impl TakePlace {
+    /// That of the first take of a pipeline that is not armed.
+    pub(in crate::pipeline) fn at_start(config: &PipelineConfig) -> Self {
+        let residuals = config.residuals.then(|| config.recorded_residuals().len());
+        Self { base: Counts::default(), rows_before: 0, residuals }
+    }
 }
 
 /// An open take, from its header to its footer.
@@ -46,6 +58,9 @@ pub(in crate::pipeline) struct LiveTake {
     /// The pipeline's counters before the take, and the pipeline's row that is its row 0.
     base: Counts,
     rows_before: u64,
+    n_channels: usize,
+    /// How many of them have residuals; `None` if no event is to say of others that theirs are not recorded.
+    residuals: Option<usize>,
     next_number: u8,
     has_stretches: bool,
     first: Option<FirstRow>,
@@ -82,7 +97,7 @@ impl LiveTake {
             let samples = TakeSamples::begin(groups, &mut take)?;
             Ok((take, samples))
         });
-        let TakePlace { base, rows_before } = place;
+        let TakePlace { base, rows_before, residuals } = place;
         let (take, samples) =
             started.context("cannot write the take's header").context(NothingRecorded)?;
         let mut take = Self {
@@ -90,6 +105,8 @@ impl LiveTake {
             reply: reply.clone(),
             base,
             rows_before,
+            n_channels: new.header.channels.len(),
+            residuals,
             next_number: 0,
             has_stretches: false,
             first: None,
@@ -119,6 +136,7 @@ impl LiveTake {
     }
 
     pub(super) fn channel(&mut self, channel: &Channel) -> anyhow::Result<()> {
+        self.n_channels += 1;
         self.take.channels(std::slice::from_ref(channel)).context("cannot write a new channel")
     }
 
@@ -126,6 +144,19 @@ impl LiveTake {
     pub(super) fn event(&mut self, event: &Event) -> anyhow::Result<()> {
         let row = event.row.saturating_sub(self.rows_before);
         self.take.event(&Event { row, ..event.clone() }).context("cannot write an event")
+    }
+
+    /// States once, where a stretch begins, that there are channels whose residuals are not recorded.
+    fn state_missing_residuals(&mut self, row: u64, first: FrameTimes) -> anyhow::Result<()> {
+        if self.residuals.take_if(|n| *n < self.n_channels).is_none() {
+            return Ok(());
+        }
+        let residuals_max = RESIDUAL_GROUPS.len() * GROUP_CHANNELS;
+        let text = format!(
+            "there are markers whose residuals are not recorded: those that appeared after the start, and \
+             those beyond the first {residuals_max}; start again to record the residuals of new ones"
+        );
+        self.event(&Event { row, ..Event::new(EventKind::Host, first.arrival_ns, text) })
     }
 
     /// Marks the pipeline's row at the time of the request, if there are rows before it.
@@ -155,6 +186,9 @@ impl LiveTake {
         // The last stretch has no rows, and no header either if nothing was lost at the end.
         if payload.is_empty() {
             return Ok(());
+        }
+        if span.n_rows > 0 {
+            self.state_missing_residuals(span.first_row, first)?;
         }
         let failure = "cannot write a stretch";
         self.has_stretches = true;
