@@ -505,8 +505,8 @@ mod tests {
     fn residuals_are_one_line_and_one_message() {
         let group = |group, lost_ring_full| GroupLedgerDocument {
             group,
-            taken: 1000,
-            stored: 1000 - lost_ring_full,
+            taken: 900,
+            stored: 900 - lost_ring_full,
             lost_ring_full,
             ..GroupLedgerDocument::default()
         };
@@ -515,13 +515,13 @@ mod tests {
         let text = samples_text(&ledger);
         let lines: Vec<&str> = text.lines().map(str::trim).collect();
         let lost = "20 samples lost in the host because a ring was full";
-        let all = "1,000 samples of each channel of";
+        let all = "900 samples of each channel of";
         let closes = "the ledger closes";
         assert_eq!(
             lines,
             [
-                format!("{all} group 3, 1,000 in the take: {closes}"),
-                format!("{all} the residuals, 980 in the take, {lost}: {closes}"),
+                format!("{all} group 3, 900 in the take: {closes}"),
+                format!("{all} the residuals, 880 in the take, {lost}: {closes}"),
             ]
         );
         let told = format!("not in the take, of each channel of the residuals: {lost}");
