@@ -3,7 +3,7 @@
 use std::{io::Cursor, ops::Range};
 
 use mocapd_acquire::{
-    inspect::{Summary, Verdict},
+    inspect::Summary,
     pipeline::{Intake, PipelineConfig, PreRollConfig},
 };
 use mocapd_codec::Settings;
@@ -21,7 +21,10 @@ use mocapd_take::{
     sampled::Recording,
 };
 
-use super::takes::{PRE_ROLL, ended, header, new_take};
+use super::{
+    poses::assert_clean,
+    takes::{PRE_ROLL, ended, header, new_take},
+};
 use crate::support::{TICK_HZ, config, crowd, dense, jump, lossless, samples, start};
 
 /// What the device reports: every marker has values of its own, small and large ones, and none now and then.
@@ -97,17 +100,6 @@ fn assert_has(take: &[u8], motion: &Motion, frames: impl IntoIterator<Item = Opt
         let wanted = frame.map_or(vec![0; n], |frame| expected(motion, frame));
         assert_eq!(found, &wanted, "row {row}, frame {frame:?}");
     }
-}
-
-#[track_caller]
-fn assert_clean(take: &[u8]) -> Vec<GroupLedger> {
-    let summary = Summary::read(take).unwrap();
-    let verdict = Verdict::of(&summary);
-    assert!(verdict.problems.is_empty(), "{:?}", verdict.problems);
-    assert_eq!(verdict.contradictions, [""; 0]);
-    let ledger = summary.take.sample_ledger.clone().unwrap();
-    assert!(ledger.finished && ledger.groups.iter().all(GroupLedger::closes), "{ledger:?}");
-    ledger.groups
 }
 
 fn record(motion: &Motion, codec: Settings, frames: impl Iterator<Item = usize>) -> Vec<u8> {

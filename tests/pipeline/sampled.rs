@@ -12,12 +12,15 @@ use mocapd_take::{
     TakeMap,
     chunk::{self, ChunkParse, types},
     motion::Motion,
-    record::{EndingKind, GroupLedger},
+    record::EndingKind,
     recovery::RecoveryScan,
     timeline::LossCauses,
 };
 
-use super::takes::{PRE_ROLL, ended, feed_all, header, new_take};
+use super::{
+    poses::assert_clean,
+    takes::{PRE_ROLL, ended, feed_all, header, new_take},
+};
 use crate::support::{TICK_HZ, config, crowd, dense, feed, jump, places, start};
 
 /// Samples of a channel in a batch: 10 ms at 2 kHz.
@@ -144,17 +147,6 @@ fn assert_true_if_timed(take: &[u8], group: usize, from: u64) -> (usize, usize) 
         assert!((ticks - (1_000 + sent * TICKS_EACH) as f64).abs() < 0.01, "{sent}: {time:?}");
     }
     (samples.len(), n_untimed)
-}
-
-#[track_caller]
-fn assert_clean(take: &[u8]) -> Vec<GroupLedger> {
-    let summary = Summary::read(take).unwrap();
-    let verdict = Verdict::of(&summary);
-    assert!(verdict.problems.is_empty(), "{:?}", verdict.problems);
-    assert_eq!(verdict.contradictions, [""; 0]);
-    let ledger = summary.take.sample_ledger.clone().unwrap();
-    assert!(ledger.finished && ledger.groups.iter().all(GroupLedger::closes), "{ledger:?}");
-    ledger.groups
 }
 
 #[test]

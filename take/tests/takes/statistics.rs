@@ -6,8 +6,8 @@ use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_take::{
     TakeEnds, TakeEvent,
     chunk::{self, ChunkParse, MAGIC, types},
-    motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, UpAxis},
-    motion_encoder::{EncodePlan, MotionWriter, channels, stretch_rows},
+    motion::{GAP, Marker, Motion, MotionInfo, UpAxis},
+    motion_encoder::{channels, stretch_rows},
     reader::read_events,
     record::{
         CODEC_VERSION, Channel, Device, EndingKind, Header, ImportSource, SummaryRecord, TakeEnding,
@@ -141,15 +141,7 @@ fn imported(motion: &Motion, settings: &Settings) -> Vec<u8> {
     let mut header = header(settings, rate_hz);
     header.channels = channels(&motion.info.markers);
     header.stretch_rows = stretch_rows(settings, rate_hz, n_frames, header.channels.len()) as u32;
-    let mut frames = MotionFrames::new(motion);
-    let (plan, parts) = EncodePlan::new(&mut frames, &header).unwrap();
-    let mut writer = MotionWriter::new(&plan, &motion.info, &header, Vec::new()).unwrap();
-    let mut encoder = plan.encoder();
-    for part in parts {
-        let part = part.unwrap();
-        writer.push(&part, &encoder.encode(&part).unwrap()).unwrap();
-    }
-    writer.finish().unwrap().1
+    crate::encoded(motion, &header)
 }
 
 #[test]

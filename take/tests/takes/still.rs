@@ -10,8 +10,8 @@ use mocapd_take::{
         cut, repack,
     },
     frames::read_motion,
-    motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, is_gap},
-    motion_encoder::{EncodePlan, MotionWriter, channels, stretch_rows},
+    motion::{GAP, Marker, Motion, MotionInfo, is_gap},
+    motion_encoder::{channels, stretch_rows},
     reader::read_events,
     record::{CODEC_VERSION, Header, ImportSource, KeyDistance, LONG_KEYS_VERSION},
     recovery::RecoveryScan,
@@ -97,15 +97,7 @@ fn imported_with(
     keys.into_iter().for_each(|distance| {
         header.set_key_distance(distance, motion.n_frames() as u64);
     });
-    let mut frames = MotionFrames::new(motion);
-    let (plan, parts) = EncodePlan::new(&mut frames, &header).unwrap();
-    let mut writer = MotionWriter::new(&plan, &motion.info, &header, Vec::new()).unwrap();
-    let mut encoder = plan.encoder();
-    for part in parts {
-        let part = part.unwrap();
-        writer.push(&part, &encoder.encode(&part).unwrap()).unwrap();
-    }
-    writer.finish().unwrap().1
+    crate::encoded(motion, &header)
 }
 
 /// The stretches of a take whose every sample is within the tolerance.
