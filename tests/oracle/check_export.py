@@ -4,6 +4,7 @@
 
 Every take of the folder is imported once, at 1 mm; generated ones of odd sizes without loss. All formats must hold the
 same bits, within the tolerance of the source. Events are put in by way of a TSV file, which is imported again.
+All exports to BIDS are in one data set, too, of which the official validator, which takes a second to start, checks the whole.
 Analog channels, force plates, residuals and camera masks of C3D files, recorded and generated ones, must be those that
 ezc3d reads (sampled.py).
 One line for each take and format; the last line is `N passed, N failed`; exit code 1 when one failed.
@@ -15,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +100,7 @@ def check_source(take, positions, lossless):
     return complaints
 
 
-def check_events(mocapd, recorded, take, folder, lines):
+def check_events(mocapd, recorded, take, folder, dataset, lines):
     """Three events, put into a TSV file that is imported again, must come out of every format that holds any."""
     path, _ = export(mocapd, recorded, "tsv", folder)
     n_frames = len(take.positions_mm)
@@ -122,32 +124,36 @@ def check_events(mocapd, recorded, take, folder, lines):
         found = exports.c3d_events(path) if kind == "c3d" else read(kind, path, take).events
         complaints = complaints_of_events(found, events, 1e-4)
         if kind == "bids":
-            complaints += exports.validate_bids(path)
+            add_to_dataset(mocapd, again, *dataset, "events")
         lines.append((not complaints, f"{kind} events {'; '.join(complaints)}"))
 
 
-def check_dataset(mocapd, recorded, folder, lines):
-    """Several subjects, sessions and runs in one BIDS data set, which stays valid."""
-    dataset = folder / "study"
-    recordings = [("01", None, "1"), ("01", None, "2"), ("02", "pre", None), ("02", "post", "01")]
-    for subject, session, run_number in recordings:
-        labels = ["--subject", subject, "--task", "jump"]
-        labels += ["--session", session] if session else []
-        labels += ["--run", run_number] if run_number else []
-        run(mocapd, "export", recorded, "-o", dataset, "--format", "bids", *labels)
-    complaints = exports.validate_bids(dataset)
-    found = len(list(dataset.glob("sub-*/**/*_motion.tsv")))
+def add_to_dataset(mocapd, recorded, dataset, number, of_what="", *options):
+    """Exports a take into the data set of all takes, as a subject of its own."""
+    subject = ["--subject", f"{number}{of_what}", "--task", "jump"]
+    run(mocapd, "export", recorded, "-o", dataset, "--format", "bids", *subject, *options)
+
+
+def check_dataset(mocapd, recorded, dataset, number, lines):
+    """Several subjects, sessions and runs in one BIDS data set."""
+    recordings = [("first", "--run", "1"), ("first", "--run", "2"), ("second", "--session", "pre")]
+    recordings.append(("second", "--session", "post", "--run", "01"))
+    for words in recordings:
+        add_to_dataset(mocapd, recorded, dataset, number, *words)
+    complaints = []
+    found = sum(len(list(dataset.glob(f"sub-{number}{name}/**/*_motion.tsv"))) for name in ("first", "second"))
     if found != len(recordings):
         complaints.append(f"{found} recordings for {len(recordings)}")
     participants = (dataset / "participants.tsv").read_text(encoding="utf-8").split()
-    if participants != ["participant_id", "sub-01", "sub-02"]:
+    rows = [participants.count(f"sub-{number}{name}") for name in ("first", "second")]
+    if participants[0] != "participant_id" or rows != [1, 1]:
         complaints.append(f"participants {participants}")
     lines.append((not complaints, f"bids of several recordings {'; '.join(complaints)}"))
 
 
 def check(job):
     """One take: a line and whether it passed for each format, and, of a whole check, for its events and data set."""
-    mocapd, source, take, is_whole = job
+    mocapd, source, take, is_whole, dataset, number = job
     lossless = take is not None
     lines = []
     folder = Path(tempfile.mkdtemp())
@@ -180,20 +186,28 @@ def check(job):
                 if kind in HOLD_SAMPLES:
                     complaints += sampled.complaints(tables, path, HOLD_SAMPLES[kind], first_tables)
                 if kind == "bids":
-                    complaints += exports.validate_bids(path)
+                    # One that is alone in its data set is checked alone, as well.
+                    complaints += exports.validate_bids(path) if number == 0 else []
+                    add_to_dataset(mocapd, recorded, dataset, number)
             except Exception as problem:  # any failure is this format's, the others still count
                 complaints = [f"{type(problem).__name__}: {problem}"]
             lines.append((not complaints, f"{kind} {'; '.join(complaints)}"))
         if is_whole:
             events = folder / "events"
             events.mkdir()
-            check_events(mocapd, recorded, take, events, lines)
-            check_dataset(mocapd, recorded, folder, lines)
+            check_events(mocapd, recorded, take, events, (dataset, number), lines)
+            check_dataset(mocapd, recorded, dataset, number, lines)
     except Exception as problem:
         lines.append((False, f"{type(problem).__name__}: {problem}"))
     finally:
         shutil.rmtree(folder)
     return [(good, f"{'ok  ' if good else 'FAIL'} {source.name} {words.strip()}"[:500]) for good, words in lines]
+
+
+def check_all(dataset):
+    """A line for what the validator finds in the data set of all takes; an iterator, so that it begins after them."""
+    complaints = exports.validate_bids(dataset)
+    yield not complaints, f"{'FAIL' if complaints else 'ok  '} bids of all takes {'; '.join(complaints)}"[:500]
 
 
 def main():
@@ -203,12 +217,14 @@ def main():
     arguments = parser.parse_args()
     mocapd = arguments.mocapd.resolve()
     recorded = sorted(arguments.takes.iterdir()) if arguments.takes else []
-    jobs = [(mocapd, path, None, True) for path in recorded if path.suffix.lower() in SUFFIXES]
+    jobs = [(path, None, True) for path in recorded if path.suffix.lower() in SUFFIXES]
     passed = failed = 0
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
-        jobs += [(mocapd, path, take, True) for path, take in generated.takes(Path(folder))]
-        jobs += [(mocapd, path, None, False) for path in generated.sampled(Path(folder))]
-        for lines in pool.map(check, jobs):
+        dataset = Path(folder) / "dataset"
+        jobs += [(path, take, True) for path, take in generated.takes(Path(folder))]
+        jobs += [(path, None, False) for path in generated.sampled(Path(folder))]
+        jobs = [(mocapd, *job, dataset, number) for number, job in enumerate(jobs)]
+        for lines in chain(pool.map(check, jobs), [check_all(dataset)]):
             for good, line in lines:
                 print(line, flush=True)
                 passed += good

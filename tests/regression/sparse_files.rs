@@ -36,6 +36,9 @@ const ADDRESSES_KIB: u64 = 400 << 10;
 /// Maximum resident memory: the decoders of fifteen markers need very little.
 const RESIDENT_MAX_BYTES: u64 = 64 << 20;
 
+/// Size of a file that has to be read as a stream: more than the program may hold, by an eighth.
+const STREAMED_BYTES: usize = RESIDENT_MAX_BYTES as usize / 8 * 9;
+
 /// Thirty seconds of a recording, in stretches of half a second.
 fn recording() -> Vec<u8> {
     let motion = jump(5, 60.0, 30.0);
@@ -146,7 +149,7 @@ fn holes_cost_no_memory_and_the_data_between_them_is_found() {
 /// residuals, and at times coordinates under gaps.
 fn file_with_analog_samples() -> C3dFile {
     const ANALOG: (usize, usize) = (64, 100);
-    let n_frames = (3 * RESIDENT_MAX_BYTES as usize / 2).div_ceil(ANALOG.0 * ANALOG.1 * 4);
+    let n_frames = STREAMED_BYTES.div_ceil(ANALOG.0 * ANALOG.1 * 4);
     let frame = |frame: usize| {
         let i = frame as f32;
         let fourth = if frame % 8 > 5 { -1.0 } else { i };
@@ -213,7 +216,7 @@ fn data_other_than_markers_are_imported_and_exported_as_a_stream() {
 fn trajectories_are_imported_and_compared_as_a_stream() {
     const MARKERS: usize = 80;
     let folder = Folder::new();
-    let n_frames = (3 * RESIDENT_MAX_BYTES as usize / 2).div_ceil(16 * MARKERS);
+    let n_frames = STREAMED_BYTES.div_ceil(16 * MARKERS);
     let frame = |frame: usize| {
         let words = (0..MARKERS).flat_map(|marker| {
             let turns = (frame + 7 * marker) as f32 / 300.0;

@@ -19,7 +19,7 @@ from made import RATE_HZ, write_c3ds  # noqa: E402
 # Ray's own.
 pytestmark = pytest.mark.filterwarnings("default")
 
-RUNS = int(os.environ.get("MOCAPD_ARCHIVE_KILLS", "2"))
+RUNS = int(os.environ.get("MOCAPD_ARCHIVE_KILLS", "1"))
 """Seeded runs with kills; the bar is 100, which takes more than an hour."""
 
 N_FILES = 40

@@ -360,7 +360,7 @@ fn with_channels(rows: &[RowContent], n: usize) -> Vec<RowContent> {
     rows.iter().map(row).collect()
 }
 
-fn check_part(take: &[u8], whole: &[RowContent], rows: Range<u64>) -> CutReport {
+fn check_part(take: &[u8], whole: &[RowContent], rows: Range<u64>) -> (Vec<u8>, CutReport) {
     let (part, report) = part_of(take, rows.clone());
     let map = source(&part).map().clone();
     let expected = &whole[rows.start as usize..rows.end as usize];
@@ -372,7 +372,7 @@ fn check_part(take: &[u8], whole: &[RowContent], rows: Range<u64>) -> CutReport 
     assert_eq!((ledger.frames_sent, ledger.samples_present), (rows.end - rows.start, samples));
     let n_lost = expected.iter().filter(|row| row.lost.is_some()).count() as u64;
     assert_eq!(ledger.frames_lost(), n_lost);
-    report
+    (part, report)
 }
 
 #[test]
@@ -385,13 +385,12 @@ fn every_range_of_a_recording_has_its_rows_times_and_events() {
         let keys = source(&take).map().keys.clone();
         let at_keys = keys.windows(2).map(|pair| pair[0].first_row..pair[1].first_row);
         let around = keys.iter().map(|key| key.first_row.saturating_sub(1)..key.first_row + 2);
-        let anywhere = (0..40).map(|_| {
+        let anywhere = (0..20).map(|_| {
             let start = random.below(899) as u64;
             start..start + 1 + random.below(900 - start as usize) as u64
         });
         for rows in at_keys.chain(around).chain(anywhere).chain([0..900, 0..1, 899..900]) {
-            check_part(&take, &whole, rows.clone());
-            let (part, _) = part_of(&take, rows.clone());
+            let (part, _) = check_part(&take, &whole, rows.clone());
             let events: Vec<_> =
                 source(&part).map().events.iter().map(|e| e.text.clone()).collect();
             let is_inside = |row: &u64| rows.contains(row) || (rows.end == 900 && *row >= 900);
@@ -417,15 +416,15 @@ fn only_rows_before_the_first_key_and_of_the_last_stretch_are_stored_as_floats()
     let whole = rows_of(&take);
     let keys = source(&take).map().keys.clone();
     let (a, b) = (keys[1].first_row, keys[4].first_row);
-    let report = check_part(&take, &whole, a..b);
+    let (_, report) = check_part(&take, &whole, a..b);
     let lost = whole[a as usize..b as usize].iter().filter(|row| row.lost.is_some()).count() as u64;
     assert_eq!(report.rows_exact, 0);
     assert!(report.rows_copied + lost >= b - a, "{report:?}");
-    let report = check_part(&take, &whole, a - 10..b + 10);
+    let (_, report) = check_part(&take, &whole, a - 10..b + 10);
     assert!((1..=20).contains(&report.rows_exact), "{report:?}");
     let rows = source(&take).whole_stretches(Cursor::new(&take), &(a + 5..b - 60)).unwrap();
     assert!(rows.start == a && (b - 60..b).contains(&rows.end), "{rows:?}");
-    assert_eq!(check_part(&take, &whole, rows).rows_exact, 0);
+    assert_eq!(check_part(&take, &whole, rows).1.rows_exact, 0);
     assert_eq!(source(&take).whole_stretches(Cursor::new(&take), &(0..900)).unwrap(), 0..900);
 }
 
@@ -435,8 +434,7 @@ fn every_range_of_an_import_has_its_rows() {
         let take = import(kind, 2300);
         let whole = rows_of(&take);
         for rows in [0..2300, 0..1, 17..400, 990..1010, 1000..2000, 999..2300, 2299..2300] {
-            check_part(&take, &whole, rows.clone());
-            let (part, _) = part_of(&take, rows.clone());
+            let (part, _) = check_part(&take, &whole, rows.clone());
             let map = source(&part).map().clone();
             assert_eq!(map.header.source.unwrap().first_frame, 11 + rows.start, "{kind}");
             assert_eq!(map.header.created_unix_ms, 0);

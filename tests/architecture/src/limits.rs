@@ -41,7 +41,7 @@ fn functions_are_short_and_have_few_parameters() {
 
 #[test]
 fn the_product_has_few_files() {
-    let files: usize = structure::figures(&sources()).values().map(|one| one.files).sum();
+    let files = product_sources(&root()).len();
     assert!(
         files <= FILES_MAX,
         "{files} files, at most {FILES_MAX} are allowed: merge those that are one concept"

@@ -1,6 +1,6 @@
 //! Checks the names that the source declares: each is a standard term, and is used for one thing.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::LazyLock};
 
 use syn::{
     Field, File, Ident, ImplItemFn, Item, ItemEnum, ItemFn, ItemMod, ItemStruct, ItemTrait,
@@ -62,16 +62,21 @@ const OUT_OF_USE: &[(&str, &str)] = &[
 /// Endings that can be misread as another unit, and the ones to use.
 const OUT_OF_USE_AT_THE_END: &[(&str, &str)] = &[("_mhz", "_millihertz")];
 
+/// The names in each file of the product, by its path: to parse all files takes seconds, so tests share them.
+static NAMES: LazyLock<Vec<(String, Names)>> = LazyLock::new(|| {
+    let paths = product_sources(&root()).into_iter().map(|path| path.display().to_string());
+    paths.map(|path| (path.clone(), names(&text(path)))).collect()
+});
+
 /// Names that several modules of a crate may give a type, as in the standard library.
 const IDIOMATIC: [&str; 4] = ["Args", "Error", "Iter", "Result"];
 
 #[test]
 fn no_name_is_invented_where_a_standard_one_exists() {
     let mut problems = Vec::new();
-    for path in product_sources(&root()) {
-        let path = path.display().to_string();
-        for name in names(&text(&path)).all {
-            let listed = OUT_OF_USE.iter().find(|(old, _)| *old == name);
+    for (path, names) in NAMES.iter() {
+        for name in &names.all {
+            let listed = OUT_OF_USE.iter().find(|(old, _)| old == name);
             let ending = OUT_OF_USE_AT_THE_END.iter().find(|(old, _)| name.ends_with(old));
             if let Some((_, new)) = listed.or(ending) {
                 problems.push(format!("{path}: rename `{name}` to {new}"));
@@ -84,11 +89,10 @@ fn no_name_is_invented_where_a_standard_one_exists() {
 #[test]
 fn no_two_types_of_a_crate_share_a_name() {
     let mut places: BTreeMap<(String, String), Vec<String>> = BTreeMap::new();
-    for path in product_sources(&root()) {
-        let path = path.display().to_string();
-        for name in names(&text(&path)).types {
+    for (path, names) in NAMES.iter() {
+        for name in &names.types {
             if !IDIOMATIC.contains(&name.as_str()) {
-                places.entry((crate_of(&path), name)).or_default().push(path.clone());
+                places.entry((crate_of(path), name.clone())).or_default().push(path.clone());
             }
         }
     }

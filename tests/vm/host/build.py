@@ -52,6 +52,7 @@ def package(folder: Path, cargo_deb: list[Path]) -> Path:
     places = os.pathsep.join([*map(str, cargo_deb), os.environ.get("PATH", "")])
     if shutil.which("cargo-deb", path=places) is None:
         raise Absent("cargo-deb is not here: cargo install --locked cargo-deb")
-    done = subprocess.run([ROOT / "systemd/deb/build", folder], env=dict(os.environ, PATH=places), cwd=ROOT,
+    # Compressed less: 4 s of processor time in place of 19, where cargo-deb was built without optimisation.
+    done = subprocess.run([ROOT / "systemd/deb/build", folder, "--fast"], env=dict(os.environ, PATH=places), cwd=ROOT,
                           stdout=subprocess.PIPE, text=True, check=True)
     return Path(done.stdout.splitlines()[-1])
