@@ -7,7 +7,9 @@ import { AXIS_MARGIN_PX } from "./time_axis.js";
 
 const COLOURS = ["panel", "raised", "line", "text", "muted", "force", "bad", "series-1", "series-2", "series-3", "series-4"];
 /** Height of a curve, with the space below it. */
-const STRIP_PX = 50;
+const STRIP_PX = 60;
+/** Above a curve, so that its title does not cover its peaks. */
+const TITLE_PX = 16;
 const GAP_PX = 6;
 /** Plates that have a curve. */
 const PLATES_MAX = 4;
@@ -101,7 +103,7 @@ export class Curves {
     const columns = curveColumns(bins, binFrames, this.playback.lastRow, inner, valueAt);
     const high = columns.reduce((most, [, , value]) => Math.max(most, value), isFromZero ? 1e-9 : 1);
     const low = isFromZero ? 0 : columns.reduce((least, [, value]) => Math.min(least, value), 0);
-    const y = (value) => top + height - 1 - ((value - low) / (high - low)) * (height - 3);
+    const y = (value) => top + height - 1 - ((value - low) / (high - low)) * (height - 3 - TITLE_PX);
     ctx.fillStyle = colours[colour];
     for (const [x, from, to] of columns) {
       const above = y(to);

@@ -10,14 +10,14 @@ use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 
-/// The arguments of the command that prints a completion script.
+#[expect(missing_docs, reason = "clap would show it in place of the command's text")]
 #[derive(Debug, clap::Args)]
 pub struct CompletionsArgs {
     /// The shell to complete for
     shell: Shell,
 }
 
-/// The arguments of the command that prints a manual page, or writes all of them.
+#[expect(missing_docs, reason = "clap would show it in place of the command's text")]
 #[derive(Debug, clap::Args)]
 pub struct ManArgs {
     /// The command whose page to print; subcommands as further words [default: the program itself]

@@ -30,6 +30,7 @@ use mocapd_drivers::{
     uri::DeviceUri,
 };
 use mocapd_store::ObjectUrl;
+use mocapd_take::motion::UpAxis;
 use serde_json::Value as Json;
 
 use self::keys::{KEYS, SECTIONS};
@@ -110,6 +111,8 @@ pub struct TakeConfig {
     pub angle_degrees: Option<f64>,
     /// Whether the residuals of markers are recorded.
     pub residuals: bool,
+    /// The axis that points up, where the device states none.
+    pub up_axis: UpAxis,
     /// Length of a stretch: a killed process loses at most one.
     pub stretch: Duration,
     /// Time between syncs: a power cut loses at most this time and one stretch.

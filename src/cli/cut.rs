@@ -156,6 +156,9 @@ fn range(args: &Args, source: &SourceTake) -> anyhow::Result<Range<u64>> {
         Some(FrameRange { start, end }) => (start, end),
         None => (args.from.map_or(0, at), args.to.map(at)),
     };
+    if end.is_some_and(|end| end <= start) {
+        bail!(UsageError("no frames in the range: it ends where it begins, or before".to_owned()));
+    }
     let end = end.unwrap_or(n_rows).min(n_rows);
     if start >= end {
         let (frames, length_s) = (count(n_rows, "frame"), n_rows as f64 / rate_hz);

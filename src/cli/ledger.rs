@@ -434,11 +434,10 @@ impl ClockReport {
             writeln!(out, "  {name:>15} {text}").ok();
         };
         let within = match self.drift_bound_ppm {
-            Some(ppm) => format!(" +- {ppm:.1} ppm"),
+            Some(ppm) => format!(" +- {ppm:.1} ppm: {}", self.faster_clock(ppm)),
             None => " ppm, accuracy unknown without round trips".to_owned(),
         };
-        let faster = self.faster_clock();
-        line("drift", &format!("{:+.1}{within}: {faster}", self.drift_ppm));
+        line("drift", &format!("{:+.1}{within}", self.drift_ppm));
         let ClockPoint { device_ticks, host_ns } = self.at;
         let host_s = host_ns as f64 * 1e-9;
         let known = match self.bound_us {
@@ -472,8 +471,9 @@ impl ClockReport {
         out
     }
 
-    fn faster_clock(&self) -> &'static str {
-        if self.drift_bound_ppm.is_some_and(|bound| self.drift_ppm.abs() <= bound) {
+    /// Which clock runs faster, by more than the bound of the drift.
+    fn faster_clock(&self, bound_ppm: f64) -> &'static str {
+        if self.drift_ppm.abs() <= bound_ppm {
             "no significant difference"
         } else if self.drift_ppm >= 0.0 {
             "the host's clock runs faster than the device's"

@@ -84,9 +84,7 @@ impl<'a> MotionSource<'a> {
             InputFormat::MotionFile(format) => {
                 Ok(Self { path: &input.path, name: &input.name, format })
             }
-            InputFormat::Take => {
-                Err(paths::unknown_ending(&input.name, ".c3d, .trc, .tsv or .csv"))
-            }
+            InputFormat::Take => Err(paths::already_a_take(&input.name)),
         }
     }
 }

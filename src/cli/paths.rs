@@ -24,12 +24,17 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
         return Err(FileError::NotAFile(path.to_owned(), NotAFile::Folder).into());
     }
     if is_take(path) {
-        let message = "is a take already: expected a file of another program";
-        return Err(UsageError(format!("{} {message}", path.display())).into());
+        return Err(already_a_take(path));
     }
     Format::from_extension(path)
         .filter(|format| format.is_read())
         .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv or .csv"))
+}
+
+/// The usage error for a take where a file of another program is read.
+pub(super) fn already_a_take(path: &Path) -> anyhow::Error {
+    let message = "is a take already: expected a file of another program";
+    UsageError(format!("{} {message}", path.display())).into()
 }
 
 /// The format of a file that a command reads.

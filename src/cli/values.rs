@@ -14,7 +14,7 @@ use mocapd_acquire::{
 };
 use mocapd_codec::{Effort, ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
-use mocapd_take::record::KeyDistance;
+use mocapd_take::{interchange::Direction, motion::UpAxis, record::KeyDistance};
 use serde::Serialize;
 
 pub(crate) use mocapd_cli::numbers::{bytes, count, count_of, thousands};
@@ -217,7 +217,19 @@ pub(crate) fn default_effort() -> anyhow::Result<Effort> {
     Ok(Effort::new(DEFAULT_EFFORT)?)
 }
 
-/// The effort of encoding a whole take, and the distance of its key stretches.
+/// Parses the axis that points up.
+///
+/// # Errors
+/// If it is none.
+pub(crate) fn up_axis(text: &str) -> Result<UpAxis, String> {
+    let direction = text.parse::<Direction>().ok().filter(|direction| !direction.is_negative());
+    direction
+        .map(Direction::axis)
+        .ok_or_else(|| format!("'{text}' is not an axis to point up: use x, y or z"))
+}
+
+// The effort of encoding a whole take, and the distance of its key stretches. (A doc comment would replace the texts of
+// the commands, in which clap builds these options.)
 #[derive(Debug, Args)]
 pub(crate) struct EffortArgs {
     /// Effort of the resampler dense, 1 to 9: higher levels need more time and make smaller files; recordings use 1. Level

@@ -18,6 +18,31 @@ fn the_help_shows_both_with_examples() {
 }
 
 #[test]
+fn the_help_of_each_command_begins_with_its_line_in_the_list() {
+    let folder = Folder::new();
+    let list = folder.run(&["--help"]).with_code(0).stdout;
+    let one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let (_, list) = list.split_once("Commands:\n").unwrap();
+    let list = one_line(list.split("\n\n").next().unwrap());
+    for command in [
+        "import",
+        "export",
+        "info",
+        "gaps",
+        "verify",
+        "recover",
+        "repack",
+        "record",
+        "man",
+        "completions",
+    ] {
+        let help = folder.run(&[command, "--help"]).with_code(0).stdout;
+        let text = one_line(help.split("\n\n").next().unwrap());
+        assert!(list.contains(&format!("{command} {text}")), "{command}: {text}");
+    }
+}
+
+#[test]
 fn a_page_is_printed_or_all_are_written() {
     let folder = Folder::new();
     let import = folder.run(&["man", "import"]).with_code(0).stdout;

@@ -27,6 +27,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
             codec: dense(1.0),
             angle_degrees: None,
             residuals: false,
+            up_axis: mocapd_take::motion::UpAxis::Unknown,
             stretch: Duration::from_millis(500),
             sync: Duration::from_millis(500),
             keep_free_bytes: 0,

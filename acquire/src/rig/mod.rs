@@ -75,6 +75,8 @@ pub struct Rig {
     angle_degrees: Option<f64>,
     /// Whether the residuals of markers are recorded.
     residuals: bool,
+    /// The axis that points up, where the device states none.
+    up_axis: UpAxis,
     /// Also receives every byte, when a raw log is written.
     raw_log: Option<RawLogTap>,
 }
@@ -146,6 +148,20 @@ impl Rig {
     /// Whether to record the residuals of markers too.
     pub fn record_residuals(&mut self, residuals: bool) {
         self.residuals = residuals;
+    }
+
+    /// States which axis points up, for devices that do not: takes then say it. One that does is believed.
+    pub fn state_up_axis(&mut self, axis: UpAxis) {
+        self.up_axis = axis;
+    }
+
+    /// The axis that points up, as the device states it, or else as it was stated for it.
+    #[must_use]
+    pub fn up_axis(&self) -> UpAxis {
+        match UpAxis::from_code(self.hello.up_axis) {
+            UpAxis::Unknown => self.up_axis,
+            axis => axis,
+        }
     }
 
     /// How the device identified itself.
@@ -229,7 +245,7 @@ impl Rig {
         };
         let plates = self.channels.plates.iter().map(plate_setting);
         Ok(Header {
-            up_axis: UpAxis::from_code(self.hello.up_axis),
+            up_axis: self.up_axis(),
             device: Some(device),
             channels: config.channels.clone(),
             stretch_rows: config.stretch_rows(),
@@ -358,6 +374,7 @@ impl Rig {
             loss_limits: None,
             angle_degrees: None,
             residuals: false,
+            up_axis: UpAxis::Unknown,
             raw_log,
         };
         rig.query_identity(&|| false)?;

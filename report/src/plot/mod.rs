@@ -123,6 +123,16 @@ fn shortened(text: &str, max: usize) -> String {
     format!("{head}…{tail}")
 }
 
+/// A sentence shortened to `max` characters by leaving out its last words.
+fn shortened_at_words(text: &str, max: usize) -> String {
+    if text.chars().count() <= max {
+        return text.to_owned();
+    }
+    let head: String = text.chars().take(max.saturating_sub(2)).collect();
+    let whole = head.rsplit_once(' ').map_or(head.as_str(), |(words, _)| words);
+    format!("{} …", whole.trim_end_matches([',', ';', ':']))
+}
+
 type Chart<'a, 'b> = ChartContext<'b, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// The axes of a panel.
@@ -234,5 +244,7 @@ mod tests {
         assert_eq!(shortened("l_knee", 10), "l_knee");
         assert_eq!(shortened("a_very_long_name_indeed", 11), "a_ver…ndeed");
         assert_eq!(shortened("éèàùâêîôû", 5), "éè…ôû");
+        assert_eq!(shortened_at_words("two words, and more", 15), "two words …");
+        assert_eq!(shortened_at_words("short", 5), "short");
     }
 }

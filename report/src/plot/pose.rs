@@ -84,7 +84,10 @@ pub fn pose(plot: &PosePlot<'_>) -> Result<String, ReportError> {
             draw_strip(area, base, strip, plot, &view)?;
             base += ROW;
         }
-        let strip = Strip { name: "reconstruction", motion, colour: BLUE };
+        // A file of another program is drawn as it is.
+        let is_reconstructed = plot.take.settings.is_some() || plot.original.is_some();
+        let name = if is_reconstructed { "reconstruction" } else { "as in the file" };
+        let strip = Strip { name, motion, colour: BLUE };
         draw_strip(area, base, strip, plot, &view)?;
         times(area, base + ROW, plot)?;
         limbs_table(area, base + ROW + FOOT, plot)
@@ -180,20 +183,23 @@ fn times(area: &Area<'_>, top: i32, plot: &PosePlot<'_>) -> DrawResult {
 }
 
 fn caption(plot: &PosePlot<'_>) -> String {
-    let mut caption = plot.take.coding();
+    let mut parts = Vec::new();
+    if plot.take.settings.is_some() {
+        parts.push(plot.take.coding());
+    }
     if plot.original.is_some() {
-        caption += "; below each: the largest distance of a marker from the original";
+        parts.push("below each: the largest distance of a marker from the original".to_owned());
     }
     if plot.faces.iter().any(|lines| !lines.is_empty()) {
-        caption += "; the subject's face under its markers";
+        parts.push("the subject's face under its markers".to_owned());
     } else if plot.bones.is_empty() && plot.limbs.is_empty() {
-        caption += "; no marker set matches the labels (see --skeleton)";
+        parts.push("no marker set matches the labels (see --skeleton)".to_owned());
     }
     let n = plot.take.motion.info.markers.len();
     if n > MARKERS_MAX {
-        caption += &format!("; the first {MARKERS_MAX} of {n} markers");
+        parts.push(format!("the first {MARKERS_MAX} of {n} markers"));
     }
-    caption
+    parts.join("; ")
 }
 
 /// Columns of the table of limbs, and its maximum number of lines.

@@ -234,11 +234,10 @@ fn caption(plot: &QualityPlot<'_>, all: &[MarkerQuality], n_shown: usize) -> Str
     let n_rows = motion.n_frames();
     let samples: usize = all.iter().map(|marker| marker.samples).sum();
     let part = 100.0 * samples as f64 / (n_rows * all.len()).max(1) as f64;
-    let mut caption = format!(
-        "{}, {} markers, {n_rows} frames, {part:.1} % of the samples present",
-        plot.take.coding(),
-        all.len()
-    );
+    let coding = plot.take.settings.map_or(String::new(), |_| format!("{}, ", plot.take.coding()));
+    let n = all.len();
+    let mut caption =
+        format!("{coding}{n} markers, {n_rows} frames, {part:.1} % of the samples present");
     if n_shown < all.len() {
         caption += &format!("; shown: the {n_shown} with most gaps and noise");
     }

@@ -7,7 +7,7 @@ use plotters::{
 
 use super::{
     Area, Axes, BLUE, BODY, DIM, DrawResult, FONT, GREEN, GRID, INK, ORANGE, PURPLE, SKY, TITLE,
-    VERMILION, left_aligned, panel, sheet, shortened, text,
+    VERMILION, left_aligned, panel, sheet, shortened, shortened_at_words, text,
 };
 use crate::{
     ReportError,
@@ -77,7 +77,7 @@ fn draw(
     bytes: std::ops::Range<f64>,
 ) -> DrawResult {
     text(area, &shortened(&panel.name, 56), (24, 26), left_aligned(TITLE, INK))?;
-    text(area, &shortened(&panel.caption, 84), (24, 50), left_aligned(BODY, DIM))?;
+    text(area, &shortened_at_words(&panel.caption, 84), (24, 50), left_aligned(BODY, DIM))?;
     let decades = |range: &std::ops::Range<f64>| -> Vec<f64> {
         let ticks = (-5..12).flat_map(|i| [1.0, 2.0, 5.0].map(|digit| digit * 10_f64.powi(i)));
         ticks.filter(|tick| (0.999 * range.start..=1.001 * range.end).contains(tick)).collect()

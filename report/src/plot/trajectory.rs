@@ -66,7 +66,7 @@ pub fn trajectory(plot: &TrajectoryPlot<'_>) -> Result<String, ReportError> {
         text(area, &title, (24, 26), left_aligned(TITLE, INK))?;
         text(area, &path.caption(plot), (24, 52), left_aligned(BODY, DIM))?;
         let (head, body) = area.split_vertically(HEAD);
-        legend(&head, &path)?;
+        legend(&head, &path, plot.take.settings.is_some() || plot.original.is_some())?;
         let (left, right) = body.split_horizontally(LEFT);
         in_space(&left, &path, plot.up)?;
         against_time(&right, &path, plot)
@@ -136,12 +136,12 @@ impl Path {
 
     fn caption(&self, plot: &TrajectoryPlot<'_>) -> String {
         let kept = self.kept.iter().filter(|kept| **kept).count();
-        let mut caption = format!(
-            "{}: {kept} of {} samples kept, {} Hz",
-            plot.take.coding(),
-            self.rebuilt.n_samples(),
-            (self.rate_hz * 100.0).round() / 100.0
-        );
+        let (n_samples, coding) = (self.rebuilt.n_samples(), plot.take.coding());
+        let mut caption = match plot.take.settings {
+            Some(_) => format!("{coding}: {kept} of {n_samples} samples kept"),
+            None => format!("{n_samples} samples"),
+        };
+        caption += &format!(", {} Hz", (self.rate_hz * 100.0).round() / 100.0);
         if let Some(worst) = self.errors_mm().iter().map(|e| e.1).reduce(f64::max) {
             caption += &format!(", max error {worst:.3} mm");
         }
@@ -152,7 +152,11 @@ impl Path {
     }
 }
 
-fn legend(area: &Area<'_>, path: &Path) -> DrawResult {
+fn legend(area: &Area<'_>, path: &Path, is_reconstructed: bool) -> DrawResult {
+    // A file of another program has one line alone.
+    if !is_reconstructed {
+        return Ok(());
+    }
     let y = 26;
     let mut x = SIZE.0 as i32 - 470;
     if path.original.is_some() && path.is_marked {

@@ -13,6 +13,7 @@ use mocapd_drivers::{
     lsl::INLETS_MAX, natnet::CLIENTS_MAX as NATNET_CLIENTS_MAX, qtm::CLIENTS_MAX as QTM_CLIENTS_MAX,
 };
 use mocapd_store::{ObjectUrl, is_url};
+use mocapd_take::motion::UpAxis;
 use serde_json::json;
 
 use super::{
@@ -146,6 +147,14 @@ keys! {
     /// They show how well each marker was seen, but are noise that hardly compresses: most takes become several times as large.
     take.residuals: ValueType::Flag,
         DefaultValue::Flag(false), ReloadPolicy::NextArm, field!(take.residuals);
+    /// The axis that points up, for devices that do not state one, such as Motive, LSL streams and NDI systems; nothing is rotated.
+    /// Without it, players and viewers assume z.
+    take.up_axis: ValueType::Text("x, y or z"),
+        DefaultValue::Absent("\"y\""), ReloadPolicy::NextArm,
+        Field {
+            read: |config, raw| raw.text(up_axis).map(|axis| config.take.up_axis = axis),
+            to_json: |config| config.take.up_axis.name().map(|name| json!(name)),
+        };
     /// Store every sample bit for bit; the same as `resampler = "lossless"`.
     /// For archives that must not change; takes are several times as large.
     take.lossless: ValueType::Flag,
@@ -443,6 +452,10 @@ fn device_choice(text: &str) -> Read<DeviceChoice> {
 
 fn angle_degrees(text: &str) -> Read<f64> {
     units::angle_degrees(text).map_err(Some)
+}
+
+fn up_axis(text: &str) -> Read<UpAxis> {
+    UpAxis::from_name(text).ok_or(None)
 }
 
 fn tolerance(text: &str) -> Read<Tolerance> {

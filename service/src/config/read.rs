@@ -12,6 +12,7 @@ use std::{
 
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::plain_file;
+use mocapd_take::motion::UpAxis;
 use toml::{
     Spanned,
     de::{DeString, DeTable, DeValue},
@@ -190,6 +191,7 @@ impl Config {
                 codec: Settings { kind: ResamplerKind::default(), tolerance },
                 angle_degrees: None,
                 residuals: false,
+                up_axis: UpAxis::Unknown,
                 stretch: Duration::ZERO,
                 sync: Duration::ZERO,
                 keep_free_bytes: 0,

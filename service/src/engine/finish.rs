@@ -296,6 +296,7 @@ mod tests {
                 },
                 angle_degrees: None,
                 residuals: false,
+                up_axis: mocapd_take::motion::UpAxis::Unknown,
                 stretch: Duration::from_millis(500),
                 sync: Duration::from_millis(500),
                 keep_free_bytes: 0,

@@ -292,6 +292,7 @@ fn open_rig(
     };
     rig.limit_angles(options.take.angle_degrees);
     rig.record_residuals(options.take.residuals);
+    rig.state_up_axis(options.take.up_axis);
     if let Some(rate_hz) = options.device.rate_hz {
         rig.set_rate(rate_hz)?;
     }

@@ -53,7 +53,8 @@ impl FileKinds {
     }
 }
 
-/// The options of every command that reads many files.
+// The options of every command that reads many files. (A doc comment would replace the texts of the commands, in which clap
+// builds these options.)
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct InputArgs {
     /// With folders, also read the files in their subfolders

@@ -87,7 +87,10 @@ pub(super) fn line(status: &Status) -> String {
     let now = match &status.take {
         Some(take) => {
             let (of, lost) = (plain(&take.name), thousands(take.ledger.frames_lost()));
-            format!("recording {of}, {:.1} s, {}, {lost} lost", take.seconds, bytes(take.bytes))
+            // The frames of an outage are counted when it ends.
+            let before = if status.device.outage.is_some() { " before" } else { "" };
+            let (length_s, size) = (take.seconds, bytes(take.bytes));
+            format!("recording {of}, {length_s:.1} s, {size}, {lost} lost{before}")
         }
         None => state(status.state).to_owned(),
     };

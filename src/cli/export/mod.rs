@@ -21,7 +21,7 @@ use mocapd_service::units;
 use mocapd_store::is_url;
 use mocapd_take::{
     TakeFrames,
-    interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz, write_c3d},
+    interchange::{Format, InterchangeError, RotatedFrames, bids, mot, npz, write_c3d},
     motion::{FrameSource, MotionInfo, UpAxis},
     record::Ledger,
 };
@@ -38,7 +38,7 @@ use super::{
     output::plain_path,
     paths,
     remote::{self, OutputFile},
-    values::{TimeOrFormat, bytes, count, split_to, time_or_format},
+    values::{self, TimeOrFormat, bytes, count, split_to, time_or_format},
 };
 
 /// Size of the output buffer: so large that the cost of system calls is negligible.
@@ -62,7 +62,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     format: FormatArgs,
     /// Rotate the takes by 90 degrees so that this axis points up: x, y or z [default: for mot y, else as in the take]
-    #[arg(long, value_name = "AXIS", value_parser = axis)]
+    #[arg(long, value_name = "AXIS", value_parser = values::up_axis)]
     up: Option<UpAxis>,
     /// Export frames from this time on: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
@@ -228,7 +228,7 @@ impl ExportPlan<'_> {
             .with_context(|| name.to_string())?;
         if args.up.is_some() && frames.info().up == UpAxis::Unknown {
             bail!(UsageError(format!(
-                "{name} states no up axis, so --up cannot rotate it: import its file again with --up"
+                "{name} states no up axis, so --up cannot rotate it: import its file again with --up; for recordings see `mocapd record --up`"
             )));
         }
         let of_take = frames.info().up;
@@ -538,14 +538,6 @@ impl ExportReport {
             if self.unchanged { "; unchanged" } else { "" },
         )
     }
-}
-
-/// Parses the axis to point up.
-fn axis(text: &str) -> Result<UpAxis, String> {
-    let direction = text.parse::<Direction>().ok().filter(|direction| !direction.is_negative());
-    direction
-        .map(Direction::axis)
-        .ok_or_else(|| format!("'{text}' is not an axis to point up: use x, y or z"))
 }
 
 /// Writes a file atomically: completely or not at all.

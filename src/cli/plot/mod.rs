@@ -388,5 +388,13 @@ fn marker(decoded: &DecodedTake, label: Option<&str>) -> anyhow::Result<usize> {
         let samples: Vec<_> = Column::of(&decoded.motion, marker).0.into_iter().flatten().collect();
         samples.windows(2).map(|pair| distance(pair[0], pair[1])).sum::<f64>()
     };
-    Ok((0..markers.len()).max_by(|&a, &b| path_mm(a).total_cmp(&path_mm(b))).unwrap_or(0))
+    // An unlabelled one may be several reflections in turn: its path is long for that alone.
+    let labelled = || (0..markers.len()).filter(|&marker| markers[marker].labelled);
+    let candidates: Vec<usize> = if labelled().next().is_some() {
+        labelled().collect()
+    } else {
+        (0..markers.len()).collect()
+    };
+    let longest = candidates.into_iter().max_by(|&a, &b| path_mm(a).total_cmp(&path_mm(b)));
+    Ok(longest.unwrap_or(0))
 }

@@ -22,7 +22,7 @@ use mocapd_drivers::{
     uri::{DeviceUri, Location},
 };
 use mocapd_service::{process, units};
-use mocapd_take::record::EndingKind;
+use mocapd_take::{motion::UpAxis, record::EndingKind};
 use serde::{Deserialize, Serialize};
 
 pub(crate) use self::watch::{Limits, record_and_watch};
@@ -85,6 +85,9 @@ pub(crate) struct Args {
     /// large
     #[arg(long)]
     residuals: bool,
+    /// State in the take that this axis points up, x, y or z, if the device does not state one; nothing is rotated
+    #[arg(long, value_name = "AXIS", value_parser = values::up_axis)]
+    up: Option<UpAxis>,
     #[command(flatten)]
     codec: CodecArgs,
     #[command(flatten)]
@@ -147,6 +150,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rig.limit_loss(args.stretch, args.sync);
         rig.limit_angles(args.angle_tolerance);
         rig.record_residuals(args.residuals);
+        if let Some(axis) = args.up {
+            rig.state_up_axis(axis);
+            let stated = rig.up_axis();
+            if let (true, Some(name)) = (stated != axis, stated.name()) {
+                notify(&format!("the device states that {name} points up: --up is not used"));
+            }
+        }
         let same_disk = log.filter(|log| paths::are_on_one_disk(log.path(), &first));
         let limits = Limits {
             length: args.seconds,

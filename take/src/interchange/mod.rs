@@ -146,6 +146,17 @@ fn unsupported<T>(message: &str) -> Result<T> {
     Err(InterchangeError::Unsupported(message.to_owned()))
 }
 
+/// What a page that plays a take does not show of a part of a C3D file, as text for the user.
+fn left_out_of_a_page(kind: &str) -> Option<String> {
+    let text = match kind {
+        c3d::ANALOG => "analog channels and force plates",
+        c3d::RESIDUALS => "residuals and camera masks",
+        c3d::MODEL_OUTPUTS => "model outputs",
+        _ => return None,
+    };
+    Some(text.to_owned())
+}
+
 impl Format {
     /// The format of a file by its extension, in any case.
     #[must_use]
@@ -283,11 +294,8 @@ impl Format {
     pub fn leaves_out(self, info: &MotionInfo, up_is_chosen: bool) -> Vec<String> {
         let others = info.foreign.iter().filter(|part| !self.holds(&part.kind, info));
         let mut left_out: Vec<String> = match self {
-            // Nobody looks for a header in a page.
-            Self::Html => others
-                .filter(|part| part.kind == c3d::ANALOG)
-                .map(|_| "analog channels and force plates".to_owned())
-                .collect(),
+            // Nobody looks for a header or its parameters in a page.
+            Self::Html => others.filter_map(|part| left_out_of_a_page(&part.kind)).collect(),
             _ => others.map(|part| part.kind.clone()).collect(),
         };
         left_out.extend(self.recorded_left_out(info));

@@ -28,6 +28,7 @@ name = "S01 {count}"
 tolerance = "100 um"
 angle_tolerance = "0.02 deg"
 residuals = true
+up_axis = "y"
 lossless = false
 resampler = "fast"
 stretch = "0.25s"
@@ -101,6 +102,7 @@ fn an_empty_file_is_the_defaults() {
     assert_eq!(config.take.codec.tolerance.mm(), 0.5);
     assert_eq!(config.take.angle_degrees, None);
     assert!(!config.take.residuals);
+    assert_eq!(config.take.up_axis, UpAxis::Unknown);
     assert_eq!(config.take.codec.kind, mocapd_codec::ResamplerKind::Dense);
     assert_eq!(config.take.keep_free_bytes, 256 << 20);
     assert_eq!(config.take.max_length, None);
@@ -129,6 +131,7 @@ fn every_key_is_read() {
     assert!((config.take.codec.tolerance.mm() - 0.1).abs() < 1e-12);
     assert_eq!(config.take.angle_degrees, Some(0.02));
     assert!(config.take.residuals);
+    assert_eq!(config.take.up_axis, UpAxis::Y);
     assert_eq!(config.take.stretch, Duration::from_millis(250));
     assert_eq!(config.take.keep_free_bytes, 1_500_000_000);
     assert_eq!(config.take.max_length, Some(Duration::from_secs(5400)));

@@ -113,14 +113,15 @@ pub(super) struct ServeArgs {
     /// With --generate: fraction of samples that are occluded, 0 to 0.9 [default: 0]
     #[arg(long, value_name = "FRACTION", value_parser = number, allow_hyphen_values = true)]
     occlusion: Option<f64>,
-    /// With --generate: send the samples of two force plates under the jumps, 6 channels each, at this rate [default:
-    /// 1kHz]
+    /// With --generate: send the samples of two force plates under the jumps, 6 channels each, at this rate; not with
+    /// --loop or --speed [default: 1kHz]
     #[arg(long, value_name = "HZ", num_args = 0..=1, default_missing_value = "1kHz", value_parser = rate_hz)]
     plates: Option<f64>,
     /// Send a stream like that of electrodes, such as 16@2kHz: the number of channels and their rate (repeatable)
     #[arg(long, value_name = "N@HZ")]
     emg: Vec<Electrodes>,
-    /// With --generate: send the poses of this many rigid bodies, which move with the segments of the body, up to 128
+    /// With --generate: send the poses of this many rigid bodies, which move with the segments of the body, up to 128;
+    /// not with --loop or --speed
     #[arg(long, value_name = "N")]
     bodies: Option<usize>,
     /// Send the residuals of the markers: those of the file, or random ones with --generate; by default the link protocol has
@@ -363,10 +364,6 @@ fn device(
             let settings = DeviceSettings { faults, sampled, bodies, residuals, ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));
-            let RecordedSignals { sampled, bodies, .. } = input::signals(args)?;
-            if !sampled.is_empty() || bodies.is_some() {
-                notify("an NDI system sends markers: what else the take has is not sent");
-            }
             let rate_millihertz = device.hello().rate_millihertz;
             match script {
                 Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_millihertz),
@@ -383,6 +380,10 @@ fn device(
             return usage("it is on the network, not on a line");
         }
         DeviceProtocol::Ndi => {
+            let RecordedSignals { sampled, bodies, .. } = input::signals(args)?;
+            if !sampled.is_empty() || bodies.is_some() {
+                notify("an NDI system sends markers: what else the take has is not sent");
+            }
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
             device.warnings().iter().for_each(|warning| notify(warning));
             let rate_millihertz = device.rate_millihertz();

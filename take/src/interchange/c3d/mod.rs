@@ -47,8 +47,8 @@ pub(crate) use analog::{
     channels as analog_channels, describe as describe_sampled, factor_of_unit,
     plates as force_plates,
 };
-pub(super) use columns::MODEL_OUTPUTS;
 pub(crate) use columns::{ANALOG, value as sample_value};
+pub(super) use columns::{MODEL_OUTPUTS, RESIDUALS};
 pub use foreign::residuals_10um;
 pub(super) use foreign::rotate;
 pub(crate) use foreign::{PARAMETERS, PartSamples, kept_parameters};
