@@ -7,8 +7,9 @@ use mocapd_simulator::{
     device::{Device, DeviceSettings},
     faults::{FaultyDevice, Script},
 };
-use mocapd_take::damage::Problem;
+use mocapd_take::{damage::Problem, motion::UpAxis};
 use rustix::process::Signal;
+use serde_json::Value;
 
 use super::{
     Folder,
@@ -59,6 +60,29 @@ fn the_text_has_the_figures_of_the_report() {
         &["a.take", "120 frames", "15 markers", "240 Hz", "ledger closes"],
     );
     assert_eq!(ran.stderr, "");
+}
+
+#[test]
+fn the_up_axis_is_stated_where_the_device_states_none() {
+    let folder = Folder::new();
+    let mut motion = jump(4, 120.0, 0.5);
+    motion.info.up = UpAxis::Unknown;
+    for (up, of_device, stored, notes) in [
+        (None, UpAxis::Unknown, Value::Null, ""),
+        (Some("y"), UpAxis::Unknown, "y".into(), ""),
+        (Some("y"), UpAxis::Z, "z".into(), "the device states that z points up"),
+    ] {
+        motion.info.up = of_device;
+        let device = Simulated::of(motion.clone());
+        let uri = device.uri();
+        let mut record = vec!["record", "-d", &uri, "-o", "a.take"];
+        record.extend(up.iter().flat_map(|axis| ["--up", axis]));
+        let ran = folder.run(&record).with_code(0);
+        assert_eq!(ran.stderr.is_empty(), notes.is_empty());
+        assert_mentions(&ran.stderr, &[notes]);
+        assert_eq!(folder.run(&["info", "a.take", "--json"]).with_code(0).json()["up_axis"], stored);
+        std::fs::remove_file(folder.path("a.take")).unwrap();
+    }
 }
 
 #[test]
