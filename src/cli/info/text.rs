@@ -186,7 +186,7 @@ fn resampler(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     let knots = count(report.channels.iter().map(|channel| channel.knots).sum(), "sample");
     let (tolerance_mm, error_mm) = (report.tolerance_mm, report.max_error_mm);
     let bound = if tolerance_mm > 0.0 {
-        format!("within {tolerance_mm} mm (largest error {error_mm:.4} mm), {knots} kept")
+        format!("within {tolerance_mm} mm (no error above {error_mm:.4} mm), {knots} kept")
     } else {
         "every bit kept".to_owned()
     };
@@ -232,7 +232,7 @@ fn marker_table(report: &InfoReport, out: &mut String) {
     let labels: Vec<String> = report.channels.iter().map(label).collect();
     let widths = labels.iter().map(|label| label.chars().count());
     let width = widths.max().unwrap_or(0).clamp(6, LABEL_COLUMNS_MAX);
-    let (samples, knots, error) = ("samples", "knots", "max error mm");
+    let (samples, knots, error) = ("samples", "knots", "error <= mm");
     writeln!(out, "{:<width$} {samples:>10} {:>6} {knots:>10} {error:>13}", "marker", "gaps").ok();
     for (label, channel) in labels.iter().zip(&report.channels) {
         let [samples, gaps, knots] = [channel.samples, channel.gaps, channel.knots].map(thousands);
