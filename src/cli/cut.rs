@@ -156,14 +156,13 @@ fn range(args: &Args, source: &SourceTake) -> anyhow::Result<Range<u64>> {
         Some(FrameRange { start, end }) => (start, end),
         None => (args.from.map_or(0, at), args.to.map(at)),
     };
-    if end.is_some_and(|end| end <= start) {
-        bail!(UsageError("no frames in the range: it ends where it begins, or before".to_owned()));
-    }
+    let is_backwards = end.is_some_and(|end| end < start);
     let end = end.unwrap_or(n_rows).min(n_rows);
     if start >= end {
         let (frames, length_s) = (count(n_rows, "frame"), n_rows as f64 / rate_hz);
+        let why = if is_backwards { ", which ends before it begins" } else { "" };
         bail!(UsageError(format!(
-            "no frames in the range: the take has {frames}, {length_s:.3} s"
+            "no frames in the range{why}: the take has {frames}, {length_s:.3} s"
         )));
     }
     Ok(start..end)

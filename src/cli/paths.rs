@@ -33,7 +33,7 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
 
 /// The usage error for a take where a file of another program is read.
 pub(super) fn already_a_take(path: &Path) -> anyhow::Error {
-    let message = "is a take already: expected a file of another program";
+    let message = "is a take already: expected a .c3d, .trc, .tsv or .csv file";
     UsageError(format!("{} {message}", path.display())).into()
 }
 

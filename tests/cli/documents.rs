@@ -395,7 +395,7 @@ fn config_check() {
     let folder = Folder::new();
     // Every key that the page has, and one of each list.
     let all = "[device]\nrate_hz = 240\n[subject]\nname = 'S01'\nskeleton = 's.json'\nface = 'f.json'\nface_markers = 'm.json'\n\
-               [take]\nangle_tolerance = '0.05deg'\nmax_length = '1h'\n[archive]\nurl = 'file:///srv/archive/'\nremove_local_after = '168h'\n[http]\ntoken_file = 'token'\nallowed_hosts = ['rig.lab']\n\
+               [take]\nangle_tolerance = '0.05deg'\nup_axis = 'y'\nmax_length = '1h'\n[archive]\nurl = 'file:///srv/archive/'\nremove_local_after = '168h'\n[http]\ntoken_file = 'token'\nallowed_hosts = ['rig.lab']\n\
                [trigger]\nlisten = '0.0.0.0:8989'\nsend_to = ['10.0.0.1:8989']\n";
     let publish = "[publish.qtm]\nallow_from = ['192.168.10.0/24']\ncontrol = true\npassword_file = 'token'\n";
     let natnet =

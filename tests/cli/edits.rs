@@ -218,6 +218,8 @@ fn cuts_that_cannot_be_made_are_refused() {
     {
         assert_mentions(&cut(empty, 2), &["jump.take", "120 frames", "2.000 s"]);
     }
+    let backwards = cut(&["--from", "1.2s", "--to", "0.5s"], 2);
+    assert_mentions(&backwards, &["120 frames", "ends before it begins"]);
     let refuses = |args: &[&str], code| folder.refuses(args, code);
     let range = ["--to", "1s"];
     let line = refuses(&[&["cut", "jump.take", "-o", "jump.take"], &range[..]].concat(), 1);

@@ -80,7 +80,10 @@ fn the_up_axis_is_stated_where_the_device_states_none() {
         let ran = folder.run(&record).with_code(0);
         assert_eq!(ran.stderr.is_empty(), notes.is_empty());
         assert_mentions(&ran.stderr, &[notes]);
-        assert_eq!(folder.run(&["info", "a.take", "--json"]).with_code(0).json()["up_axis"], stored);
+        assert_eq!(
+            folder.run(&["info", "a.take", "--json"]).with_code(0).json()["up_axis"],
+            stored
+        );
         std::fs::remove_file(folder.path("a.take")).unwrap();
     }
 }
