@@ -11,7 +11,7 @@ use super::{
     GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
     SampleWakes,
     counter::{BatchStep, RowSteps, SampleCounter},
-    poses::{NewPoses, PoseRows, PosesOutcome},
+    poses::{self, NewPoses, PoseRows, PosesOutcome},
     tap::SampleTapSender,
 };
 use crate::pipeline::{PipelineConfig, messages::BlockTime, ring::Sample};
@@ -127,13 +127,17 @@ impl SampledIntake {
         let groups = groups.map(|(index, ((info, plan), (samples, items)))| {
             by_id[usize::from(info.id)] = Some(index as u8);
             let rate_hz = f64::from(info.rate_millihertz) / 1000.0;
+            let counter = match poses::NUMBERS.contains(&info.id) {
+                true => SampleCounter::of_rows(rate_hz, config.tick_hz),
+                false => SampleCounter::new(rate_hz, config.tick_hz),
+            };
             GroupIntake {
                 info: info.clone(),
                 is_contradicted: false,
                 plan: *plan,
                 samples,
                 items,
-                counter: SampleCounter::new(rate_hz, config.tick_hz),
+                counter,
                 next: 0,
                 open: None,
                 pending: [0; CAUSES.len()],
