@@ -381,6 +381,15 @@ fn takes_have_the_residuals_of_markers_that_appeared_before_or_in_them() {
     }
     assert_eq!(group_numbers(&parts[1]), [32, 33]);
     assert_eq!(group_numbers(&parts[2]), [32, 33, 34]);
+    // Joined again, they have all of them.
+    let sources: Vec<SourceTake> =
+        parts.iter().map(|part| SourceTake::read(&mut Cursor::new(part)).unwrap()).collect();
+    let new_scratch = || Err(std::io::ErrorKind::Unsupported.into());
+    let (mut joined, open) = (Vec::new(), |i: usize| Ok(Cursor::new(parts[i].clone())));
+    concat(&sources, open, &mut joined, &context(&new_scratch)).unwrap();
+    late.assert_in(&joined, &motion, 0..500);
+    assert_eq!(group_numbers(&joined), [32, 33, 34, 35]);
+    assert_clean(&joined);
 
     let armed = PipelineConfig { pre_roll: Some(PreRollConfig { ..PRE_ROLL }), ..config };
     let (mut intake, pipeline, mut handles) =
