@@ -391,7 +391,8 @@ fn takes_have_the_residuals_of_markers_that_appeared_before_or_in_them() {
     assert_eq!(group_numbers(&joined), [32, 33, 34, 35]);
     assert_clean(&joined);
 
-    let armed = PipelineConfig { pre_roll: Some(PreRollConfig { ..PRE_ROLL }), ..config };
+    let mut armed = with_residuals(&motion, dense(1.0));
+    armed.pre_roll = Some(PreRollConfig { ..PRE_ROLL });
     let (mut intake, pipeline, mut handles) =
         mocapd_acquire::pipeline::Pipeline::arm(&armed, &header(&motion)).unwrap();
     (0..300).for_each(|frame| late.send(&mut intake, &motion, frame));
