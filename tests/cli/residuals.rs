@@ -2,6 +2,7 @@
 //! played again from that file and from its import, and seen in every output.
 
 use std::{
+    collections::HashMap,
     path::Path,
     sync::{
         Arc,
@@ -14,11 +15,12 @@ use mocapd_drivers::natnet::ServedStream;
 use mocapd_simulator::{
     NetworkOptions,
     device::{Device, DeviceSettings},
+    faults::Script,
     natnet::{NatNetDevice, NatNetListener, NatNetSettings},
     qtm::{QtmDevice, QtmListener, QtmSettings},
     source::{self, Residuals},
 };
-use mocapd_take::motion::{Motion, is_gap};
+use mocapd_take::motion::{Motion, Position, is_gap};
 use serde_json::Value;
 
 use super::{Folder, faults::played::record_from, natnet::free_port};
@@ -183,4 +185,88 @@ fn residuals_of_a_natnet_server_are_recorded() {
     let n = motion().n_frames() - found.n_frames().min(motion().n_frames());
     let skipped = (0..=n).find(is_alike).expect("a part of the motion");
     assert_has(&folder.path("a.take"), &sent, skipped);
+}
+
+/// A motion of which every third marker has no label, and a script by which the others get theirs late.
+fn late_labels(for_s: &str) -> (Motion, Arc<Script>) {
+    let mut motion = motion();
+    for (column, marker) in motion.info.markers.iter_mut().enumerate() {
+        marker.labelled = column % 3 != 2;
+    }
+    let script = format!("seed = 1\n[[fault]]\nkind = \"late-model\"\nfor_s = {for_s}\n");
+    (motion, Arc::new(Script::parse("late-model", &script).unwrap()))
+}
+
+/// Asserts that every sample of a take has the residual that was sent with its position, whichever channel it is in, and that
+/// this holds for channels that appeared after the start.
+#[track_caller]
+fn assert_each_has(path: &Path, sent: &Residuals, on_the_wire: fn(Position) -> Position) {
+    let mut of_position: HashMap<[u32; 3], Vec<u8>> = HashMap::new();
+    let original = motion();
+    for frame in 0..original.n_frames() {
+        for (&position, &residual) in original.frame(frame).iter().zip(sent.frame(frame as u64)) {
+            let bits = on_the_wire(position).map(f32::to_bits);
+            of_position.entry(bits).or_default().push(residual);
+        }
+    }
+    let (found, _) = source::read(path).unwrap();
+    let residuals = Residuals::read(path, &found).unwrap().expect("it has residuals");
+    let mut n_late = vec![0; found.info.markers.len()];
+    for frame in 0..found.n_frames() {
+        let row = found.frame(frame).iter().zip(residuals.frame(frame as u64));
+        for (marker, (position, residual)) in row.enumerate().filter(|(_, (at, _))| !is_gap(**at)) {
+            let known = of_position.get(&position.map(f32::to_bits));
+            let is_its = known.is_some_and(|known| known.contains(residual));
+            assert!(is_its, "frame {frame} marker {marker}: {residual} of {known:?}");
+            n_late[marker] += u32::from(*residual > 0);
+        }
+    }
+    assert!(n_late.iter().all(|n| *n > 0), "{n_late:?}");
+    let events = found.info.events.iter().map(|event| &event.text);
+    assert!(events.into_iter().all(|text| !text.contains("residuals are not recorded")));
+}
+
+#[test]
+fn residuals_of_markers_whose_labels_come_late_from_a_qtm_are_recorded() {
+    let folder = Folder::new();
+    let (motion, script) = late_labels("0.7");
+    let sent = Residuals::generated(5, &motion);
+    let (residuals, faults) = (Some(Arc::new(sent.clone())), Some(script));
+    let settings = QtmSettings { residuals, faults, ..QtmSettings::default() };
+    let mut device = QtmDevice::new(motion, settings).unwrap();
+    let listener = QtmListener::open(0).unwrap();
+    let served = Served::new(listener.uri(), move |stopped| {
+        let options = NetworkOptions { once: false, log: None };
+        listener.serve(&mut device, options, stopped).unwrap();
+    });
+    let record = ["record", "-d", &served.uri, "-o", "a.take", "--residuals", "--lossless"];
+    folder.run(&record).with_code(0);
+    let info = folder.run(&["info", "a.take", "--json"]).json();
+    assert!(info["sampled_groups"].as_array().unwrap().len() > 1, "{info:#}");
+    assert_each_has(&folder.path("a.take"), &sent, |position| position);
+    folder.run(&["verify", "a.take"]).with_code(0);
+}
+
+#[test]
+fn residuals_of_markers_whose_names_come_late_from_a_natnet_server_are_recorded() {
+    let folder = Folder::new();
+    let (motion, faults) = late_labels("1.3");
+    let stream = ServedStream::Unicast(free_port());
+    let sent = Residuals::generated(6, &motion);
+    let (residuals, faults) = (Some(Arc::new(sent.clone())), Some(faults));
+    let settings = NatNetSettings { residuals, faults, ..NatNetSettings::new(stream) };
+    let settings = NatNetSettings { looping: true, ..settings };
+    let mut device = NatNetDevice::new(motion, settings).unwrap();
+    let listener = NatNetListener::open(0).unwrap();
+    let served = Served::new(listener.uri(), move |stopped| {
+        let options = NetworkOptions { once: false, log: None };
+        listener.serve(&mut device, options, stopped).unwrap();
+    });
+    let record = ["record", "-d", &served.uri, "-o", "a.take", "--residuals", "--lossless"];
+    folder.run(&[&record[..], &["--seconds", "3s"]].concat()).with_code(0);
+    // Rounded to metres of float32 by the server, and to millimetres by the driver.
+    assert_each_has(&folder.path("a.take"), &sent, |position| {
+        position.map(|mm| (f64::from((f64::from(mm) / 1000.0) as f32) * 1000.0) as f32)
+    });
+    folder.run(&["verify", "a.take"]).with_code(0);
 }

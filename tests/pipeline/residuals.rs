@@ -15,7 +15,7 @@ use mocapd_take::{
     compare::compare_samples,
     edit::{EditContext, SourceTake, concat, cut, repack},
     interchange::{Format, residuals_10um, write_c3d},
-    motion::{FrameSource, Motion, is_gap},
+    motion::{FrameSource, Motion, MotionFrames, is_gap},
     record::GroupLedger,
     recovery::RecoveryScan,
     sampled::Recording,
@@ -231,41 +231,220 @@ fn residuals_that_do_not_fit_are_lost_as_a_whole_and_counted() {
     assert!(n_there >= ledger.stored, "{n_there} of {}", ledger.stored);
     let are_none = |row: &Vec<u8>| row.iter().all(|count| *count == 0);
     assert!(found.iter().enumerate().all(|at| is_there(at) || are_none(at.1)));
+    // An export that writes them as 0 says so.
+    let lacking = (0..).zip(&found).filter(|(_, row)| are_none(row));
+    let seen = |frame: usize| motion.frame(frame).iter().filter(|at| !is_gap(**at)).count();
+    let n_lacking: usize = lacking.map(|(frame, _)| seen(frame)).sum();
+    let (_, remarks) = to_c3d(&mut open(&take));
+    let told: Vec<&String> =
+        remarks.iter().filter(|remark| remark.contains("lack the residual")).collect();
+    match n_lacking {
+        0 => assert!(told.is_empty(), "{told:?}"),
+        n => assert!(told.len() == 1 && told[0].starts_with(&format!("{n} sample")), "{told:?}"),
+    }
+}
+
+fn open(take: &[u8]) -> TakeFrames<Cursor<Vec<u8>>> {
+    let mut frames = TakeFrames::open(Cursor::new(take.to_vec())).unwrap();
+    frames.open_recording(Cursor::new(take.to_vec()), false).unwrap();
+    frames
+}
+
+/// The file, and what the export says.
+fn to_c3d(frames: &mut dyn FrameSource) -> (Vec<u8>, Vec<String>) {
+    let mut file = Vec::new();
+    let remarks = write_c3d(frames, &mut file).unwrap();
+    (file, remarks)
+}
+
+/// Markers that appear after the start: their ids, and the frame with which each is announced.
+struct Late(Vec<(u16, usize)>);
+
+impl Late {
+    /// Three times, three of them together.
+    fn few() -> Self {
+        Self(vec![(900, 17), (901, 25), (902, 25), (903, 25), (904, 40)])
+    }
+
+    /// At as many times as a recording has room for, the last of them before the frame `from`; one more with that frame, and
+    /// another one 50 frames later.
+    fn too_many(from: usize) -> Self {
+        let fitting = (0..16).map(|n| (700 + n as u16, from - 16 + n));
+        Self(fitting.chain([(900, from), (901, from + 50)]).collect())
+    }
+
+    fn residual(id: u16, frame: usize) -> u8 {
+        residual(usize::from(id), frame)
+    }
+
+    /// Those of a row of `n_markers`, the late ones behind the others.
+    fn row(&self, motion: &Motion, frame: usize, n_markers: usize) -> Vec<u8> {
+        let late = self.0.iter().map(|&(id, from)| match frame < from {
+            true => 0,
+            false => Self::residual(id, frame),
+        });
+        expected(motion, frame).into_iter().chain(late).take(n_markers).collect()
+    }
+
+    fn send(&self, intake: &mut Intake, motion: &Motion, frame: usize) {
+        wait_for_room(intake);
+        let mut markers = markers(motion, frame);
+        for &(id, from) in &self.0 {
+            if frame == from {
+                let label = format!("late {id}");
+                intake.announce(&[MarkerInfo { id, label, labelled: true }]);
+            }
+            if frame >= from {
+                let residual_10um = Self::residual(id, frame);
+                let (position_mm, occluded) = ([1.0, 2.0, 3.0], false);
+                markers.push(MarkerSample { id, occluded, residual_10um, position_mm });
+            }
+        }
+        let device_ticks = frame as u64 * TICK_HZ / 200;
+        let sent = Frame { seq: frame as u32, device_ticks, timecode: None, markers: &markers };
+        intake.frame(&sent, 5_000_000 + device_ticks * 1000);
+    }
+
+    fn record(&self, motion: &Motion, frames: Range<usize>) -> Vec<u8> {
+        let (mut intake, pipeline) = start(&with_residuals(motion, lossless()), Vec::new());
+        frames.for_each(|frame| self.send(&mut intake, motion, frame));
+        intake.finish();
+        pipeline.finish().unwrap().1
+    }
+
+    #[track_caller]
+    fn assert_in(&self, take: &[u8], motion: &Motion, frames: Range<usize>) {
+        let found = read(take);
+        assert_eq!(found.len(), frames.len());
+        for (row, frame) in found.iter().zip(frames) {
+            assert_eq!(row, &self.row(motion, frame, row.len()), "frame {frame}");
+        }
+    }
+}
+
+fn group_numbers(take: &[u8]) -> Vec<u32> {
+    map_of(take).recorded_groups().map(|found| found.group.number).collect()
 }
 
 #[test]
-fn markers_that_appear_later_have_no_residuals_and_the_take_says_so() {
+fn markers_that_appear_later_have_residuals_from_their_first_row_on() {
     let motion = jump(6, 200.0, 2.0);
     let n_markers = motion.info.markers.len();
-    let (mut intake, pipeline) = start(&with_residuals(&motion, lossless()), Vec::new());
-    (0..400).for_each(|frame| send_with_late(&mut intake, &motion, frame, 100));
-    intake.finish();
-    let take = pipeline.finish().unwrap().1;
-    assert_clean(&take);
-    for (frame, row) in read(&take).iter().enumerate() {
-        assert_eq!(row[..n_markers], expected(&motion, frame));
-        assert_eq!(row[n_markers..], [0, 0]);
+    let late = Late::few();
+    let take = late.record(&motion, 0..400);
+    late.assert_in(&take, &motion, 0..400);
+    assert_eq!((told_at(&take), group_numbers(&take)), (vec![], vec![32, 33, 34, 35]));
+    let map = map_of(&take);
+    let groups = map.recorded_groups().skip(1).map(|found| &found.group);
+    let channels: Vec<_> = groups.flat_map(|group| &group.channels).collect();
+    assert_eq!(channels.len(), 5);
+    for (channel, index) in channels.iter().zip(n_markers..) {
+        assert_eq!(channel.name, format!("{}.residual", map.channels[index].label));
+        assert_eq!(channel.index as usize, index);
     }
-    assert_eq!(told_at(&take), [100]);
+    let taken: Vec<u64> = assert_clean(&take).iter().map(|ledger| ledger.taken).collect();
+    assert_eq!(taken, [400, 383, 375, 360]);
+
+    // In files, in parts, and in these joined again.
+    let (file, remarks) = to_c3d(&mut open(&take));
+    assert_eq!(remarks, [""; 0]);
+    let counts = residuals_10um(&Format::C3d.read(&file).unwrap().info).unwrap().unwrap();
+    let at = 399 * (n_markers + 5) + n_markers;
+    assert_eq!(counts[at..at + 5], late.row(&motion, 399, n_markers + 5)[n_markers..]);
+    let new_scratch = || Err(std::io::ErrorKind::Unsupported.into());
+    let context = context(&new_scratch);
+    let source = |take: &[u8]| SourceTake::read(&mut Cursor::new(take)).unwrap();
+    for rows in [0..10, 0..20, 20..400, 39..41, 200..400] {
+        let (mut part, range) = (Vec::new(), rows.start as u64..rows.end as u64);
+        cut(&source(&take), Cursor::new(&take), range, &mut part, &context).unwrap();
+        late.assert_in(&part, &motion, rows);
+        assert_clean(&part);
+    }
+    let mut repacked = Vec::new();
+    repack(&source(&take), Cursor::new(&take), None, &mut repacked, &context).unwrap();
+    late.assert_in(&repacked, &motion, 0..400);
 }
 
-/// A frame with one more marker from the frame `from` on, and with another one 50 frames later.
-fn send_with_late(intake: &mut Intake, motion: &Motion, frame: usize, from: usize) {
-    wait_for_room(intake);
-    let mut markers = markers(motion, frame);
-    for (id, from) in [(900, from), (901, from + 50)] {
-        if frame == from {
-            let label = format!("late {id}");
-            intake.announce(&[MarkerInfo { id, label, labelled: true }]);
-        }
-        if frame >= from {
-            let (position_mm, occluded) = ([1.0, 2.0, 3.0], false);
-            markers.push(MarkerSample { id, occluded, residual_10um: 9, position_mm });
-        }
+#[test]
+fn takes_have_the_residuals_of_markers_that_appeared_before_or_in_them() {
+    let motion = jump(6, 200.0, 6.0);
+    let config = with_residuals(&motion, lossless());
+    let late = Late(vec![(900, 130), (901, 130), (902, 200), (903, 410)]);
+    let parts = super::splits::record_parts((&motion, &config), 100, |intake| {
+        (0..500).for_each(|frame| late.send(intake, &motion, frame));
+    });
+    assert_eq!(parts.len(), 5);
+    for (part, from) in parts.iter().zip((0..).step_by(100)) {
+        late.assert_in(part, &motion, from..from + 100);
+        assert_eq!(told_at(part), [0; 0]);
+        assert_clean(part);
     }
-    let device_ticks = frame as u64 * TICK_HZ / 200;
-    let sent = Frame { seq: frame as u32, device_ticks, timecode: None, markers: &markers };
-    intake.frame(&sent, 5_000_000 + device_ticks * 1000);
+    assert_eq!(group_numbers(&parts[1]), [32, 33]);
+    assert_eq!(group_numbers(&parts[2]), [32, 33, 34]);
+    // Joined again, they have all of them.
+    let sources: Vec<SourceTake> =
+        parts.iter().map(|part| SourceTake::read(&mut Cursor::new(part)).unwrap()).collect();
+    let new_scratch = || Err(std::io::ErrorKind::Unsupported.into());
+    let (mut joined, open) = (Vec::new(), |i: usize| Ok(Cursor::new(parts[i].clone())));
+    concat(&sources, open, &mut joined, &context(&new_scratch)).unwrap();
+    late.assert_in(&joined, &motion, 0..500);
+    assert_eq!(group_numbers(&joined), [32, 33, 34, 35]);
+    assert_clean(&joined);
+
+    let mut armed = with_residuals(&motion, dense(1.0));
+    armed.pre_roll = Some(PreRollConfig { ..PRE_ROLL });
+    let (mut intake, pipeline, mut handles) =
+        mocapd_acquire::pipeline::Pipeline::arm(&armed, &header(&motion)).unwrap();
+    (0..300).for_each(|frame| late.send(&mut intake, &motion, frame));
+    // Its pre-roll begins before two of them.
+    let pre_roll = std::time::Duration::from_secs(1);
+    let begun = handles.takes.begin(new_take(&motion, pre_roll, 300)).unwrap();
+    (300..450).for_each(|frame| late.send(&mut intake, &motion, frame));
+    handles.takes.end(mocapd_take::record::EndingKind::Stopped).unwrap();
+    late.send(&mut intake, &motion, 450);
+    let (_, take) = ended(&begun);
+    let n_rows = map_of(&take).n_rows as usize;
+    assert!(n_rows >= 350, "{n_rows}");
+    late.assert_in(&take, &motion, 450 - n_rows..450);
+    assert_clean(&take);
+    intake.finish();
+    pipeline.join().unwrap();
+}
+
+#[test]
+fn a_take_with_late_residuals_that_is_cut_off_anywhere_can_be_recovered() {
+    let motion = jump(9, 200.0, 0.3);
+    let late = Late::few();
+    let take = late.record(&motion, 0..60);
+    for cut in 0..take.len() {
+        let part = &take[..cut];
+        let Ok(map) = TakeMap::scan(&mut Cursor::new(part)) else { continue };
+        let found = if map.sample_groups().next().is_some() { read(part) } else { continue };
+        for (frame, row) in found.iter().enumerate() {
+            let wanted = late.row(&motion, frame, row.len());
+            let is_there = |(found, wanted): (&u8, &u8)| found == wanted || *found == 0;
+            assert!(row.iter().zip(&wanted).all(is_there), "{cut}: frame {frame}");
+        }
+        let mut recovered = Vec::new();
+        let scan = RecoveryScan::read(part).unwrap();
+        scan.write(Cursor::new(part), &mut recovered, "test").unwrap();
+        assert_eq!(read(&recovered), found, "{cut}");
+        assert_clean(&recovered);
+    }
+}
+
+#[test]
+fn markers_that_appear_later_than_there_is_room_for_have_no_residuals_and_the_take_says_so() {
+    let motion = jump(6, 200.0, 2.0);
+    let late = Late::too_many(100);
+    let take = late.record(&motion, 0..400);
+    assert_clean(&take);
+    let n_with = motion.info.markers.len() + 16;
+    for (frame, row) in read(&take).iter().enumerate() {
+        assert_eq!(row[..n_with], late.row(&motion, frame, n_with));
+        assert_eq!(row[n_with..], [0, 0]);
+    }
+    assert_eq!(told_at(&take), [100]);
 }
 
 /// The rows at which a take says that residuals are not recorded.
@@ -280,13 +459,13 @@ fn every_take_and_part_says_once_that_markers_are_without_residuals() {
     let motion = jump(6, 200.0, 6.0);
     let config = with_residuals(&motion, lossless());
     let parts = super::splits::record_parts((&motion, &config), 100, |intake| {
-        (0..400).for_each(|frame| send_with_late(intake, &motion, frame, 130));
+        (0..400).for_each(|frame| Late::too_many(130).send(intake, &motion, frame));
     });
     let told: Vec<Vec<u64>> = parts.iter().map(|part| told_at(part)).collect();
     assert_eq!(told, [vec![], vec![30], vec![0], vec![0]]);
     // A part that begins with the marker.
     let parts = super::splits::record_parts((&motion, &config), 100, |intake| {
-        (0..200).for_each(|frame| send_with_late(intake, &motion, frame, 100));
+        (0..200).for_each(|frame| Late::too_many(100).send(intake, &motion, frame));
     });
     let told: Vec<Vec<u64>> = parts.iter().map(|part| told_at(part)).collect();
     assert_eq!(told, [vec![], vec![0]]);
@@ -297,12 +476,12 @@ fn every_take_and_part_says_once_that_markers_are_without_residuals() {
         mocapd_acquire::pipeline::Pipeline::arm(&armed, &header(&motion)).unwrap();
     let mut record = |rows: Range<usize>, pre_roll_s| {
         let from = intake.next_row() as usize;
-        (from..rows.start).for_each(|frame| send_with_late(&mut intake, &motion, frame, 150));
+        (from..rows.start).for_each(|frame| Late::too_many(150).send(&mut intake, &motion, frame));
         let pre_roll = std::time::Duration::from_secs(pre_roll_s);
         let begun = handles.takes.begin(new_take(&motion, pre_roll, rows.start)).unwrap();
-        rows.clone().for_each(|frame| send_with_late(&mut intake, &motion, frame, 150));
+        rows.clone().for_each(|frame| Late::too_many(150).send(&mut intake, &motion, frame));
         handles.takes.end(mocapd_take::record::EndingKind::Stopped).unwrap();
-        send_with_late(&mut intake, &motion, rows.end, 150);
+        Late::too_many(150).send(&mut intake, &motion, rows.end);
         told_at(&ended(&begun).1)
     };
     assert_eq!(record(50..100, 0), [0; 0]);
@@ -350,6 +529,11 @@ fn where_the_clock_stands_every_row_has_the_residuals_of_its_frame() {
     for n in [2, 3, 4] {
         assert_has(&record(&|frame| frame - frame % n), &motion, all(0..1200));
     }
+    // Its steps are uneven, and forty times those of its rate: a run ends where the host finds that the clock jumped, and not
+    // with each row.
+    let take = record(&|frame| 40 * frame + 5 * (frame % 3));
+    assert_has(&take, &motion, all(0..1200));
+    assert!(n_runs(&take) < 12, "{}", n_runs(&take));
     // One that goes back begins a run.
     let take = record(&|frame| if frame < 600 { 10_000 + frame } else { 10_000 + frame - 2 });
     assert_has(&take, &motion, all(0..1200));
@@ -527,10 +711,8 @@ fn a_take_that_is_cut_off_anywhere_is_true_and_can_be_recovered() {
 fn an_export_to_c3d_has_the_residuals_in_its_points() {
     let motion = crowd(10, 200.0, 2.0);
     let take = record(&motion, lossless(), (0..400).filter(|frame| *frame != 50));
-    let mut frames = TakeFrames::open(Cursor::new(take.clone())).unwrap();
-    frames.open_recording(Cursor::new(take), false).unwrap();
-    let mut file = Vec::new();
-    let remarks = write_c3d(&mut frames, &mut file).unwrap();
+    let mut frames = open(&take);
+    let (file, remarks) = to_c3d(&mut frames);
     assert!(remarks.is_empty(), "{remarks:?}");
     let found = Format::C3d.read(&file).unwrap();
     assert_eq!(found.info.source.warnings, [""; 0]);
@@ -549,4 +731,29 @@ fn an_export_to_c3d_has_the_residuals_in_its_points() {
     let kinds: Vec<&str> = found.info.foreign.iter().map(|part| &part.kind[..]).collect();
     assert!(kinds.contains(&"c3d/residuals") && !kinds.contains(&"c3d/analog"), "{kinds:?}");
     assert_eq!(frames.info().markers.len(), n_markers);
+}
+
+/// A take that has the residuals of an imported file, too, gives that file back, in its own unit.
+#[test]
+fn residuals_of_an_imported_file_are_written_before_those_of_the_recording() {
+    let motion = jump(13, 200.0, 1.0);
+    let take = record(&motion, lossless(), 0..200);
+    let (mut file, _) = to_c3d(&mut open(&take));
+    // As if the file counted tenths of a millimetre.
+    let scale = |of: f32| [&b"SCALE\x09\0\x04\0"[..], &of.to_le_bytes()].concat();
+    let place_of = |file: &[u8], scale: &[u8]| file.windows(scale.len()).position(|at| at == scale);
+    let place = place_of(&file, &scale(-0.01)).expect("POINT:SCALE");
+    file[place..place + 13].copy_from_slice(&scale(-0.1));
+    let mut imported = Format::C3d.read(&file).unwrap();
+    let kept = residuals_10um(&imported.info).unwrap().unwrap();
+    assert_eq!(kept[2], expected(&motion, 0)[2].saturating_mul(10));
+
+    let other = record(&motion, lossless(), 50..200);
+    imported.info.recording.clone_from(&open(&other).info().recording);
+    let (both, remarks) = to_c3d(&mut MotionFrames::new(&imported));
+    assert_eq!(remarks.len(), 1, "{remarks:?}");
+    assert!(remarks[0].starts_with("The residuals of the recording were left out"), "{remarks:?}");
+    assert!(place_of(&both, &scale(-0.1)).is_some(), "POINT:SCALE is that of the file");
+    let found = Format::C3d.read(&both).unwrap();
+    assert_eq!(residuals_10um(&found.info).unwrap().unwrap(), kept);
 }

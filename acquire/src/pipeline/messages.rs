@@ -50,6 +50,8 @@ pub(super) struct StretchEnd {
     pub(super) last_arrival_ns: u64,
     /// Number of channels with rows in it: they have the first slots.
     pub(super) n_channels: usize,
+    /// Whether residuals are recorded, and those of some of these channels are not.
+    pub(super) lacks_residuals: bool,
     /// Whether it is the last one.
     pub(super) last: bool,
     /// Whether the recording is divided at this boundary: the next take begins with the row after it.
@@ -104,9 +106,24 @@ pub(super) struct SamplePart {
 /// What the part has. Buffers return to the group.
 #[derive(Debug)]
 pub(super) enum PartContent {
-    Block { n: u32, key: bool, time: BlockTime, errors: PoseErrors, block: Vec<u8> },
-    Lost { n: u64, causes: LossCauses, buffer: Vec<u8> },
+    Block {
+        n: u32,
+        key: bool,
+        time: BlockTime,
+        errors: PoseErrors,
+        block: Vec<u8>,
+    },
+    Lost {
+        n: u64,
+        causes: LossCauses,
+        buffer: Vec<u8>,
+    },
     Boundary,
+    /// The group has the residuals of `n` markers from this one on.
+    Opens {
+        first_marker: usize,
+        n: usize,
+    },
 }
 
 /// What the threads that encode send to the writer.
@@ -163,6 +180,8 @@ impl PartReport {
 pub(super) struct StretchReport {
     pub(super) parts: PartReport,
     pub(super) tally: StretchTally,
+    /// Whether residuals are recorded, and those of some channels are not.
+    pub(super) lacks_residuals: bool,
 }
 
 /// A message from the reader to the writer, other than samples.

@@ -88,7 +88,7 @@ impl Pipeline {
     pub fn start(config: &PipelineConfig, take: NewTake) -> anyhow::Result<(Intake, Self)> {
         let (reply, handle) = messages::reply_channel();
         let header = take.header.clone();
-        let place = TakePlace::at_start(config);
+        let place = TakePlace::at_start();
         let groups = sampled::records(config);
         let take = LiveTake::begin(take, &reply, place, &groups, config.sync_every)?;
         let (intake, mut pipeline, _) = Self::run(config, &header, Some((take, None)), None)?;
@@ -108,7 +108,7 @@ impl Pipeline {
     ) -> anyhow::Result<(Intake, Self)> {
         let NextTake { take, ended, .. } = split.takes.next_take(0)?;
         let (header, reply) = (take.header.clone(), messages::Reply::of_series(ended));
-        let place = TakePlace::at_start(config);
+        let place = TakePlace::at_start();
         let groups = sampled::records(config);
         let begun = LiveTake::begin(take, &reply, place, &groups, config.sync_every);
         let take = begun.map_err(|error| {

@@ -46,7 +46,8 @@ pub struct PipelineConfig {
     pub bodies: Vec<BodyInfo>,
     /// The largest errors of their poses; `None` to record every bit.
     pub pose_bounds: Option<PoseBounds>,
-    /// Whether the residuals of the markers are recorded: of those known at the start, and none that appear later.
+    /// Whether the residuals of the markers are recorded: of those known at the start, and of those that appear later at a few
+    /// times.
     pub residuals: bool,
     /// Number of channels that may be added later.
     pub reserve: usize,
@@ -123,7 +124,7 @@ impl PipelineConfig {
         self.bodies.get(..BODIES_MAX).unwrap_or(&self.bodies)
     }
 
-    /// The channels whose residuals are recorded: as many as there are numbers of groups for.
+    /// The channels known at the start whose residuals are recorded: as many as there are numbers of groups for.
     #[must_use]
     pub fn recorded_residuals(&self) -> &[Channel] {
         let channels = if self.residuals { &self.channels[..] } else { &[] };
@@ -213,8 +214,6 @@ pub(super) struct Plan {
     pub(super) armed_key_rows: u64,
     pub(super) pre_roll: Option<PreRollConfig>,
     pub(super) sync_every: Duration,
-    /// How many channels have residuals, the first ones; `None` if residuals are not recorded.
-    pub(super) residuals: Option<usize>,
 }
 
 impl Plan {
@@ -245,7 +244,6 @@ impl Plan {
             armed_key_rows: u64::from(config.rows(config.key_every.min(ARMED_KEY_EVERY))),
             pre_roll: config.pre_roll,
             sync_every: config.sync_every,
-            residuals: config.residuals.then(|| config.recorded_residuals().len()),
         };
         let ring_bytes = plan.ring_rows.saturating_mul(n_slots).saturating_mul(size_of::<Sample>());
         ensure!(

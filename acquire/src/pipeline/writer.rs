@@ -27,11 +27,12 @@ pub(super) use self::{
 use super::{
     Counts, NewTake, PipelineProgress, Split, TakeFailed, lock,
     messages::{
-        Control, FromReader, Part, PartBuffer, PartReport, Reply, StretchEnd, StretchReport,
-        TakeCommand, WriterInput,
+        Control, FromReader, Part, PartBuffer, PartContent, PartReport, Reply, StretchEnd,
+        StretchReport, TakeCommand, WriterInput,
     },
     plan::Plan,
     pool::WakeQueue,
+    sampled::open_residuals,
 };
 use crate::{
     files::FileState,
@@ -75,8 +76,6 @@ pub(super) struct Writer {
     /// All channels so far, each with the number of the stretch that may be the first to contain it.
     table: Vec<(u64, Channel)>,
     sync_every: Duration,
-    /// How many channels have residuals, if these are recorded.
-    residuals: Option<usize>,
     pre_roll: Option<PreRollBuffer>,
     live: Option<LiveTake>,
     /// Whether the pipeline serves a single take, or those of a recording that is divided, and fails with it.
@@ -121,12 +120,12 @@ impl Writer {
             report: StretchReport {
                 parts: PartReport::default(),
                 tally: StretchTally::with_capacity(plan.n_slots),
+                lacks_residuals: false,
             },
             tally: BlockTally::with_capacity(plan.n_slots, plan.stretch_rows as usize),
             counts: Counts::default(),
             table,
             sync_every: plan.sync_every,
-            residuals: plan.residuals,
             pre_roll: plan.pre_roll.map(PreRollBuffer::new),
             live: None,
             single_take: false,
@@ -231,6 +230,7 @@ impl Writer {
         let Some((timeline, blocks)) = front.parts() else { return };
         let (stretch, end) = (front.stretch, front.end);
         self.report.parts = PartReport::default();
+        self.report.lacks_residuals = end.lacks_residuals;
         self.tally.restart(end.span.n_rows as usize);
         self.payload.clear();
         self.payload.extend_from_slice(&timeline.buffer.bytes);
@@ -284,13 +284,27 @@ impl Writer {
 
     /// Writes the samples of stretches up to `stretch` to the open take, and keeps them for a pre-roll.
     fn write_samples(&mut self, stretch: u64) {
-        while let Some(part) = self.samples.next_up_to(stretch) {
+        while let Some(part) = self.samples.next_up_to(stretch, self.table.len()) {
+            if let PartContent::Opens { first_marker, n } = part.content {
+                self.open_residuals(part.group, first_marker, n);
+                continue;
+            }
             self.with_take(|take, _| take.samples(&part));
             if let Some(buffer) = &mut self.pre_roll {
                 buffer.samples(part.copy());
             }
             self.samples.give_back(part);
         }
+    }
+
+    /// Describes the residuals of markers that appeared, which are in the table, in the open take and the next ones.
+    fn open_residuals(&mut self, index: usize, first_marker: usize, n: usize) {
+        let Some(group) = self.samples.groups.get_mut(index) else { return };
+        let markers = self.table.iter().skip(first_marker).take(n);
+        let labels: Vec<&str> = markers.map(|(_, channel)| &channel.label[..]).collect();
+        open_residuals(group, first_marker, &labels);
+        let group = group.clone();
+        self.with_take(|take, _| take.open_samples(index, &group));
     }
 
     fn put_stretch(&mut self, stretch: u64, end: &StretchEnd, before: Counts) {
@@ -481,7 +495,7 @@ impl Writer {
         new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
         progress.set_file_state(FileState::InPlace, None);
-        let place = TakePlace { base, rows_before, residuals: self.residuals };
+        let place = TakePlace { base, rows_before };
         let groups = &self.samples.groups;
         let mut take = match LiveTake::begin(new, reply, place, groups, self.sync_every) {
             Ok(take) => take,

@@ -13,7 +13,7 @@ use crate::{
     TakeError, TakeMap, TakeTraversal, TakeWriter,
     damage::Problem,
     poses::PosesByRow,
-    record::{ClockLine, GroupLedger, SampleLedger},
+    record::{ClockLine, GroupLedger, SampleLedger, SampledGroup},
     sampled::{GroupSamples, RESIDUAL_GROUPS, SampleAnchor, SampleContent, SampleSpan},
     timeline::{LossCauses, RowTime, Timeline},
     traversal::Decode,
@@ -85,11 +85,22 @@ fn joined_groups(map: &TakeMap, residuals: bool) -> impl Iterator<Item = &GroupS
     map.sample_groups().filter(move |samples| residuals || !samples.group.has_residuals())
 }
 
-/// Whether these groups of two takes can follow each other.
-fn are_alike(one: &TakeMap, other: &TakeMap, residuals: bool) -> bool {
-    let of = |map| joined_groups(map, residuals).map(|samples| &samples.group);
+/// Whether the groups of two takes that are not residuals can follow each other.
+fn are_alike(one: &TakeMap, other: &TakeMap) -> bool {
+    let of = |map| joined_groups(map, false).map(|samples| &samples.group);
     // The header of the first take states the plates of all.
     of(one).eq(of(other)) && one.header.force_plates() == other.header.force_plates()
+}
+
+/// Whether the residuals of a take can follow those of the one before it: those of markers that appeared since may be added, as
+/// such markers may.
+fn residuals_follow(before: &TakeMap, after: &TakeMap) -> bool {
+    let of = |map: &TakeMap| -> Vec<SampledGroup> {
+        let groups = map.sample_groups().map(|samples| &samples.group);
+        groups.filter(|group| group.has_residuals()).cloned().collect()
+    };
+    let (before, after) = (of(before), of(after));
+    before.is_empty() == after.is_empty() && after.starts_with(&before)
 }
 
 /// The sampled channels of joined takes.
@@ -97,9 +108,9 @@ fn are_alike(one: &TakeMap, other: &TakeMap, residuals: bool) -> bool {
 pub(super) struct JoinedSamples {
     /// Whether all takes have the same groups, without those of residuals.
     are_joined: bool,
-    /// Whether they have the same residuals, too.
+    /// Whether their residuals follow each other, too.
     has_residuals: bool,
-    /// By group, the number of samples so far.
+    /// By group of the last take, the number of samples so far: those before it have the first ones of these.
     next: Vec<u64>,
     ledger: Option<SampleLedger>,
 }
@@ -110,16 +121,16 @@ impl JoinedSamples {
         sources: &[SourceTake],
         take: &mut TakeWriter<W>,
     ) -> Result<(Self, Option<String>), TakeError> {
-        let Some(first) = sources.first() else { return Ok((Self::default(), None)) };
-        let are_alike = |residuals| {
-            sources.iter().all(|source| are_alike(first.map(), source.map(), residuals))
+        let (Some(first), Some(last)) = (sources.first(), sources.last()) else {
+            return Ok((Self::default(), None));
         };
-        if !are_alike(false) {
+        if !sources.iter().all(|source| are_alike(first.map(), source.map())) {
             let what = "the sampled channels, which are not the same in all takes".to_owned();
             return Ok((Self::default(), Some(what)));
         }
-        let has_residuals = are_alike(true);
-        let groups = || joined_groups(first.map(), has_residuals);
+        let mut pairs = sources.iter().zip(sources.iter().skip(1));
+        let has_residuals = pairs.all(|(one, next)| residuals_follow(one.map(), next.map()));
+        let groups = || joined_groups(last.map(), has_residuals);
         groups().try_for_each(|samples| take.sampled_group(&samples.group))?;
         let next = groups().map(|_| 0).collect();
         let left_out = (!has_residuals).then(|| {

@@ -208,6 +208,7 @@ impl Recording {
                 samples,
                 block: SampleBlock::default(),
                 next: 0,
+                has_row: false,
             }))
         };
         let groups = self.groups().iter().enumerate().filter_map(of).collect::<Result<_, _>>()?;
@@ -364,6 +365,8 @@ struct ResidualCursor<'a> {
     block: SampleBlock,
     /// The next sample of the block.
     next: usize,
+    /// Whether it has a sample of the last row.
+    has_row: bool,
 }
 
 impl RecordedResiduals<'_> {
@@ -375,27 +378,41 @@ impl RecordedResiduals<'_> {
     pub fn next_row(&mut self) -> io::Result<&[u8]> {
         self.counts_10um.fill(0);
         for cursor in &mut self.groups {
-            cursor.add_row(self.row, &mut self.counts_10um)?;
+            cursor.has_row = cursor.add_row(self.row, &mut self.counts_10um)?;
         }
         self.row += 1;
         Ok(&self.counts_10um)
     }
+
+    /// Those of the last row again.
+    pub(crate) fn row(&self) -> &[u8] {
+        &self.counts_10um
+    }
+
+    /// The markers whose residuals of the last row are missing, by their entry of the take's table: they were lost, while their
+    /// frame may be there.
+    pub(crate) fn missing(&self) -> impl Iterator<Item = usize> {
+        let groups = self.groups.iter().filter(|cursor| !cursor.has_row);
+        let channels = groups.flat_map(|cursor| cursor.samples.channels());
+        channels.map(|channel| channel.index as usize)
+    }
 }
 
 impl ResidualCursor<'_> {
-    fn add_row(&mut self, row: u64, counts_10um: &mut [u8]) -> io::Result<()> {
+    /// Returns whether there is a sample of the row.
+    fn add_row(&mut self, row: u64, counts_10um: &mut [u8]) -> io::Result<bool> {
         let channels = self.samples.channels();
         loop {
             let Some(&at) = self.block.positions.get(self.next) else {
                 self.next = 0;
                 if !self.samples.next_block(&mut self.block)? {
                     self.block = SampleBlock::default();
-                    return Ok(());
+                    return Ok(false);
                 }
                 continue;
             };
             if at > row as f64 {
-                return Ok(());
+                return Ok(false);
             }
             let n_before = self.next * channels.len();
             self.next += 1;
@@ -409,7 +426,7 @@ impl ResidualCursor<'_> {
                     *count = (channel.value(stored) / RESIDUAL_SCALE).round() as u8;
                 }
             }
-            return Ok(());
+            return Ok(true);
         }
     }
 }

@@ -63,7 +63,7 @@ impl Intake {
             self.open_first_row = self.next_row;
         }
         let (stretch, segment) = (self.feed.next_stretch(), self.clocks.segment());
-        self.samples.residuals(&self.row, time.device_ticks, stretch, segment);
+        self.samples.residuals(&self.row[..self.n_channels], time.device_ticks, stretch, segment);
         let mut present = 0;
         self.push_samples(|sample| {
             present += u64::from(sample.present);
@@ -197,6 +197,7 @@ impl Intake {
             first: self.open_first,
             last_arrival_ns: self.last_arrival_ns,
             n_channels: self.n_channels,
+            lacks_residuals: self.samples.lacks_residuals(self.n_channels),
             last,
             splits: false,
         }

@@ -38,11 +38,13 @@ pub(super) struct RowSteps {
     tick_hz: f64,
     /// The last row's ticks, and how many rows were lost since.
     last: Option<(u64, u64)>,
+    /// Time from the row before it to the last one, in seconds.
+    step_s: Option<f64>,
 }
 
 impl RowSteps {
     pub(super) fn new(rate_hz: f64, tick_hz: u64) -> Self {
-        Self { rate_hz, tick_hz: tick_hz as f64, last: None }
+        Self { rate_hz, tick_hz: tick_hz as f64, last: None, step_s: None }
     }
 
     pub(super) fn lose(&mut self, rows: u64) {
@@ -51,19 +53,25 @@ impl RowSteps {
         }
     }
 
-    /// Takes a row's time. Returns whether it is where the row before leads.
+    /// Takes a row's time. Returns whether it is where the row before leads, at the rate or at the step before: a device whose
+    /// steps are longer than its rate says has runs, too.
     pub(super) fn step(&mut self, device_ticks: u64) -> bool {
         let Some((before, lost)) = self.last.replace((device_ticks, 0)) else { return false };
         let passed_s = device_ticks.wrapping_sub(before).cast_signed() as f64 / self.tick_hz;
-        let ahead_s = lost.saturating_add(1) as f64 / self.rate_hz;
-        let jitter_s = ROW_JITTER_S.max(2.0 / self.rate_hz) + DRIFT * ahead_s;
+        let n_rows = lost.saturating_add(1) as f64;
+        let last_step_s = self.step_s.replace(passed_s / n_rows);
+        let leads_there = |step_s: f64| {
+            let ahead_s = n_rows * step_s;
+            let jitter_s = ROW_JITTER_S.max(2.0 / self.rate_hz) + DRIFT * ahead_s;
+            (passed_s - ahead_s).abs() <= jitter_s
+        };
         // Rows that were stamped alike follow each other, too.
-        passed_s >= 0.0 && (passed_s - ahead_s).abs() <= jitter_s
+        passed_s >= 0.0 && (leads_there(1.0 / self.rate_hz) || last_step_s.is_some_and(leads_there))
     }
 
     /// The device was away or started again.
     pub(super) fn rejoin(&mut self) {
-        self.last = None;
+        (self.last, self.step_s) = (None, None);
     }
 }
 
@@ -101,6 +109,8 @@ pub(super) struct SampleCounter {
     rejoining: bool,
     rate_hz: f64,
     tick_hz: f64,
+    /// Of a group with one sample a frame.
+    rows: Option<RowSteps>,
 }
 
 impl SampleCounter {
@@ -111,7 +121,13 @@ impl SampleCounter {
             rejoining: false,
             rate_hz,
             tick_hz: tick_hz as f64,
+            rows: None,
         }
+    }
+
+    /// For a group with one sample a frame, at the frame's time: its runs go on as those of rows do.
+    pub(super) fn of_rows(rate_hz: f64, tick_hz: u64) -> Self {
+        Self { rows: Some(RowSteps::new(rate_hz, tick_hz)), ..Self::new(rate_hz, tick_hz) }
     }
 
     /// The device's numbers may begin again with the next batch.
@@ -128,6 +144,7 @@ impl SampleCounter {
         if step == BatchStep::Duplicate {
             return step;
         }
+        let step = self.in_step_with_rows(step, batch, rejoins);
         match step {
             BatchStep::Next { continues: false, .. } if !rejoins => {
                 self.before_jump = self.expected;
@@ -144,6 +161,27 @@ impl SampleCounter {
             device_ticks: batch.device_ticks.wrapping_add(passed),
         });
         step
+    }
+
+    fn in_step_with_rows(
+        &mut self,
+        step: BatchStep,
+        batch: &SampleBatch<'_>,
+        rejoins: bool,
+    ) -> BatchStep {
+        let Some(rows) = &mut self.rows else { return step };
+        let BatchStep::Next { missing, causes, .. } = step else {
+            rows.rejoin();
+            rows.step(batch.device_ticks);
+            return step;
+        };
+        if rejoins {
+            rows.rejoin();
+        }
+        rows.lose(missing);
+        // The end of a series states how many there were, and has none.
+        let continues = batch.n_samples() == 0 || rows.step(batch.device_ticks);
+        BatchStep::Next { missing, causes, continues }
     }
 
     /// How far a batch is ahead of what is expected, in samples, in seconds by its numbers and in seconds by its clock.
@@ -229,6 +267,36 @@ mod tests {
         let mut counter = SampleCounter::new(1000.0, 1_000_000);
         assert_eq!(step(&mut counter, 5, 100, 7_000_000), next(0, NONE, false));
         counter
+    }
+
+    #[test]
+    fn rows_whose_steps_are_longer_than_the_rate_says_are_of_one_run() {
+        let mut rows = RowSteps::new(100.0, 1_000_000);
+        let mut counter = SampleCounter::of_rows(100.0, 1_000_000);
+        let mut poses = |number: u32, device_ticks: u64| {
+            let samples = &TEN[..1];
+            let (group, first, form) = (16, number.into(), Default::default());
+            counter.step(&SampleBatch {
+                group,
+                number,
+                first,
+                device_ticks,
+                form,
+                n_channels: 1,
+                samples,
+            })
+        };
+        let causes = LossCauses::DROPPED_BY_DEVICE;
+        for frame in 0..100_u32 {
+            // 200 ms, give or take 40.
+            let ticks = 7_000_000 + u64::from(frame) * 200_000 + u64::from(frame % 3) * 20_000;
+            let continues = frame > 1;
+            assert_eq!(rows.step(ticks), continues, "frame {frame}");
+            let wanted = next(0, if frame > 0 { causes } else { NONE }, continues);
+            assert_eq!(poses(frame, ticks), wanted, "frame {frame}");
+        }
+        assert!(!rows.step(60_000_000), "a pause");
+        assert!(matches!(poses(100, 5_000_000), BatchStep::Next { continues: false, .. }), "back");
     }
 
     #[test]

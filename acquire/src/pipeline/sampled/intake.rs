@@ -1,5 +1,7 @@
 //! The reader's part: puts whole batches into the ring of their group, or counts them as lost.
 
+use std::ops::Range;
+
 use mocapd_codec::GROUP_CHANNELS;
 use mocapd_drivers::{
     device::{BodyInfo, EndOfPoses, PoseFrame, SampleBatch, SampledGroupInfo},
@@ -11,7 +13,7 @@ use super::{
     GroupPlan, ITEMS_RESERVED, ItemContent, KEY_BLOCKS, RingProducer, Rings, SampleItem,
     SampleWakes,
     counter::{BatchStep, RowSteps, SampleCounter},
-    poses::{NewPoses, PoseRows, PosesOutcome},
+    poses::{self, NewPoses, PoseRows, PosesOutcome},
     tap::SampleTapSender,
 };
 use crate::pipeline::{PipelineConfig, messages::BlockTime, ring::Sample};
@@ -65,11 +67,54 @@ pub(in crate::pipeline) struct SampledIntake {
 /// sample less that of another is the difference of their rows.
 #[derive(Debug)]
 struct ResidualRows {
+    are_recorded: bool,
     /// Index of the first of them, behind all other groups.
     first_group: usize,
-    /// The counts of the current row, group after group; NaN where a marker has none.
-    row: Vec<f32>,
+    /// The slots of the markers of each group. The groups behind these wait for markers that appear.
+    slots: Vec<Range<usize>>,
+    /// The counts of a group in the current row; NaN where a marker has none.
+    row: [f32; GROUP_CHANNELS],
     steps: RowSteps,
+}
+
+impl ResidualRows {
+    fn new(infos: &[SampledGroupInfo], config: &PipelineConfig) -> Self {
+        let is_one = |info: &SampledGroupInfo| RESIDUAL_GROUPS.contains(&info.id.into());
+        let first_group = infos.iter().position(is_one).unwrap_or(infos.len());
+        let n_known = config.recorded_residuals().len();
+        let of_group = |first: usize| first..n_known.min(first + GROUP_CHANNELS);
+        let mut slots = Vec::with_capacity(infos.len() - first_group);
+        slots.extend((0..n_known).step_by(GROUP_CHANNELS).map(of_group));
+        Self {
+            are_recorded: config.residuals,
+            first_group,
+            slots,
+            row: [f32::NAN; GROUP_CHANNELS],
+            steps: RowSteps::new(config.rate_hz, config.tick_hz),
+        }
+    }
+
+    /// How many markers have a group, the first ones.
+    fn n_markers(&self) -> usize {
+        self.slots.last().map_or(0, |slots| slots.end)
+    }
+
+    /// Gives a group to markers that have appeared, while there is one.
+    fn open(&mut self, groups: &mut [GroupIntake], n_markers: usize, stretch: u64) {
+        while self.n_markers() < n_markers
+            && let Some(group) = groups.get_mut(self.slots.len())
+        {
+            let first_marker = self.n_markers();
+            let n = (n_markers - first_marker).min(GROUP_CHANNELS);
+            // Without room now, they get it with a later row.
+            let has_room = group.items.vacant() > ITEMS_RESERVED;
+            if !has_room || !group.push(stretch, ItemContent::Opens { first_marker, n }) {
+                return;
+            }
+            group.plan.n_channels = n;
+            self.slots.push(first_marker..first_marker + n);
+        }
+    }
 }
 
 /// One group.
@@ -125,15 +170,22 @@ impl SampledIntake {
         let mut by_id = [None; 256];
         let groups = infos.iter().zip(plans).zip(rings).enumerate();
         let groups = groups.map(|(index, ((info, plan), (samples, items)))| {
-            by_id[usize::from(info.id)] = Some(index as u8);
+            // Devices have no groups with the numbers of residuals.
+            if !RESIDUAL_GROUPS.contains(&info.id.into()) {
+                by_id[usize::from(info.id)] = Some(index as u8);
+            }
             let rate_hz = f64::from(info.rate_millihertz) / 1000.0;
+            let counter = match poses::NUMBERS.contains(&info.id) {
+                true => SampleCounter::of_rows(rate_hz, config.tick_hz),
+                false => SampleCounter::new(rate_hz, config.tick_hz),
+            };
             GroupIntake {
                 info: info.clone(),
                 is_contradicted: false,
                 plan: *plan,
                 samples,
                 items,
-                counter: SampleCounter::new(rate_hz, config.tick_hz),
+                counter,
                 next: 0,
                 open: None,
                 pending: [0; CAUSES.len()],
@@ -157,14 +209,7 @@ impl SampledIntake {
             wakes,
             poses: PoseRows::new(config.recorded_bodies()),
             has_new_poses: false,
-            residuals: ResidualRows {
-                first_group: infos
-                    .iter()
-                    .position(|info| RESIDUAL_GROUPS.contains(&info.id.into()))
-                    .unwrap_or(infos.len()),
-                row: vec![f32::NAN; config.recorded_residuals().len()],
-                steps: RowSteps::new(config.rate_hz, config.tick_hz),
-            },
+            residuals: ResidualRows::new(infos, config),
             tap,
         }
     }
@@ -286,7 +331,13 @@ impl SampledIntake {
         are_new
     }
 
-    /// Accepts the residuals of a recorded row, by slot: all of them, or they are lost as if the ring were full.
+    /// Whether residuals are recorded, and those of some of the first `n_markers` markers are not.
+    pub(in crate::pipeline) fn lacks_residuals(&self, n_markers: usize) -> bool {
+        self.residuals.are_recorded && self.residuals.n_markers() < n_markers
+    }
+
+    /// Accepts the residuals of a recorded row, by slot: all of them, or they are lost as if the ring were full. `samples` are
+    /// those of all markers so far.
     pub(in crate::pipeline) fn residuals(
         &mut self,
         samples: &[Sample],
@@ -299,20 +350,24 @@ impl SampledIntake {
         else {
             return;
         };
-        for (count, sample) in residuals.row.iter_mut().zip(samples) {
-            // 0: the device reports none.
-            let has_one = sample.present && sample.residual_10um > 0;
-            *count = if has_one { f32::from(sample.residual_10um) } else { f32::NAN };
-        }
-        let continues = residuals.steps.step(device_ticks);
-        let have_room = groups.iter().all(|group| group.has_room_for(group.plan.n_channels));
-        let rows = residuals.row.chunks(GROUP_CHANNELS);
-        for (index, (group, samples)) in groups.iter_mut().zip(rows).enumerate() {
+        residuals.open(groups, samples.len(), stretch);
+        let ResidualRows { first_group, slots, row, steps, .. } = residuals;
+        let continues = steps.step(device_ticks);
+        let mut in_use = groups.iter().zip(slots.iter());
+        let have_room = in_use.all(|(group, slots)| group.has_room_for(slots.len()));
+        for (index, (group, slots)) in groups.iter_mut().zip(slots.iter()).enumerate() {
             group.begins_run |= !continues;
             if !have_room {
                 group.add_lost(1, LossCauses::RING_FULL);
-            } else if group.append((samples, 1, device_ticks), stretch, segment) {
-                wakes.wake(residuals.first_group + index);
+                continue;
+            }
+            for (count, sample) in row.iter_mut().zip(&samples[slots.clone()]) {
+                // 0: the device reports none.
+                let has_one = sample.present && sample.residual_10um > 0;
+                *count = if has_one { f32::from(sample.residual_10um) } else { f32::NAN };
+            }
+            if group.append((&row[..slots.len()], 1, device_ticks), stretch, segment) {
+                wakes.wake(*first_group + index);
             }
         }
     }
@@ -324,8 +379,9 @@ impl SampledIntake {
         let one = [LossCauses::DISCONNECTED, LossCauses::NOT_RECEIVED, LossCauses::RING_FULL];
         let cause = one.into_iter().find(|cause| causes.contains(*cause)).unwrap_or(causes);
         let cause = if CAUSES.contains(&cause) { cause } else { REFUSED };
-        let groups = self.groups.get_mut(self.residuals.first_group..).unwrap_or_default();
-        groups.iter_mut().for_each(|group| group.add_lost(rows, cause));
+        let groups = self.groups.iter_mut().skip(self.residuals.first_group);
+        let in_use = groups.take(self.residuals.slots.len());
+        in_use.for_each(|group| group.add_lost(rows, cause));
     }
 
     /// Ends the open blocks with a stretch, so that they are in the same takes, and begin where it can be decoded from
@@ -376,7 +432,9 @@ impl SampledIntake {
 impl GroupIntake {
     fn has_shape_of(&self, batch: &SampleBatch<'_>) -> bool {
         let n_channels = self.info.channels.len();
-        usize::from(batch.n_channels) == n_channels && batch.form == self.info.form
+        // Blocks have room for the longest batch that drivers may pass on.
+        let is_bounded = batch.samples.len() <= SAMPLE_VALUES_MAX;
+        usize::from(batch.n_channels) == n_channels && batch.form == self.info.form && is_bounded
     }
 
     /// Counts the samples of a batch that cannot be stored. Returns `false` if it came before.

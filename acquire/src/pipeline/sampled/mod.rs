@@ -13,7 +13,8 @@
 //! A batch belongs to the take that was open when it arrived, as a whole: takes are divided between batches, at the
 //! place in the device's stream at which they are divided between frames.
 //!
-//! Residuals of markers have a sample in each row of the frames: it follows its row, and is lost where the row is.
+//! Residuals of markers have a sample in each row of the frames: it follows its row, and is lost where the row is. Markers
+//! that appear get one of the groups that are kept for them; the writer describes it in the take when it knows their labels.
 
 mod counter;
 mod intake;
@@ -97,6 +98,11 @@ const MEMORY_BYTES: usize = 1 << 30;
 const KEY_BLOCKS: u32 = 8;
 const KEY_S: f64 = 10.0;
 
+/// Groups for the residuals of markers that appear after the start. The markers that appear with one frame are one, since a
+/// group never gets more channels: most devices announce new markers together. At the start they take next to no memory; an
+/// encoder has what it needs, some 15 KB a marker, allocated when the markers have appeared.
+pub(super) const LATE_GROUPS: usize = 16;
+
 /// How long a take that is to be closed waits for its last samples. Meanwhile stretches wait in memory, a third of what
 /// fits there. At the end of all, how long none may come.
 pub(super) const SAMPLES_WAIT_MAX: Duration = Duration::from_secs(10);
@@ -123,12 +129,16 @@ enum ItemContent {
     Lost { n: u64, causes: LossCauses },
     /// A boundary of takes, behind all samples that arrived before it.
     Boundary,
+    /// The group has the residuals of `n` markers from this one on, which appeared after the start.
+    Opens { first_marker: usize, n: usize },
 }
 
 /// The sizes of a group.
 #[derive(Debug, Clone, Copy)]
 struct GroupPlan {
     n_channels: usize,
+    /// Whether it waits for markers that appear after the start.
+    is_late: bool,
     /// Samples in the ring, those of all channels.
     ring_values: usize,
     /// Most samples of a channel in a block.
@@ -141,7 +151,9 @@ struct GroupPlan {
 
 impl GroupPlan {
     fn new(group: &SampledGroupInfo, stretch: Duration) -> Self {
-        let n_channels = group.channels.len();
+        // One for markers that appear later has room for any number of them.
+        let is_late = is_late(group);
+        let n_channels = if is_late { GROUP_CHANNELS } else { group.channels.len() };
         let rate_hz = f64::from(group.rate_millihertz) / 1000.0;
         let ring_rows = (RING_S * rate_hz).ceil() as usize;
         let ring_values = (ring_rows * n_channels).max(RING_BLOCKS * SAMPLE_VALUES_MAX);
@@ -155,7 +167,8 @@ impl GroupPlan {
         let rows_due = stretch_rows.min(of_ring).min(held_max.saturating_sub(batch_rows)).max(1);
         let rows_max = (rows_due + batch_rows).min(held_max).max(1) as u32;
         let key_rows = (KEY_S * rate_hz) as u64;
-        Self { n_channels, ring_values, rows_max, rows_due: rows_due as u32, key_rows }
+        let rows_due = rows_due as u32;
+        Self { n_channels, is_late, ring_values, rows_max, rows_due, key_rows }
     }
 
     fn block_bytes_max(&self) -> usize {
@@ -281,19 +294,47 @@ pub(super) fn groups(config: &PipelineConfig) -> Vec<SampledGroupInfo> {
     config.sampled.iter().cloned().chain(poses).chain(residuals).collect()
 }
 
-/// Of each marker that is known at the start a channel, in hundredths of a millimetre as drivers report them.
+/// How many groups there are for the residuals of markers that appear later.
+fn late_groups(config: &PipelineConfig) -> usize {
+    let n_known = config.recorded_residuals().len().div_ceil(GROUP_CHANNELS);
+    let wanted = if config.residuals { LATE_GROUPS.min(config.reserve) } else { 0 };
+    wanted.min(RESIDUAL_GROUPS.len() - n_known)
+}
+
+/// Whether a group is one of residuals that has no markers yet.
+fn is_late(group: &SampledGroupInfo) -> bool {
+    RESIDUAL_GROUPS.contains(&group.id.into()) && group.channels.is_empty()
+}
+
+/// The residuals of a marker, in hundredths of a millimetre as drivers report them.
+fn residual_channel(label: &str) -> SampledChannelInfo {
+    SampledChannelInfo {
+        name: format!("{label}{RESIDUAL_SUFFIX}"),
+        unit: "mm".to_owned(),
+        scale: RESIDUAL_SCALE,
+        offset: 0.0,
+    }
+}
+
+/// Describes a group of the residuals of markers that appeared: `first_marker` is the entry of the first one in the table.
+pub(super) fn open_residuals(group: &mut SampledGroup, first_marker: usize, labels: &[&str]) {
+    group.part_channels = labels.len() as u32;
+    let channels = (first_marker as u32..).zip(labels).map(|(index, label)| {
+        let SampledChannelInfo { name, unit, scale, offset } = residual_channel(label);
+        SampledChannel { name, unit, index, scale, offset }
+    });
+    group.channels = channels.collect();
+}
+
+/// Of each marker that is known at the start a channel; and groups without channels for those that appear later.
 fn residual_groups(
     config: &PipelineConfig,
     rate_millihertz: u32,
 ) -> impl Iterator<Item = SampledGroupInfo> {
-    let channel = |channel: &Channel| SampledChannelInfo {
-        name: format!("{}{RESIDUAL_SUFFIX}", channel.label),
-        unit: "mm".to_owned(),
-        scale: RESIDUAL_SCALE,
-        offset: 0.0,
-    };
-    let channels = config.recorded_residuals().chunks(GROUP_CHANNELS);
-    (RESIDUAL_GROUPS.start..).zip(channels).map(move |(id, channels)| SampledGroupInfo {
+    let channel = |channel: &Channel| residual_channel(&channel.label);
+    let known = config.recorded_residuals().chunks(GROUP_CHANNELS);
+    let late = std::iter::repeat_n(&[][..], late_groups(config));
+    (RESIDUAL_GROUPS.start..).zip(known.chain(late)).map(move |(id, channels)| SampledGroupInfo {
         // Those that are recorded are not more than there are numbers.
         id: id as u8,
         form: FormSent::Float32,
@@ -309,7 +350,7 @@ fn quantisers(group: &SampledGroupInfo, bounds: Option<PoseBounds>) -> Vec<PoseQ
     bounds.map_or_else(Vec::new, |bounds| vec![PoseQuantiser::new(bounds); n_bodies])
 }
 
-/// The groups as takes describe them.
+/// The groups as takes describe them; without channels those of residuals that have no markers yet.
 pub(super) fn records(config: &PipelineConfig) -> Vec<SampledGroup> {
     let record = |group: &SampledGroupInfo| SampledGroup {
         number: group.id.into(),
@@ -389,7 +430,9 @@ impl SampledGroupCoder {
         quantisers: Vec<PoseQuantiser>,
     ) -> Self {
         let mut encoder = SampledEncoder::new();
-        encoder.prepare(plan.n_channels, plan.rows_max as usize);
+        if !plan.is_late {
+            encoder.prepare(plan.n_channels, plan.rows_max as usize);
+        }
         let values = plan.n_channels * plan.rows_max as usize;
         let (rows, columns) = (vec![0.0; values], vec![0.0; values]);
         let (waiting, is_out_of_step) = (None, false);
@@ -419,6 +462,11 @@ impl SampledGroupCoder {
                     // A take that begins here has nothing of the poses before.
                     self.quantisers.iter_mut().for_each(PoseQuantiser::forget);
                     PartContent::Boundary
+                }
+                ItemContent::Opens { first_marker, n } => {
+                    self.plan.n_channels = n;
+                    self.encoder.prepare(n, self.plan.rows_max as usize);
+                    PartContent::Opens { first_marker, n }
                 }
                 ItemContent::Block { .. } | ItemContent::Lost { .. } => {
                     let Ok(buffer) = self.buffers.try_recv() else {
@@ -457,7 +505,7 @@ impl SampledGroupCoder {
                 }
             }
             ItemContent::Lost { n, causes } => PartContent::Lost { n, causes, buffer },
-            ItemContent::Boundary => PartContent::Boundary,
+            ItemContent::Boundary | ItemContent::Opens { .. } => PartContent::Boundary,
         }
     }
 

@@ -23,11 +23,12 @@ use crate::{
     clock::ClockStatus,
     files::FileState,
     pipeline::{
-        Counts, FirstRow, NewTake, NothingRecorded, PipelineConfig, PipelineProgress, TakeAccount,
-        TakeFailed, TakeOutput, TakeResult,
+        Counts, FirstRow, NewTake, NothingRecorded, PipelineProgress, TakeAccount, TakeFailed,
+        TakeOutput, TakeResult,
         disk::DiskReserve,
         lock,
         messages::{FrameTimes, PartReport, Reply, SamplePart, StretchReport},
+        sampled::LATE_GROUPS,
     },
 };
 
@@ -38,15 +39,12 @@ pub(in crate::pipeline) struct TakePlace {
     pub(in crate::pipeline) base: Counts,
     /// The pipeline's row that is its row 0.
     pub(in crate::pipeline) rows_before: u64,
-    /// How many channels have residuals, the first ones; `None` if residuals are not recorded.
-    pub(in crate::pipeline) residuals: Option<usize>,
 }
 
 impl TakePlace {
     /// That of the first take of a pipeline that is not armed.
-    pub(in crate::pipeline) fn at_start(config: &PipelineConfig) -> Self {
-        let residuals = config.residuals.then(|| config.recorded_residuals().len());
-        Self { base: Counts::default(), rows_before: 0, residuals }
+    pub(in crate::pipeline) fn at_start() -> Self {
+        Self { base: Counts::default(), rows_before: 0 }
     }
 }
 
@@ -58,9 +56,8 @@ pub(in crate::pipeline) struct LiveTake {
     /// The pipeline's counters before the take, and the pipeline's row that is its row 0.
     base: Counts,
     rows_before: u64,
-    n_channels: usize,
-    /// How many of them have residuals; `None` if no event is to say of others that theirs are not recorded.
-    residuals: Option<usize>,
+    /// Whether an event says that the residuals of some markers are not recorded.
+    states_missing_residuals: bool,
     next_number: u8,
     has_stretches: bool,
     first: Option<FirstRow>,
@@ -97,7 +94,7 @@ impl LiveTake {
             let samples = TakeSamples::begin(groups, &mut take)?;
             Ok((take, samples))
         });
-        let TakePlace { base, rows_before, residuals } = place;
+        let TakePlace { base, rows_before } = place;
         let (take, samples) =
             started.context("cannot write the take's header").context(NothingRecorded)?;
         let mut take = Self {
@@ -105,8 +102,7 @@ impl LiveTake {
             reply: reply.clone(),
             base,
             rows_before,
-            n_channels: new.header.channels.len(),
-            residuals,
+            states_missing_residuals: false,
             next_number: 0,
             has_stretches: false,
             first: None,
@@ -136,7 +132,6 @@ impl LiveTake {
     }
 
     pub(super) fn channel(&mut self, channel: &Channel) -> anyhow::Result<()> {
-        self.n_channels += 1;
         self.take.channels(std::slice::from_ref(channel)).context("cannot write a new channel")
     }
 
@@ -148,13 +143,13 @@ impl LiveTake {
 
     /// States once, where a stretch begins, that there are channels whose residuals are not recorded.
     fn state_missing_residuals(&mut self, row: u64, first: FrameTimes) -> anyhow::Result<()> {
-        if self.residuals.take_if(|n| *n < self.n_channels).is_none() {
+        if std::mem::replace(&mut self.states_missing_residuals, true) {
             return Ok(());
         }
         let residuals_max = RESIDUAL_GROUPS.len() * GROUP_CHANNELS;
         let text = format!(
-            "there are markers whose residuals are not recorded: those that appeared after the start, and \
-             those beyond the first {residuals_max}; start again to record the residuals of new ones"
+            "there are markers whose residuals are not recorded: a recording has room for {residuals_max} markers, and \
+             for those that appear after its start {LATE_GROUPS} times; start again to record the residuals of all"
         );
         self.event(&Event { row, ..Event::new(EventKind::Host, first.arrival_ns, text) })
     }
@@ -187,7 +182,7 @@ impl LiveTake {
         if payload.is_empty() {
             return Ok(());
         }
-        if span.n_rows > 0 {
+        if span.n_rows > 0 && report.lacks_residuals {
             self.state_missing_residuals(span.first_row, first)?;
         }
         let failure = "cannot write a stretch";
@@ -210,6 +205,16 @@ impl LiveTake {
     /// Writes samples of a group of sampled channels.
     pub(super) fn samples(&mut self, part: &SamplePart) -> anyhow::Result<()> {
         self.samples.write(part, &mut self.take).context("cannot write samples")
+    }
+
+    /// Describes a group that the take did not have.
+    pub(super) fn open_samples(
+        &mut self,
+        index: usize,
+        group: &SampledGroup,
+    ) -> anyhow::Result<()> {
+        let opened = self.samples.open(index, group, &mut self.take);
+        opened.context("cannot describe the residuals of new markers")
     }
 
     /// Its last samples were not encoded in time.

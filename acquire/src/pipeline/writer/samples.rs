@@ -30,6 +30,8 @@ pub(in crate::pipeline) struct SampleQueue {
     waiting_since: Option<Instant>,
     /// Whether a part came since the last look at a boundary.
     has_new: bool,
+    /// How many markers have residuals whose groups are described, the first ones.
+    n_with_residuals: usize,
 }
 
 impl SampleQueue {
@@ -37,7 +39,10 @@ impl SampleQueue {
         let through = vec![0; groups.len()];
         // No group can be further ahead than it has buffers, and boundaries.
         let held = groups.iter().map(|_| VecDeque::with_capacity(HELD_MAX)).collect();
-        Self { groups, returns, held, through, executed: None, waiting_since: None, has_new: false }
+        let residuals = groups.iter().filter(|group| group.has_residuals());
+        let n_with_residuals = residuals.map(|group| group.channels.len()).sum();
+        let (executed, waiting_since, has_new) = (None, None, false);
+        Self { groups, returns, held, through, executed, waiting_since, has_new, n_with_residuals }
     }
 
     /// Size of the largest block.
@@ -85,11 +90,22 @@ impl SampleQueue {
         !is_here
     }
 
-    /// The next part of a stretch up to `stretch`. Parts that came too late are left out.
-    pub(super) fn next_up_to(&mut self, stretch: u64) -> Option<SamplePart> {
+    /// The next part of a stretch up to `stretch`. Parts that came too late are left out. Those of a group that begins with
+    /// markers that appeared wait until these are among the `n_markers` of the table, and have those before them described.
+    pub(super) fn next_up_to(&mut self, stretch: u64, n_markers: usize) -> Option<SamplePart> {
         loop {
-            let is_due = |part: &mut SamplePart| part.stretch <= stretch;
+            let n_described = self.n_with_residuals;
+            let is_due = |part: &mut SamplePart| match part.content {
+                PartContent::Opens { first_marker, n } => {
+                    first_marker == n_described && first_marker + n <= n_markers
+                }
+                _ => part.stretch <= stretch,
+            };
             let part = self.held.iter_mut().find_map(|held| held.pop_front_if(is_due))?;
+            if let PartContent::Opens { n, .. } = part.content {
+                self.n_with_residuals += n;
+                return Some(part);
+            }
             if self.executed.is_none_or(|executed| part.stretch > executed) {
                 return Some(part);
             }
@@ -114,7 +130,7 @@ impl SamplePart {
         match self.content {
             PartContent::Block { n, .. } => n.into(),
             PartContent::Lost { n, .. } => n,
-            PartContent::Boundary => 0,
+            PartContent::Boundary | PartContent::Opens { .. } => 0,
         }
     }
 
@@ -136,6 +152,9 @@ impl SamplePart {
                 PartContent::Lost { n: *n, causes: *causes, buffer: Vec::new() }
             }
             PartContent::Boundary => PartContent::Boundary,
+            PartContent::Opens { first_marker, n } => {
+                PartContent::Opens { first_marker: *first_marker, n: *n }
+            }
         };
         let Self { group, stretch, first, duplicates, jumps, .. } = *self;
         Self { group, stretch, first, duplicates, jumps, content }
@@ -150,6 +169,8 @@ pub(super) struct TakeSamples {
 
 #[derive(Debug, Default)]
 struct TakeGroup {
+    /// Whether it is described in the take.
+    is_open: bool,
     /// The pipeline's number of the sample that is number 0 of the take.
     base: Option<u64>,
     /// The take's number of the next sample.
@@ -163,15 +184,26 @@ impl TakeSamples {
         groups: &[SampledGroup],
         take: &mut TakeWriter<W>,
     ) -> Result<Self, TakeError> {
-        groups.iter().try_for_each(|group| take.sampled_group(group))?;
-        let ledger = |group: &SampledGroup| GroupLedger {
-            group: group.number,
-            errors: group.pose_bounds().map(|_| MeasuredErrors::default()),
-            ..GroupLedger::default()
-        };
-        let of_take =
-            |group: &SampledGroup| TakeGroup { ledger: ledger(group), ..TakeGroup::default() };
-        Ok(Self { groups: groups.iter().map(of_take).collect() })
+        let mut all = Self { groups: groups.iter().map(|_| TakeGroup::default()).collect() };
+        let known = groups.iter().enumerate().filter(|(_, group)| !group.channels.is_empty());
+        for (index, group) in known {
+            all.open(index, group, take)?;
+        }
+        Ok(all)
+    }
+
+    /// Writes the description of a group, which the take did not have.
+    pub(super) fn open<W: Write>(
+        &mut self,
+        index: usize,
+        group: &SampledGroup,
+        take: &mut TakeWriter<W>,
+    ) -> Result<(), TakeError> {
+        let Some(of_take) = self.groups.get_mut(index) else { return Ok(()) };
+        of_take.is_open = true;
+        of_take.ledger.group = group.number;
+        of_take.ledger.errors = group.pose_bounds().map(|_| MeasuredErrors::default());
+        take.sampled_group(group)
     }
 
     /// Writes samples with their time, or that they are lost.
@@ -180,8 +212,9 @@ impl TakeSamples {
         part: &SamplePart,
         take: &mut TakeWriter<W>,
     ) -> Result<(), TakeError> {
-        let Some(group) = self.groups.get_mut(part.group) else { return Ok(()) };
-        if matches!(part.content, PartContent::Boundary) {
+        let group = self.groups.get_mut(part.group).filter(|group| group.is_open);
+        let Some(group) = group else { return Ok(()) };
+        if matches!(part.content, PartContent::Boundary | PartContent::Opens { .. }) {
             group.ledger.duplicates += part.duplicates;
             group.ledger.jumps += u64::from(part.jumps);
             return Ok(());
@@ -233,26 +266,30 @@ impl TakeSamples {
                 let content = SampleContent::Lost(*causes);
                 take.samples(&SampleSpan { group: number, first, n, content }, &[])
             }
-            PartContent::Boundary => Ok(()),
+            PartContent::Boundary | PartContent::Opens { .. } => Ok(()),
         }
+    }
+
+    fn ledgers(&self) -> impl Iterator<Item = GroupLedger> {
+        self.groups.iter().filter(|group| group.is_open).map(|group| group.ledger)
     }
 
     /// The ledger so far; `None` without sampled channels.
     pub(super) fn ledger(&self, finished: bool, batches_refused: u64) -> Option<SampleLedger> {
-        let groups: Vec<GroupLedger> = self.groups.iter().map(|group| group.ledger).collect();
+        let groups: Vec<GroupLedger> = self.ledgers().collect();
         let has_some = !groups.is_empty() || batches_refused > 0;
         has_some.then_some(SampleLedger { finished, groups, batches_refused })
     }
 
     /// Updates the ledger so far in place, without allocation after the first time.
     pub(super) fn state_ledger(&self, stated: &mut Option<SampleLedger>, batches_refused: u64) {
-        if self.groups.is_empty() && batches_refused == 0 {
+        if self.ledgers().next().is_none() && batches_refused == 0 {
             *stated = None;
             return;
         }
         let stated = stated.get_or_insert_default();
         stated.batches_refused = batches_refused;
         stated.groups.clear();
-        stated.groups.extend(self.groups.iter().map(|group| group.ledger));
+        stated.groups.extend(self.ledgers());
     }
 }

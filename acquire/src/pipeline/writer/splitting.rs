@@ -133,7 +133,7 @@ impl Writer {
         };
         take.header.channels = self.table.iter().map(|(_, channel)| channel.clone()).collect();
         let (reply, base) = (Reply::of_series(ended), self.counts.in_rows());
-        let place = TakePlace { base, rows_before: first_row, residuals: self.residuals };
+        let place = TakePlace { base, rows_before: first_row };
         let begun = LiveTake::begin(take, &reply, place, &self.samples.groups, self.sync_every);
         let mut next = match begun {
             Ok(next) => next,

@@ -14,9 +14,9 @@ use super::{
     recorded::{RecordedAnalog, of_take},
 };
 use crate::{
-    interchange::{InterchangeError, Result, check_frame_count, write_frames},
+    interchange::{InterchangeError, Result, check_frame_count, counted, write_frames},
     motion::{FrameSource, GAP, Marker, MotionInfo, Position, UpAxis, is_gap},
-    sampled::{RESIDUAL_SCALE, RecordedResiduals},
+    sampled::{GroupSamples, RESIDUAL_SCALE, RecordedResiduals},
 };
 
 /// The parameter section's processor code for Intel.
@@ -53,7 +53,7 @@ pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         }
         out.flush()?;
     }
-    Ok(body.recorded.map(|all| all.remarks()).unwrap_or_default())
+    Ok(body.remarks())
 }
 
 /// The labels of all points of the written file.
@@ -398,8 +398,13 @@ struct Body<'a> {
     /// The poses of a recording, unless they do not fit.
     rotations: Option<Rotations<'a>>,
     residuals: Option<PartSamples<'a>>,
-    /// The residuals of a recording, in units of POINT:SCALE.
+    /// The residuals of a recording, in units of POINT:SCALE. None where the take has kept those of a file, too: a point has one,
+    /// and POINT:SCALE is that of the file.
     recorded_residuals: Option<RecordedResiduals<'a>>,
+    /// Samples of markers whose residuals the recording lost.
+    n_lost_residuals: u64,
+    /// What was left out for the content of a file, one sentence each.
+    remarks: Vec<String>,
     outputs: Option<PartSamples<'a>>,
     gap_coordinates: Option<PartCoordinates<'a>>,
     /// For each marker the kept words of a missing sample in the current frame; all `None` between frames.
@@ -416,17 +421,24 @@ impl<'a> Body<'a> {
         let (foreign, first_frame) = (&info.foreign, info.source.first_frame);
         let outputs = PartSamples::outputs(foreign, first_frame)?;
         let n_markers = info.markers.len();
+        let residuals = PartSamples::residuals(foreign, first_frame)?
+            .filter(|kept| kept.header.n_signals == n_markers);
+        let recorded_residuals = if residuals.is_none() { recorded_residuals(info)? } else { None };
+        let analog = PartSamples::analog(foreign, first_frame)?;
+        let recorded = if analog.is_none() { RecordedAnalog::open(info)? } else { None };
+        let remarks = remarks_on_kept(info, analog.is_some(), residuals.is_some());
         let mut body = Self {
             gap_coordinates: PartCoordinates::parse(foreign, n_markers, first_frame)?,
             gap_words: vec![None; n_markers],
             analog_offsets: Vec::new(),
             points: ordered_points(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
-            analog: PartSamples::analog(foreign, first_frame)?,
-            recorded: RecordedAnalog::open(info)?,
+            analog,
+            recorded,
             rotations: None,
-            residuals: PartSamples::residuals(foreign, first_frame)?
-                .filter(|kept| kept.header.n_signals == n_markers),
-            recorded_residuals: recorded_residuals(info)?,
+            residuals,
+            recorded_residuals,
+            n_lost_residuals: 0,
+            remarks,
             outputs,
             unsigned_analog: is_unsigned(parameters),
         };
@@ -447,6 +459,18 @@ impl<'a> Body<'a> {
         16 * self.points.len() as u64 + 4 * ratio as u64 * n_channels as u64
     }
 
+    /// What happened to the sampled channels of a recording, one sentence each. Complete after the last frame.
+    fn remarks(mut self) -> Vec<String> {
+        self.remarks.extend(self.recorded.map(|all| all.remarks()).unwrap_or_default());
+        if self.n_lost_residuals > 0 {
+            self.remarks.push(format!(
+                "{} of markers lack the residual, which the recording lost; it was written as 0, which is none.",
+                counted(self.n_lost_residuals, "sample")
+            ));
+        }
+        self.remarks
+    }
+
     /// Appends a frame.
     ///
     /// # Errors
@@ -456,7 +480,15 @@ impl<'a> Body<'a> {
         let residuals = self.residuals.as_mut().map(PartSamples::next_frame).transpose()?.flatten();
         let outputs = self.outputs.as_mut().map(PartSamples::next_frame).transpose()?.flatten();
         let recorded = self.recorded_residuals.as_mut();
-        let recorded = recorded.map(RecordedResiduals::next_row).transpose()?;
+        let recorded = match recorded {
+            Some(residuals) => {
+                residuals.next_row()?;
+                let is_seen = |index: &usize| row.get(*index).is_some_and(|at| !is_gap(*at));
+                self.n_lost_residuals += residuals.missing().filter(is_seen).count() as u64;
+                Some(residuals.row())
+            }
+            None => None,
+        };
         if let Some(kept) = &mut self.gap_coordinates {
             for &(marker, words) in kept.next_frame()? {
                 if let Some(place) = self.gap_words.get_mut(marker) {
@@ -502,6 +534,27 @@ impl<'a> Body<'a> {
         }
         Ok(())
     }
+}
+
+/// What of a recording is left out of a file that has the same content of the file that was imported, one sentence each.
+fn remarks_on_kept(info: &MotionInfo, has_analog: bool, has_residuals: bool) -> Vec<String> {
+    let Some(recording) = &info.recording else { return Vec::new() };
+    let is_analog = |found: &GroupSamples| !found.group.has_residuals();
+    let mut remarks = Vec::new();
+    if has_analog && recording.groups().iter().any(is_analog) {
+        remarks.push(
+            "The sampled channels of the recording were left out: the take has the analog samples of an imported file, and C3D \
+             has one set of them."
+                .to_owned(),
+        );
+    }
+    if has_residuals && recording.has_residuals() {
+        remarks.push(
+            "The residuals of the recording were left out: the take has those of an imported file, and a point of C3D has one."
+                .to_owned(),
+        );
+    }
+    remarks
 }
 
 /// The four words of a marker. A fourth word that means "missing" is replaced by 0 for a present sample; a missing
