@@ -1,6 +1,7 @@
 //! A stream from its start to its end: frames, changes of state, and QTM's own account of loss.
 
 use super::{
+    axis::ProducedFrames,
     bodies::{BodyComponent, BodyComponentKind},
     command::{Components, DatagramTarget, StreamRate, StreamRequest},
     frame::{FrameComponent, FrameHeader, MarkerComponent, MarkerComponentKind, read_components},
@@ -39,7 +40,8 @@ impl QtmHost {
                 self.sampled.has(true).then_some(SampledComponentKind::Force),
             ),
         };
-        self.run = StreamRun { has_bodies, ..StreamRun::default() };
+        let produced = ProducedFrames::new(self.hello.rate_millihertz, self.hello.tick_hz);
+        self.run = StreamRun { has_bodies, produced, ..StreamRun::default() };
         self.state = SessionState::Streaming;
         self.send(&request.to_string());
         self.send_fence(Fence::Started);
@@ -210,8 +212,7 @@ impl QtmHost {
         *count += 1;
         let seq = self.axis.counter(header.number, header.time_us);
         let run = &mut self.run;
-        run.first.get_or_insert(seq);
-        if seq.wrapping_sub(run.last).cast_signed() > 0 || run.frames == 0 {
+        if run.produced.follow(seq, header.time_us) {
             run.last = seq;
         }
         let stated_hz = f64::from(self.hello.rate_millihertz) / 1000.0;

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::{
-    axis::RateCheck,
+    axis::{ProducedFrames, RateCheck},
     frame::{FrameComponent, FrameHeader, read_components},
 };
 use crate::device::Status;
@@ -73,10 +73,11 @@ pub(super) struct StreamRun {
     pub(super) has_bodies: bool,
     /// Whether any came.
     pub(super) had_bodies: bool,
-    /// The frame that is put together.
+    /// The frame that is put together, and what has come of the one after it.
     pub(super) open: Option<OpenFrame>,
-    /// Counter of the first frame.
-    pub(super) first: Option<u32>,
+    pub(super) next: NextFrame,
+    /// Frames by their counters.
+    pub(super) produced: ProducedFrames,
     /// Counter and time stamp of the last frame that was not late.
     pub(super) last: u32,
     pub(super) last_us: u64,
@@ -112,10 +113,7 @@ impl StreamRun {
 
     /// The final counters. QTM does not state how many frames it made: these are frames by their numbers.
     pub(super) fn status(&self) -> Status {
-        let produced = self.first.map_or(0, |first| u64::from(self.last.wrapping_sub(first)) + 1);
-        // A count that began again tells nothing.
-        let frames_produced =
-            if produced > u64::from(u32::MAX / 2) { self.frames } else { produced };
+        let frames_produced = self.produced.produced();
         Status { frames_produced, frames_dropped: 0, temperature_c_100: i16::MIN }
     }
 }

@@ -164,6 +164,24 @@ fn rigid_bodies_have_poses() {
 }
 
 #[test]
+fn a_number_that_jumps_is_no_loss() {
+    let mut pair = Pair::new(Bitstream::NEWEST, MULTICAST);
+    pair.start();
+    // Forth, back, and a frame that is missing.
+    for (number, stated) in [(0, 7_u32), (1, 50_000_008), (2, 9), (4, 11)] {
+        frame_bytes(number, &[], 0, &mut pair.server);
+        let mut datagram = pair.server.take_datagrams().remove(0);
+        datagram.bytes[4..8].copy_from_slice(&stated.to_le_bytes());
+        pair.driver.push(&datagram.bytes);
+        pair.steps(2);
+    }
+    pair.driver.command(Command::Stop);
+    pair.step();
+    assert_eq!(pair.driver.reported.frames.len(), 4);
+    assert_eq!(pair.driver.reported.ended.unwrap().frames_produced, 5);
+}
+
+#[test]
 fn a_ping_reads_the_servers_clock() {
     let mut pair = Pair::new(Bitstream::NEWEST, MULTICAST);
     pair.start();
