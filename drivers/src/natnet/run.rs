@@ -241,6 +241,9 @@ impl NatNetHost {
             }));
         }
         self.sampled.pass_on(frame, index, ticks, on_event);
+        for note in std::mem::take(&mut self.sampled.notes) {
+            self.note(&note, on_event);
+        }
     }
 
     /// Where markers have labels that no definition tells: their sets may have the same positions, or the definitions are old.
