@@ -55,6 +55,49 @@ impl FrameParts {
     }
 }
 
+/// Datagrams of a frame that wait, at most: those of markers, bodies and samples, each twice.
+const PARTS_MAX: usize = 8;
+
+/// The datagrams of a frame whose first part arrived before the last one of the frame before it.
+#[derive(Debug, Default)]
+pub(super) struct NextFrame {
+    header: FrameHeader,
+    since_ns: u64,
+    bytes: Vec<u8>,
+    /// Where each datagram's content ends.
+    ends: Vec<usize>,
+}
+
+impl NextFrame {
+    /// Holds a datagram. Returns `false` if it is of a third frame, or one too many.
+    pub(super) fn hold(&mut self, header: FrameHeader, body: &[u8], now_ns: u64) -> bool {
+        if self.ends.is_empty() {
+            (self.header, self.since_ns) = (header, now_ns);
+        }
+        let has_room = header == self.header && self.ends.len() < PARTS_MAX;
+        if has_room {
+            self.bytes.extend_from_slice(body);
+            self.ends.push(self.bytes.len());
+        }
+        has_room
+    }
+
+    /// When its first part arrived; `None` if none has.
+    pub(super) fn since_ns(&self) -> Option<u64> {
+        (!self.ends.is_empty()).then_some(self.since_ns)
+    }
+
+    pub(super) fn parts(&self) -> impl Iterator<Item = &[u8]> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        starts.zip(&self.ends).filter_map(|(start, end)| self.bytes.get(start..*end))
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.bytes.clear();
+        self.ends.clear();
+    }
+}
+
 /// QTM's account of what it lost between cameras and computer: 2D frames, per thousand, over the last second.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct VendorLoss {
