@@ -288,6 +288,9 @@ const LEAD_DECAY_MAX_S: f64 = 0.1;
 /// Longest gap that is counted, in samples, as for the numbers of frames: 17 minutes at 1000 Hz. A longer one is a pause.
 const MISSING_MAX: f64 = 1_048_575.0;
 
+/// The same where the connection was lost: as far as the recorder counts samples, weeks at 2000 Hz.
+const OUTAGE_MISSING_MAX: f64 = 4_294_967_296.0;
+
 /// When a sample was taken and when it was read.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stamp {
@@ -384,7 +387,8 @@ impl SampleAxis {
         may_wait: bool,
     ) -> Option<u64> {
         let periods = (at.time_s - last.time_s) / period_s;
-        let is_set = self.is_set(Some(last), at) || periods > MISSING_MAX;
+        let missing_max = if self.rejoins { OUTAGE_MISSING_MAX } else { MISSING_MAX };
+        let is_set = self.is_set(Some(last), at) || periods > missing_max;
         let steps = periods.round().max(1.0);
         if is_set || self.rejoins {
             return Some(if is_set { 0 } else { steps as u64 - 1 });
@@ -664,6 +668,15 @@ mod tests {
         axis.rejoin();
         let early = Stamp { time_s: 1.0, read_ns: 200_000_000_000 };
         assert_eq!(axis.number(early, || None, true), Some(503), "its clock began anew");
+    }
+
+    #[test]
+    fn after_a_long_outage_the_time_counts_as_well() {
+        let mut axis = axis();
+        numbers(&mut axis, &[0.0, 1.0, 2.0]);
+        assert_eq!(numbers(&mut axis, &[2_000_003.0]), [3], "a pause");
+        axis.rejoin();
+        assert_eq!(numbers(&mut axis, &[5_000_003.0]), [3_000_003], "eight hours");
     }
 
     #[test]
