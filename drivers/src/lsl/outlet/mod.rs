@@ -86,8 +86,9 @@ struct Inlet {
     stream: String,
     state: InletState,
     outbox: Outbox,
-    /// Samples of each packet of samples that waits.
+    /// Samples of each packet of samples that waits, and of all of them.
     held: VecDeque<usize>,
+    n_held: usize,
     missed: u64,
     since_ns: u64,
 }
@@ -103,13 +104,14 @@ impl Inlet {
         self.missed += self.outbox.frames_waiting() as u64;
         self.outbox.clear();
         self.held.clear();
+        self.n_held = 0;
         self.end(now_ns);
     }
 
     /// Queues samples, for which the oldest packets make room; a packet of more samples than may wait does so alone.
     fn put(&mut self, bytes: Arc<[u8]>, n_samples: usize, held_max: usize) {
-        let mut n_held: usize = self.held.iter().sum();
-        while n_held > 0 && n_held + n_samples > held_max || !self.outbox.has_room_for(bytes.len())
+        while self.n_held > 0 && self.n_held + n_samples > held_max
+            || !self.outbox.has_room_for(bytes.len())
         {
             let oldest = usize::from(self.outbox.has_begun_frame());
             if !self.outbox.drop_oldest_frame() {
@@ -120,17 +122,18 @@ impl Inlet {
                 self.missed += 1;
                 return;
             }
-            n_held -= self.held.remove(oldest).unwrap_or_default();
+            self.n_held -= self.held.remove(oldest).unwrap_or_default();
             self.missed += 1;
         }
         self.held.push_back(n_samples);
+        self.n_held += n_samples;
         self.outbox.put_frame(bytes);
     }
 
     fn sent(&mut self, n: usize) {
         self.outbox.sent(n);
         while self.held.len() > self.outbox.frames_waiting() {
-            self.held.pop_front();
+            self.n_held -= self.held.pop_front().unwrap_or_default();
         }
     }
 
@@ -414,6 +417,7 @@ impl StreamServer for OutletServer {
             outbox: Outbox::default(),
             // As many as packets wait, which the outbox bounds.
             held: VecDeque::default(),
+            n_held: 0,
             missed: 0,
             since_ns: self.now_ns,
         });
@@ -421,8 +425,9 @@ impl StreamServer for OutletServer {
     }
 
     fn disconnect(&mut self, id: InletId) {
-        let missed = self.find(id).map_or(0, |inlet| inlet.missed);
-        self.missed_by_gone += missed;
+        // What waits for it is not sent any more.
+        let missed = |inlet: &Inlet| inlet.missed + inlet.outbox.frames_waiting() as u64;
+        self.missed_by_gone += self.find(id).map_or(0, missed);
         self.inlets.retain(|inlet| inlet.id != id);
     }
 
