@@ -372,13 +372,14 @@ impl QtmPublisher {
     }
 
     /// Answers those who may connect, with the name of the rig.
-    fn answer_searches(&self) {
-        let Some(responder) = &self.sockets.responder else { return };
+    fn answer_searches(&mut self) {
         let port = self.address().port();
+        let Self { sockets, server, rig, .. } = self;
+        let Some(responder) = &mut sockets.responder else { return };
         responder.serve(|from, question| {
             let reply_port = read_discovery_request(question)?;
-            let is_allowed = self.server.limits.is_allowed(from);
-            is_allowed.then(|| (reply_port, discovery_reply(&self.rig, VERSION, port)))
+            let is_allowed = server.limits.is_allowed(from);
+            is_allowed.then(|| (reply_port, discovery_reply(rig, VERSION, port)))
         });
     }
 
