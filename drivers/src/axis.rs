@@ -136,6 +136,136 @@ impl RateCheck {
     }
 }
 
+/// Largest gap that counts as loss; beyond it the counter jumped: 17 minutes at 1000 Hz.
+const FRAMES_MISSING_MAX: i32 = 1 << 20;
+
+/// Largest gap after an outage for a counter that has gone on: a day and more at 10 kHz.
+const OUTAGE_MAX: i32 = 1 << 30;
+
+/// A frame at most this far behind came late or twice: links do not reorder further. Beyond it the
+/// device started again.
+const LATE_MIN: i32 = -64;
+
+/// Gaps up to this size are never doubted: a clock read late by a few frame times does not refute the counter.
+const DOUBTED_MIN: i32 = 8;
+
+/// A counter that advanced this many times further than the device's own clock allows did not lose frames. Far from
+/// 1: the true rate may differ from the stated one, and the clock may be set while frames are lost.
+const CLOCK_FACTOR: f64 = 4.0;
+
+/// What a frame's counter says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SeqStep {
+    /// The next frame, after `missing` frames that did not arrive.
+    Next {
+        /// How many.
+        missing: u32,
+    },
+    /// Received before, or late: its row is closed.
+    Stale,
+    /// The counter jumped as no loss explains; the frame counts as the next one.
+    Jump,
+}
+
+/// Follows the counter, which wraps.
+#[derive(Debug, Default)]
+pub struct FrameCounter {
+    last: Option<(u32, u64)>,
+    /// Ticks of the device's clock from a frame to the next; 0 when unknown.
+    frame_ticks: f64,
+}
+
+impl FrameCounter {
+    /// A counter of frames at this rate, with a clock of so many ticks a second.
+    #[must_use]
+    pub fn new(rate_hz: f64, tick_hz: u64) -> Self {
+        Self { last: None, frame_ticks: tick_hz as f64 / rate_hz }
+    }
+
+    /// Whether, by its own clock, the device cannot have produced `ahead` frames since the last one.
+    fn is_ahead_of_clock(&self, ahead: i32, ticks: u64, last_ticks: u64) -> bool {
+        // A clock that went back proves nothing.
+        let elapsed = ticks.checked_sub(last_ticks).filter(|elapsed| *elapsed > 0);
+        elapsed.is_some_and(|elapsed| {
+            ahead > DOUBTED_MIN
+                && f64::from(ahead) * self.frame_ticks > CLOCK_FACTOR * elapsed as f64
+        })
+    }
+
+    /// How many frames before the last one the device's clock showed `ticks`; `None` without a frame, or a clock that jumped.
+    #[must_use]
+    pub fn frames_back(&self, ticks: u64) -> Option<u64> {
+        let (_, last_ticks) = self.last?;
+        let frames = last_ticks.checked_sub(ticks)? as f64 / self.frame_ticks;
+        (frames < f64::from(FRAMES_MISSING_MAX)).then_some(frames.round() as u64)
+    }
+
+    /// The first frame after an outage: the number of frames missing in between, or `None` when counter and clock do
+    /// not continue from where they were, because the device lost its power.
+    pub fn rejoin(&mut self, seq: u32, device_ticks: u64) -> Option<u32> {
+        let last = self.last.replace((seq, device_ticks));
+        let Some((last, ticks)) = last else { return Some(0) };
+        match seq.wrapping_sub(last).cast_signed() {
+            ahead @ 1..=OUTAGE_MAX if device_ticks > ticks => {
+                // The counter stood still while the device was stopped, but its clock continued.
+                let elapsed = (device_ticks - ticks) as f64 / self.frame_ticks;
+                let by_clock = if elapsed.is_finite() { elapsed.round() as i64 } else { 0 };
+                let slack = i64::from(DOUBTED_MIN).max(i64::from(ahead) / 100);
+                let stood_still = by_clock - i64::from(ahead) > slack;
+                let ahead =
+                    if stood_still { by_clock.min(OUTAGE_MAX.into()) } else { ahead.into() };
+                Some(ahead as u32 - 1)
+            }
+            _ => None,
+        }
+    }
+
+    /// A frame during the stream. The device's clock distinguishes a late frame from a counter that started again.
+    pub fn step(&mut self, seq: u32, device_ticks: u64) -> SeqStep {
+        let step = match self.last {
+            None => SeqStep::Next { missing: 0 },
+            Some((last, ticks)) => match seq.wrapping_sub(last).cast_signed() {
+                ahead @ 1.. if self.is_ahead_of_clock(ahead, device_ticks, ticks) => SeqStep::Jump,
+                ahead @ 1..=FRAMES_MISSING_MAX => SeqStep::Next { missing: ahead as u32 - 1 },
+                LATE_MIN..=0 if device_ticks <= ticks => return SeqStep::Stale,
+                _ => SeqStep::Jump,
+            },
+        };
+        self.last = Some((seq, device_ticks));
+        step
+    }
+}
+
+/// Frames that a system has produced by their counters, where it does not state how many: as the recorder counts them, so that
+/// both agree after a jump, too.
+#[derive(Debug, Default)]
+pub(crate) struct ProducedFrames {
+    counter: FrameCounter,
+    produced: u64,
+}
+
+impl ProducedFrames {
+    pub(crate) fn new(rate_millihertz: u32, tick_hz: u64) -> Self {
+        let rate_hz = f64::from(rate_millihertz.max(1)) / 1000.0;
+        Self { counter: FrameCounter::new(rate_hz, tick_hz), produced: 0 }
+    }
+
+    /// Counts a frame. Returns `false` for one that came before, or late.
+    pub(crate) fn follow(&mut self, seq: u32, ticks: u64) -> bool {
+        let step = self.counter.step(seq, ticks);
+        self.produced += match step {
+            SeqStep::Next { missing } => u64::from(missing) + 1,
+            SeqStep::Jump => 1,
+            SeqStep::Stale => 0,
+        };
+        step != SeqStep::Stale
+    }
+
+    pub(crate) fn produced(&self) -> u64 {
+        self.produced
+    }
+}
+
 /// Part of a step's deviation, in periods, that the mean deviation takes over: some sixteen samples decide.
 const GAIN: f64 = 1.0 / 16.0;
 
@@ -157,6 +287,9 @@ const LEAD_DECAY_MAX_S: f64 = 0.1;
 
 /// Longest gap that is counted, in samples, as for the numbers of frames: 17 minutes at 1000 Hz. A longer one is a pause.
 const MISSING_MAX: f64 = 1_048_575.0;
+
+/// The same where the connection was lost: as far as the recorder counts samples, weeks at 2000 Hz.
+const OUTAGE_MISSING_MAX: f64 = 4_294_967_296.0;
 
 /// When a sample was taken and when it was read.
 #[derive(Debug, Clone, Copy)]
@@ -254,7 +387,8 @@ impl SampleAxis {
         may_wait: bool,
     ) -> Option<u64> {
         let periods = (at.time_s - last.time_s) / period_s;
-        let is_set = self.is_set(Some(last), at) || periods > MISSING_MAX;
+        let missing_max = if self.rejoins { OUTAGE_MISSING_MAX } else { MISSING_MAX };
+        let is_set = self.is_set(Some(last), at) || periods > missing_max;
         let steps = periods.round().max(1.0);
         if is_set || self.rejoins {
             return Some(if is_set { 0 } else { steps as u64 - 1 });
@@ -365,6 +499,86 @@ mod tests {
         assert_eq!(counters(&[(500, 5_000_000), (1, 10_000), (2, 20_000)]), [500, 1, 2]);
     }
 
+    #[test]
+    fn counter_wraps_around() {
+        let mut counter = FrameCounter::default();
+        assert_eq!(counter.step(u32::MAX - 1, 10), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.step(u32::MAX, 20), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.step(2, 50), SeqStep::Next { missing: 2 });
+        assert_eq!(counter.step(2, 50), SeqStep::Stale);
+        assert_eq!(counter.step(1, 40), SeqStep::Stale);
+        assert_eq!(counter.step(3, 60), SeqStep::Next { missing: 0 });
+    }
+
+    #[test]
+    fn a_time_is_that_of_an_earlier_frame() {
+        let mut counter = FrameCounter::new(100.0, 1000);
+        assert_eq!(counter.frames_back(5), None, "no frame yet");
+        counter.step(7, 500);
+        assert_eq!(counter.frames_back(500), Some(0));
+        assert_eq!(counter.frames_back(476), Some(2));
+        assert_eq!(counter.frames_back(511), None, "after the last frame");
+    }
+
+    #[test]
+    fn after_an_outage_a_device_continues_or_restarts() {
+        let mut counter = FrameCounter::default();
+        assert_eq!(counter.rejoin(7, 10), Some(0), "nothing came before");
+        assert_eq!(counter.rejoin(20, 300), Some(12));
+        assert_eq!(counter.rejoin(0, 5), None, "counter and clock began anew");
+        assert_eq!(counter.step(1, 15), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.rejoin(1, 15), None, "as early as before, by another clock");
+        assert_eq!(counter.rejoin(9, 3), None, "a clock that went back");
+        counter.step(u32::MAX, 400);
+        assert_eq!(counter.rejoin(2, 500), Some(2), "through the wrap");
+    }
+
+    #[test]
+    fn after_an_outage_the_clock_counts_if_the_counter_stood_still() {
+        let mut counter = FrameCounter::new(100.0, 1000);
+        counter.step(10, 100);
+        assert_eq!(counter.rejoin(11, 5_100), Some(499), "stopped for five seconds");
+        assert_eq!(counter.rejoin(111, 6_100), Some(99), "they agree");
+        assert_eq!(counter.rejoin(112, 6_180), Some(0), "a clock that is read late says little");
+    }
+
+    #[test]
+    fn a_counter_that_is_ahead_of_its_own_clock_is_a_jump() {
+        let mut counter = FrameCounter::new(100.0, 1000);
+        counter.step(0, 0);
+        assert_eq!(counter.step(501, 5010), SeqStep::Next { missing: 500 }, "five seconds elapsed");
+        assert_eq!(counter.step(1002, 5020), SeqStep::Jump, "a hundredth elapsed");
+        assert_eq!(counter.step(1003, 5030), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.step(1010, 5040), SeqStep::Next { missing: 6 }, "too few to doubt");
+        assert_eq!(counter.step(1111, 5300), SeqStep::Next { missing: 100 }, "a misstated rate");
+        assert_eq!(counter.step(1212, 4000), SeqStep::Next { missing: 100 }, "a clock set back");
+        let mut counter = FrameCounter::default();
+        counter.step(0, 0);
+        assert_eq!(counter.step(501, 1), SeqStep::Next { missing: 500 }, "an unknown clock");
+    }
+
+    #[test]
+    fn a_counter_that_starts_again_is_a_jump() {
+        let mut counter = FrameCounter::default();
+        counter.step(500, 10);
+        assert_eq!(counter.step(480, 20), SeqStep::Jump, "its clock went on");
+        assert_eq!(counter.step(0, 5), SeqStep::Jump, "counter and clock began anew");
+        assert_eq!(counter.step(1, 30), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.step(1 << 30, 40), SeqStep::Jump);
+    }
+
+    #[test]
+    fn frames_that_were_produced_are_counted_through_jumps() {
+        let mut frames = ProducedFrames::new(100_000, 1_000_000);
+        let times = [(0, 0), (1, 10_000), (4, 40_000), (3, 30_000), (4, 40_000)];
+        let new = times.map(|(seq, ticks)| frames.follow(seq, ticks));
+        assert_eq!((new, frames.produced()), ([true, true, true, false, false], 5));
+        assert!(frames.follow(50_000_004, 50_000) && frames.follow(50_000_005, 60_000));
+        assert_eq!(frames.produced(), 7, "forth");
+        assert!(frames.follow(10, 70_000) && frames.follow(12, 90_000));
+        assert_eq!(frames.produced(), 10, "back");
+    }
+
     /// The numbers of samples at these times, in periods of 10 ms, each read when it was taken.
     fn numbers(axis: &mut SampleAxis, times: &[f64]) -> Vec<u64> {
         let stamp = |periods: f64| Stamp {
@@ -454,6 +668,15 @@ mod tests {
         axis.rejoin();
         let early = Stamp { time_s: 1.0, read_ns: 200_000_000_000 };
         assert_eq!(axis.number(early, || None, true), Some(503), "its clock began anew");
+    }
+
+    #[test]
+    fn after_a_long_outage_the_time_counts_as_well() {
+        let mut axis = axis();
+        numbers(&mut axis, &[0.0, 1.0, 2.0]);
+        assert_eq!(numbers(&mut axis, &[2_000_003.0]), [3], "a pause");
+        axis.rejoin();
+        assert_eq!(numbers(&mut axis, &[5_000_003.0]), [3_000_003], "eight hours");
     }
 
     #[test]

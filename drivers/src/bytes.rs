@@ -118,3 +118,8 @@ macro_rules! wire_struct {
 }
 
 pub(crate) use wire_struct;
+
+/// Whether a character is no control, and one that XML 1.0 can have: it has no way to write the others.
+pub(crate) fn is_printable(c: char) -> bool {
+    !c.is_control() && !matches!(c, '\u{fffe}' | '\u{ffff}')
+}

@@ -33,7 +33,7 @@
 //! # Ok::<(), mocapd_drivers::link::EncodeError>(())
 //! ```
 
-mod axis;
+pub mod axis;
 mod bytes;
 pub mod device;
 pub mod link;

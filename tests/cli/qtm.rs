@@ -461,8 +461,10 @@ fn a_number_that_jumps_is_reported_and_costs_no_frame() {
     let faults = Some(Arc::new(Script::parse("jump", script).unwrap()));
     let served = Served::new(motion(), QtmSettings { faults, ..QtmSettings::default() });
     let report = record(&folder, &served.uri, "a.take", &[]).with_code(3).json();
-    assert_eq!(report["ledger"]["recorded"], 480);
-    let text = report["ledger"]["contradictions"].to_string();
+    let ledger = &report["ledger"];
+    let counts = ["frames_sent", "recorded", "lost_on_link", "lost_other"].map(|key| &ledger[key]);
+    assert_eq!(counts, [480, 480, 0, 0], "{ledger}");
+    let text = ledger["contradictions"].to_string();
     assert!(text.contains("the device's frame counter jumped"), "{text}");
 }
 

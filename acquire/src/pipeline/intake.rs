@@ -6,8 +6,9 @@ mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
 
-use mocapd_drivers::device::{
-    Frame, LinkCounters, MarkerInfo, SampleBatch, SampledGroupInfo, Status,
+use mocapd_drivers::{
+    axis::FrameCounter,
+    device::{Frame, LinkCounters, MarkerInfo, SampleBatch, SampledGroupInfo, Status},
 };
 use mocapd_take::{
     record::{EndingKind, Event, EventKind, TakeEnding},
@@ -16,7 +17,7 @@ use mocapd_take::{
 
 use self::{
     clock::ClockTracker,
-    losses::{FrameCounter, PendingLoss, SilenceMonitor},
+    losses::{PendingLoss, SilenceMonitor},
     rows::PoseStep,
 };
 use super::{

@@ -135,6 +135,7 @@ impl Rig {
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
                 || reader.due_until_ns.is_some_and(is_past)
         };
+        let mut last_outage = None;
         loop {
             let or_end = |ending, intake: &Intake| take_ending(intake, options).unwrap_or(ending);
             let ending = match self.read_until_gone(reader, options, &is_over)? {
@@ -147,15 +148,20 @@ impl Rig {
             if ending != EndingKind::DeviceGone {
                 return Ok(ending);
             }
-            reader.intake.event(host_event(&match &reader.lost_connection {
-                Some(cause) => format!("the connection was lost: {cause}"),
-                None => "the device was disconnected".to_owned(),
-            }));
+            let frames_seen = reader.intake.frames_seen();
+            let mut outage = Outage::begin(last_outage, frames_seen, monotonic_ns());
+            if outage.is_reported() {
+                reader.intake.event(host_event(&match &reader.lost_connection {
+                    Some(cause) => format!("the connection was lost: {cause}"),
+                    None => "the device was disconnected".to_owned(),
+                }));
+            }
             reader.intake.set_away(true);
-            if !self.reconnect(reader, options, &is_over) {
+            if !self.reconnect((reader, &mut outage), options, &is_over) {
                 return Ok(or_end(EndingKind::DeviceGone, reader.intake));
             }
             reader.intake.set_away(false);
+            last_outage = Some(outage);
             reader.outages += 1;
         }
     }
@@ -320,6 +326,60 @@ impl Rig {
         }
         reader.intake.tick(now_ns);
         Ok(())
+    }
+}
+
+/// A device that comes back for less than this, and sends no frame, has not come back.
+const STEADY_AFTER: Duration = Duration::from_secs(10);
+
+/// The time from the return of such a device to the next attempt: it doubles with each.
+const RETURN_INTERVAL_MIN: Duration = Duration::from_millis(500);
+const RETURN_INTERVAL_MAX: Duration = Duration::from_secs(5);
+
+/// Outages that are reported: a device that is lost again and again must fill neither the take nor the screen.
+const OUTAGES_REPORTED_MAX: u32 = 32;
+
+/// An outage.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Outage {
+    pub(super) lost_ns: u64,
+    /// Frames before it.
+    frames_seen: u64,
+    /// How often the device came back in it, and when it did last.
+    returns: u32,
+    back_ns: u64,
+    /// Number of the outage, from 1 on.
+    number: u32,
+}
+
+impl Outage {
+    /// The outage that begins when a connection is lost. It is the last one, of which the time goes on, if the device came back
+    /// for a moment only: it would be tried again and again, and waited for without an end.
+    fn begin(last: Option<Self>, frames_seen: u64, now_ns: u64) -> Self {
+        let steady_ns = STEADY_AFTER.as_nanos() as u64;
+        let number = last.map_or(0, |last| last.number).saturating_add(1);
+        let goes_on = |last: &Self| {
+            last.frames_seen == frames_seen && now_ns.saturating_sub(last.back_ns) < steady_ns
+        };
+        let new = Self { lost_ns: now_ns, frames_seen, returns: 0, back_ns: 0, number };
+        last.filter(goes_on).unwrap_or(new)
+    }
+
+    /// Whether it is reported: once, when it begins.
+    pub(super) fn is_reported(&self) -> bool {
+        self.returns == 0 && self.number <= OUTAGES_REPORTED_MAX
+    }
+
+    /// The device is back.
+    pub(super) fn came_back(&mut self, now_ns: u64) {
+        self.returns = self.returns.saturating_add(1);
+        self.back_ns = now_ns;
+    }
+
+    /// How long nothing is tried.
+    pub(super) fn pause(&self) -> Duration {
+        let Some(earlier) = self.returns.checked_sub(1) else { return Duration::ZERO };
+        RETURN_INTERVAL_MIN.saturating_mul(1 << earlier.min(16)).min(RETURN_INTERVAL_MAX)
     }
 }
 
@@ -629,5 +689,44 @@ impl Reader<'_> {
     fn lost_end_status(&self, now: &Hello) -> Option<Status> {
         let complete = |status: &Status| now.n_frames > 0 && status.frames_produced >= now.n_frames;
         self.last_status.filter(complete).filter(|_| self.query.is_some())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const S: u64 = 1_000_000_000;
+
+    #[test]
+    fn an_outage_goes_on_until_a_frame_comes_or_the_device_stays() {
+        let mut outage = Outage::begin(None, 100, 10 * S);
+        assert!(outage.is_reported() && outage.pause().is_zero());
+        let mut pauses = Vec::new();
+        for second in 11..20 {
+            outage.came_back(second * S);
+            outage = Outage::begin(Some(outage), 100, second * S + S / 2);
+            assert_eq!((outage.lost_ns, outage.is_reported()), (10 * S, false));
+            pauses.push(outage.pause().as_millis());
+        }
+        assert_eq!(pauses[..5], [500, 1000, 2000, 4000, 5000]);
+        assert_eq!(pauses[8], 5000);
+        outage.came_back(20 * S);
+        let after_a_frame = Outage::begin(Some(outage), 101, 21 * S);
+        let after_a_while = Outage::begin(Some(outage), 100, 30 * S);
+        for new in [after_a_frame, after_a_while] {
+            assert!(new.lost_ns > 20 * S && new.is_reported() && new.pause().is_zero());
+        }
+    }
+
+    #[test]
+    fn outages_that_never_end_are_not_reported_for_ever() {
+        let mut last = None;
+        let reported = (0..100_u64).filter(|n| {
+            let outage = Outage::begin(last, *n, n * S);
+            last = Some(outage);
+            outage.is_reported()
+        });
+        assert_eq!(reported.count(), OUTAGES_REPORTED_MAX as usize);
     }
 }

@@ -11,7 +11,10 @@ use mocapd_drivers::{
     uri::Location,
 };
 
-use super::{ReadOptions, Rig, reader::Reader};
+use super::{
+    ReadOptions, Rig,
+    reader::{Outage, Reader},
+};
 use crate::{host_clock::monotonic_ns, setting, threads};
 
 /// Polling interval where udev does not notify: twenty attempts in the two seconds within which a device that is back
@@ -64,7 +67,7 @@ impl Rig {
     /// Waits for the device and starts it. Returns `false` if it did not come back in time, or `is_over`.
     pub(super) fn reconnect(
         &mut self,
-        reader: &mut Reader<'_>,
+        (reader, outage): (&mut Reader<'_>, &mut Outage),
         options: &ReadOptions<'_>,
         is_over: &dyn Fn(&Reader<'_>) -> bool,
     ) -> bool {
@@ -73,12 +76,18 @@ impl Rig {
         if self.replug_timeout.is_zero() || is_over(reader) {
             return false;
         }
-        let lost_ns = monotonic_ns();
+        let lost_ns = outage.lost_ns;
+        let is_reported = outage.is_reported();
+        let notify = |text: &str| {
+            if is_reported {
+                (options.notify)(text);
+            }
+        };
         let what = match reader.lost_connection.take() {
             Some(cause) => format!("{}: {cause}: start it again", self.uri),
             None => format!("{} is gone: plug it in again", self.uri),
         };
-        (options.notify)(&format!(
+        notify(&format!(
             "{what} within {} s to continue {}{}",
             (self.replug_timeout.as_secs_f64() * 10.0).round() / 10.0,
             if options.single_take { "the take" } else { "recording" },
@@ -86,7 +95,13 @@ impl Rig {
         ));
         let mut obstacle = Obstacle { message: String::new(), since_ns: lost_ns, reported: true };
         let mut watch = UsbWatch::new();
+        let tries_ns = monotonic_ns().saturating_add(outage.pause().as_nanos() as u64);
         while !is_over(reader) && monotonic_ns() - lost_ns < self.replug_timeout.as_nanos() as u64 {
+            if monotonic_ns() < tries_ns {
+                std::thread::sleep(POLL_INTERVAL);
+                reader.intake.tick(monotonic_ns());
+                continue;
+            }
             let give_up_ns = lost_ns.saturating_add(self.replug_timeout.as_nanos() as u64);
             let shared = RefCell::new(&mut *reader);
             let cancel = || {
@@ -99,13 +114,14 @@ impl Rig {
             let (message, wait) = match self.attempt(&shared, options, &cancel) {
                 ReconnectAttempt::Back => {
                     // The first frame shows how long it was away.
-                    (options.notify)("the device is back");
+                    notify("the device is back");
+                    outage.came_back(monotonic_ns());
                     return true;
                 }
                 ReconnectAttempt::Absent(message) => (message, POLL_INTERVAL),
                 ReconnectAttempt::Failed(message) => (message, RETRY_INTERVAL),
             };
-            obstacle.update(message, options.notify);
+            obstacle.update(message, &notify);
             watch.wait(wait);
             reader.intake.tick(monotonic_ns());
         }
@@ -140,14 +156,14 @@ impl Rig {
         }
     }
 
-    /// Opens the line again; `None` if cancelled. Looking up a name and connecting can take seven seconds. A separate thread
-    /// does it, so that neither a stop nor the watchdog has to wait; it ends when the attempt does.
+    /// Opens the line again; `None` if cancelled. Looking up a name and connecting can take seven seconds, and finding streams
+    /// almost as long. A separate thread does it, so that neither a stop nor the watchdog has to wait; it ends when the attempt does.
     fn reopen_line(
         &self,
         cancel: &dyn Fn() -> bool,
     ) -> Option<Result<Box<dyn Transport>, TransportError>> {
         let (uri, identity) = (self.uri.clone(), self.identity.clone());
-        if !matches!(uri.location, Location::Network(_)) {
+        if !matches!(uri.location, Location::Network(_) | Location::Streams(_)) {
             return Some(registry::reopen(&uri, &identity));
         }
         let (sender, receiver) = bounded(1);

@@ -13,7 +13,7 @@ use labstream_core::{
 use roxmltree::{Document, Node, ParsingOptions};
 
 use super::values::ValueFormat;
-use crate::{device::SampledGroupInfo, uri::LengthUnit};
+use crate::{bytes::is_printable, device::SampledGroupInfo, uri::LengthUnit};
 
 /// Longest description in bytes: 4096 channels with a label, a type, a unit and as much again of what else a program states.
 pub const DESCRIPTION_BYTES_MAX: usize = 1 << 20;
@@ -340,8 +340,7 @@ fn put_channel(channels: &mut net::Node, label: &str, of: (&str, &str), kind: &s
 
 /// A text without characters that XML does not allow, and without spaces around it, which readers leave out.
 fn plain(text: &str) -> String {
-    let is_refused = |c: char| c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}');
-    let text: String = text.chars().map(|c| if is_refused(c) { ' ' } else { c }).collect();
+    let text: String = text.chars().map(|c| if is_printable(c) { c } else { ' ' }).collect();
     text.trim().to_owned()
 }
 

@@ -415,7 +415,7 @@ impl NatNetHost {
             on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks: self.run.last_ticks }));
         }
         if std::mem::take(&mut self.todo.start) {
-            self.run = NatNetRun::default();
+            self.run = NatNetRun::new(&self.hello);
             self.seen.clear();
             self.awaits_model_ns = None;
             self.model_request_ns = self.line.now_ns();

@@ -7,8 +7,10 @@ use super::{
     message::{Bitstream, Message, MessageKind},
 };
 use crate::{
+    axis::ProducedFrames,
     device::{
-        DeviceEvent, EndOfPoses, Frame, LinkBudget, MarkerSample, PoseFrame, Status, residual_10um,
+        DeviceEvent, EndOfPoses, Frame, Hello, LinkBudget, MarkerSample, PoseFrame, Status,
+        residual_10um,
     },
     transport::{DatagramSource, polled::LineCommand},
 };
@@ -213,16 +215,13 @@ impl NatNetHost {
         let ticks = self.ticks_of(frame);
         let seq = self.axis.counter(frame.number, ticks / 1000);
         let run = &mut self.run;
-        let index = match run.first {
-            None => INDEX_BASE + u64::from(seq),
-            Some(_) => {
-                run.index.wrapping_add_signed(seq.wrapping_sub(run.last).cast_signed().into())
-            }
+        let index = match run.frames {
+            0 => INDEX_BASE + u64::from(seq),
+            _ => run.index.wrapping_add_signed(seq.wrapping_sub(run.last).cast_signed().into()),
         };
-        if run.first.is_none() || index > run.index {
+        if run.produced.follow(seq, ticks) {
             (run.last, run.index) = (seq, index);
         }
-        run.first.get_or_insert(seq);
         run.last_ticks = ticks;
         run.frames += 1;
         self.had_frames = true;
@@ -242,6 +241,9 @@ impl NatNetHost {
             }));
         }
         self.sampled.pass_on(frame, index, ticks, on_event);
+        for note in std::mem::take(&mut self.sampled.notes) {
+            self.note(&note, on_event);
+        }
     }
 
     /// Where markers have labels that no definition tells: their sets may have the same positions, or the definitions are old.
@@ -449,8 +451,9 @@ pub(super) struct NatNetRun {
     /// Whether definitions were requested because they changed.
     had_change: bool,
     is_stranger_noted: bool,
-    /// Counter of the first frame, and of the last that was not late; the latter also as the number of the frame.
-    pub(super) first: Option<u32>,
+    /// Frames by their counters.
+    produced: ProducedFrames,
+    /// Counter of the last frame that was not late, also as the number of the frame.
     pub(super) last: u32,
     pub(super) index: u64,
     /// The server's clock at the last frame.
@@ -479,12 +482,14 @@ pub(super) struct NatNetRun {
 }
 
 impl NatNetRun {
+    pub(super) fn new(hello: &Hello) -> Self {
+        let produced = ProducedFrames::new(hello.rate_millihertz, hello.tick_hz);
+        Self { produced, ..Self::default() }
+    }
+
     /// The final counters. The server does not state how many frames it made: these are frames by their numbers.
     pub(super) fn status(&self) -> Status {
-        let produced = self.first.map_or(0, |first| u64::from(self.last.wrapping_sub(first)) + 1);
-        // A count that began again tells nothing.
-        let frames_produced =
-            if produced > u64::from(u32::MAX / 2) { self.frames } else { produced };
+        let frames_produced = self.produced.produced();
         Status { frames_produced, frames_dropped: 0, temperature_c_100: i16::MIN }
     }
 }

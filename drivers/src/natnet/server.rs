@@ -12,7 +12,7 @@ use super::{
     },
     model::Model,
 };
-use crate::bytes::Cursor;
+use crate::{bytes::Cursor, transport::network::responder::AnswerLimit};
 
 /// Clients that get frames of their own at the same time.
 pub const CLIENTS_MAX: usize = 32;
@@ -22,6 +22,11 @@ const CLIENT_TIMEOUT_NS: u64 = 10_000_000_000;
 
 /// Definitions that a client is sent in a second, at most: one that waits for them asks four times.
 const MODELS_PER_S: u32 = 10;
+
+/// Replies to a machine in a second, and to all, at most: a client asks for the clock some ten times. Replies are up to a hundred times
+/// as long as requests, and a sender's address may be forged.
+const REPLIES_PER_S: u32 = 200;
+const ALL_REPLIES_PER_S: u32 = 1000;
 
 /// A client that was silent for so long makes room for another one: three of its signs of life are missing.
 const REPLACED_AFTER_NS: u64 = 3_000_000_000;
@@ -131,6 +136,7 @@ pub struct NatNetServer {
     /// Requests for definitions are not replied to.
     withholds_model: bool,
     n_connects: u64,
+    replies: AnswerLimit,
 }
 
 impl NatNetServer {
@@ -147,6 +153,7 @@ impl NatNetServer {
             datagrams: Vec::new(),
             withholds_model: false,
             n_connects: 0,
+            replies: AnswerLimit::new(REPLIES_PER_S, ALL_REPLIES_PER_S),
         }
     }
 
@@ -272,6 +279,11 @@ impl NatNetServer {
         }
         if let Some(client) = self.client(from) {
             client.last_ns = now_ns;
+        }
+        let has_reply =
+            !matches!(message.kind, Some(MessageKind::KeepAlive | MessageKind::Disconnect));
+        if has_reply && !self.replies.allows(from.ip(), now_ns) {
+            return;
         }
         match message.kind {
             Some(MessageKind::Connect) => self.connect(from, message.body, now_ns),

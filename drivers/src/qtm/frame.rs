@@ -127,6 +127,14 @@ pub struct FrameHeader {
     pub number: u32,
 }
 
+impl FrameHeader {
+    /// The header of a data packet.
+    pub(super) fn of(body: &[u8]) -> Option<Self> {
+        let mut body = Cursor::new(body);
+        Some(Self { time_us: body.get()?, number: body.get()? })
+    }
+}
+
 /// A part of a frame.
 #[derive(Debug, Clone, Copy)]
 pub enum FrameComponent<'a> {

@@ -356,7 +356,7 @@ impl QtmHost {
         }
         let now_ns = self.line.now_ns();
         if self.run.is_part_overdue(now_ns) {
-            self.flush_frame(on_event);
+            self.pass_open(on_event);
         }
         let since_request_ns = now_ns.saturating_sub(self.request_ns);
         let silent_ns = now_ns.saturating_sub(self.last_packet_ns);

@@ -88,7 +88,7 @@ impl QtmHost {
 
     /// Settings that were requested, or an error in their place.
     pub(super) fn on_renewed(&mut self, packet: &Packet<'_>, on_event: EventSink<'_>) {
-        self.flush_frame(on_event);
+        self.pass_all(on_event);
         if packet.kind == Some(PacketKind::Error) {
             match self.renewal.awaited.pop_front() {
                 // There are none any more.

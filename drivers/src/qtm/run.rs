@@ -1,6 +1,7 @@
 //! A stream from its start to its end: frames, changes of state, and QTM's own account of loss.
 
 use super::{
+    axis::ProducedFrames,
     bodies::{BodyComponent, BodyComponentKind},
     command::{Components, DatagramTarget, StreamRate, StreamRequest},
     frame::{FrameComponent, FrameHeader, MarkerComponent, MarkerComponentKind, read_components},
@@ -39,7 +40,8 @@ impl QtmHost {
                 self.sampled.has(true).then_some(SampledComponentKind::Force),
             ),
         };
-        self.run = StreamRun { has_bodies, ..StreamRun::default() };
+        let produced = ProducedFrames::new(self.hello.rate_millihertz, self.hello.tick_hz);
+        self.run = StreamRun { has_bodies, produced, ..StreamRun::default() };
         self.state = SessionState::Streaming;
         self.send(&request.to_string());
         self.send_fence(Fence::Started);
@@ -81,7 +83,53 @@ impl QtmHost {
         }
     }
 
+    /// Decodes a data packet. One of another frame than the open one waits until that is whole, or a third one begins: networks
+    /// reorder datagrams.
     pub(super) fn decode(&mut self, body: &[u8], on_event: EventSink<'_>) {
+        let header = FrameHeader::of(body).filter(|_| self.datagram_port.is_some());
+        let is_other =
+            |run: &StreamRun| header.filter(|it| run.open.is_some_and(|o| o.header != *it));
+        let now_ns = self.line.now_ns();
+        if let Some(header) = is_other(&self.run) {
+            if self.run.next.hold(header, body, now_ns) {
+                return;
+            }
+            self.pass_open(on_event);
+            // Nothing waits any more, but the one that waited may be open now.
+            if is_other(&self.run).is_some_and(|of| self.run.next.hold(of, body, now_ns)) {
+                return;
+            }
+        }
+        self.decode_now(body, on_event);
+        if self.run.open.is_none() {
+            self.open_next(on_event);
+        }
+    }
+
+    /// Passes the open frame on, and opens the one of which parts wait.
+    pub(super) fn pass_open(&mut self, on_event: EventSink<'_>) {
+        self.flush_frame(on_event);
+        self.open_next(on_event);
+    }
+
+    /// Passes on all frames of which parts have come.
+    pub(super) fn pass_all(&mut self, on_event: EventSink<'_>) {
+        self.pass_open(on_event);
+        self.flush_frame(on_event);
+    }
+
+    fn open_next(&mut self, on_event: EventSink<'_>) {
+        let Some(since_ns) = self.run.next.since_ns() else { return };
+        let mut next = std::mem::take(&mut self.run.next);
+        next.parts().for_each(|part| self.decode_now(part, on_event));
+        if let Some(open) = &mut self.run.open {
+            open.opened_ns = since_ns;
+        }
+        next.clear();
+        self.run.next = next;
+    }
+
+    fn decode_now(&mut self, body: &[u8], on_event: EventSink<'_>) {
         let mut n_components = 0;
         let is_lossy = self.datagram_port.is_some();
         let header = read_components(body, &mut |header, component| {
@@ -210,8 +258,7 @@ impl QtmHost {
         *count += 1;
         let seq = self.axis.counter(header.number, header.time_us);
         let run = &mut self.run;
-        run.first.get_or_insert(seq);
-        if seq.wrapping_sub(run.last).cast_signed() > 0 || run.frames == 0 {
+        if run.produced.follow(seq, header.time_us) {
             run.last = seq;
         }
         let stated_hz = f64::from(self.hello.rate_millihertz) / 1000.0;
@@ -311,7 +358,7 @@ impl QtmHost {
     /// The stream has ended, and all that belongs to it has arrived.
     pub(super) fn end(&mut self, on_event: EventSink<'_>) {
         self.release_held(on_event);
-        self.flush_frame(on_event);
+        self.pass_all(on_event);
         self.state = SessionState::Ready;
         self.fence = None;
         let VendorLoss { worst, frames } = self.run.vendor;

@@ -95,9 +95,23 @@ impl DeviceSamples<'_> {
     }
 }
 
-/// Reads a component's content; `None` when its size and its counts differ.
+/// Reads a component's content; `None` when its size and its counts differ, and some of it may have been passed on.
+///
+/// An analog device without samples has no sample number by the document, and 0 or any other by Qualisys's own C++ client: the
+/// layout is the one that uses every byte.
 pub(super) fn read<'a>(
     kind: SampledComponentKind,
+    content: &'a [u8],
+    on_device: &mut dyn FnMut(DeviceSamples<'a>),
+) -> Option<()> {
+    let numbers_all =
+        kind != SampledComponentKind::Analog || read_as(kind, true, content, &mut |_| {}).is_some();
+    read_as(kind, numbers_all, content, on_device)
+}
+
+fn read_as<'a>(
+    kind: SampledComponentKind,
+    numbers_all: bool,
     content: &'a [u8],
     on_device: &mut dyn FnMut(DeviceSamples<'a>),
 ) -> Option<()> {
@@ -107,7 +121,8 @@ pub(super) fn read<'a>(
         let id = content.get()?;
         let n_channels = if kind.is_force() { FORCE_VALUES as u32 } else { content.get()? };
         let n_samples = if kind.is_single() { 1 } else { content.get::<u32>()? };
-        let first = if kind.is_single() { 0 } else { content.get()? };
+        let has_first = !kind.is_single() && (numbers_all || n_samples > 0);
+        let first = if has_first { content.get()? } else { 0 };
         let (n_channels, n_samples) = (n_channels as usize, n_samples as usize);
         let n_values = n_channels.checked_mul(n_samples)?;
         let values = content.bytes(n_values.checked_mul(4)?)?;
@@ -185,6 +200,35 @@ mod tests {
         assert_eq!(out[12..24], [2, 0, 0, 0, 2, 0, 0, 0, 7, 0, 0, 0]);
         let values: Vec<u8> = samples.iter().flat_map(|value| value.to_le_bytes()).collect();
         assert_eq!(out[24..], values);
+    }
+
+    /// Both of Qualisys's own clients' layouts, of which a frame may have either.
+    #[test]
+    fn an_analog_device_without_samples_may_have_a_sample_number_or_none() {
+        let device = |id: u32, n_samples: u32, first: Option<u32>, values: &[f32]| {
+            let words = [id, 2, n_samples].into_iter().chain(first);
+            let bytes = words.flat_map(u32::to_le_bytes);
+            bytes.chain(values.iter().flat_map(|value| value.to_le_bytes())).collect::<Vec<u8>>()
+        };
+        for numbered in [true, false] {
+            let number = numbered.then_some(77);
+            let mut content = 3_u32.to_le_bytes().to_vec();
+            content.extend(device(1, 0, number, &[]));
+            content.extend(device(2, 1, Some(9), &[1.0, 2.0]));
+            content.extend(device(3, 0, number, &[]));
+            let mut found = Vec::new();
+            let is_read = read(SampledComponentKind::Analog, &content, &mut |device| {
+                let mut values = Vec::new();
+                device.put_interleaved(0..2, 0..device.n_samples, &mut values);
+                found.push((device.id, device.n_samples, values));
+            });
+            assert_eq!(is_read, Some(()), "{numbered}");
+            assert_eq!(found, [(1, 0, vec![]), (2, 1, vec![1.0, 2.0]), (3, 0, vec![])]);
+            for cut in 0..content.len() {
+                let cut = &content[..cut];
+                assert_eq!(read(SampledComponentKind::Analog, cut, &mut |_| {}), None);
+            }
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::{
-    axis::RateCheck,
+    axis::{ProducedFrames, RateCheck},
     frame::{FrameComponent, FrameHeader, read_components},
 };
 use crate::device::Status;
@@ -55,6 +55,49 @@ impl FrameParts {
     }
 }
 
+/// Datagrams of a frame that wait, at most: those of markers, bodies and samples, each twice.
+const PARTS_MAX: usize = 8;
+
+/// The datagrams of a frame whose first part arrived before the last one of the frame before it.
+#[derive(Debug, Default)]
+pub(super) struct NextFrame {
+    header: FrameHeader,
+    since_ns: u64,
+    bytes: Vec<u8>,
+    /// Where each datagram's content ends.
+    ends: Vec<usize>,
+}
+
+impl NextFrame {
+    /// Holds a datagram. Returns `false` if it is of a third frame, or one too many.
+    pub(super) fn hold(&mut self, header: FrameHeader, body: &[u8], now_ns: u64) -> bool {
+        if self.ends.is_empty() {
+            (self.header, self.since_ns) = (header, now_ns);
+        }
+        let has_room = header == self.header && self.ends.len() < PARTS_MAX;
+        if has_room {
+            self.bytes.extend_from_slice(body);
+            self.ends.push(self.bytes.len());
+        }
+        has_room
+    }
+
+    /// When its first part arrived; `None` if none has.
+    pub(super) fn since_ns(&self) -> Option<u64> {
+        (!self.ends.is_empty()).then_some(self.since_ns)
+    }
+
+    pub(super) fn parts(&self) -> impl Iterator<Item = &[u8]> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        starts.zip(&self.ends).filter_map(|(start, end)| self.bytes.get(start..*end))
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.bytes.clear();
+        self.ends.clear();
+    }
+}
+
 /// QTM's account of what it lost between cameras and computer: 2D frames, per thousand, over the last second.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct VendorLoss {
@@ -73,10 +116,11 @@ pub(super) struct StreamRun {
     pub(super) has_bodies: bool,
     /// Whether any came.
     pub(super) had_bodies: bool,
-    /// The frame that is put together.
+    /// The frame that is put together, and what has come of the one after it.
     pub(super) open: Option<OpenFrame>,
-    /// Counter of the first frame.
-    pub(super) first: Option<u32>,
+    pub(super) next: NextFrame,
+    /// Frames by their counters.
+    pub(super) produced: ProducedFrames,
     /// Counter and time stamp of the last frame that was not late.
     pub(super) last: u32,
     pub(super) last_us: u64,
@@ -112,10 +156,7 @@ impl StreamRun {
 
     /// The final counters. QTM does not state how many frames it made: these are frames by their numbers.
     pub(super) fn status(&self) -> Status {
-        let produced = self.first.map_or(0, |first| u64::from(self.last.wrapping_sub(first)) + 1);
-        // A count that began again tells nothing.
-        let frames_produced =
-            if produced > u64::from(u32::MAX / 2) { self.frames } else { produced };
+        let frames_produced = self.produced.produced();
         Status { frames_produced, frames_dropped: 0, temperature_c_100: i16::MIN }
     }
 }

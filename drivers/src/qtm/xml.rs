@@ -2,6 +2,8 @@
 
 use roxmltree::Node;
 
+use crate::bytes::is_printable;
+
 /// Longest label in characters; longer ones are cut off.
 const LABEL_CHARS_MAX: usize = 128;
 
@@ -28,7 +30,7 @@ pub(super) fn text_of<'a>(parent: Node<'a, '_>, name: &'static str) -> Option<&'
 
 /// A text of QTM's as a label: not too long, and without control characters.
 pub(super) fn label_text(text: &str) -> String {
-    text.trim().chars().filter(|c| !c.is_control()).take(LABEL_CHARS_MAX).collect()
+    text.trim().chars().filter(|c| is_printable(*c)).take(LABEL_CHARS_MAX).collect()
 }
 
 /// Appends an element with text, indented so deep.
@@ -40,9 +42,24 @@ pub(super) fn put(xml: &mut String, depth: usize, name: &str, text: &str) {
             '<' => xml.push_str("&lt;"),
             '>' => xml.push_str("&gt;"),
             // XML has no way to write them.
-            c if c.is_control() => xml.push('_'),
+            c if !is_printable(c) => xml.push('_'),
             c => xml.push(c),
         }
     }
     xml.push_str(&format!("</{name}>\n"));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_text_is_well_formed_and_keeps_what_xml_allows() {
+        let text = "a\u{0}\u{1b}\t<&>\u{fffd}\u{fffe}\u{ffff}\u{1fffe}\u{10ffff}\u{85}z";
+        let mut xml = String::new();
+        put(&mut xml, 0, "Name", text);
+        let document = roxmltree::Document::parse(&xml).unwrap();
+        let read = document.root_element().text().unwrap();
+        assert_eq!(read, "a___<&>\u{fffd}__\u{1fffe}\u{10ffff}_z");
+    }
 }

@@ -179,7 +179,7 @@ fn clients_that_are_gone_or_too_many_cost_nothing() {
     let connect = connect(None);
     let at = |n: u16| std::net::SocketAddr::from(([10, 0, (n % 50) as u8, 1], 20_000 + n));
     for n in 0..2000 {
-        server.receive(at(n), &connect, 0, 0);
+        server.receive(at(n), &connect, 0, u64::from(n) * MS);
     }
     server.take_datagrams();
     frame_bytes(0, &[], 0, &mut server);
@@ -195,6 +195,18 @@ fn clients_that_are_gone_or_too_many_cost_nothing() {
     assert_eq!(server.frame(&frame, 15_000 * MS), Some(4));
     assert_eq!(server.frame(&frame, 30_000 * MS), Some(0));
     assert!(!server.has_listeners());
+}
+
+#[test]
+fn a_flood_of_requests_is_not_answered() {
+    let mut server = NatNetServer::new(settings(Bitstream::NEWEST, MULTICAST));
+    let mut discovery = Vec::new();
+    put_message(MessageKind::Discovery, &mut discovery, |_| {});
+    let mut answered = |now_ns: u64| {
+        (0..5000).for_each(|_| server.receive(client(), &discovery, 0, now_ns));
+        server.take_datagrams().len()
+    };
+    assert_eq!([answered(0), answered(100 * MS), answered(2_000 * MS)], [200, 20, 200]);
 }
 
 /// A request to connect, as clients from the SDK of Motive 3 on send it where they want a version.

@@ -76,6 +76,47 @@ fn frames_of_every_version_have_their_markers_times_and_samples() {
     }
 }
 
+/// Motive was paused at the start: no frame, and 0 samples stated.
+#[test]
+fn samples_that_no_frame_announced_are_noted_and_announced_anew() {
+    let mut pair = Pair::new(Bitstream::NEWEST, MULTICAST);
+    pair.server.set_rates(100.0, 0);
+    pair.start();
+    let reported = &pair.driver.reported;
+    assert!(reported.has_note("how many samples 2 force plates or devices have in a frame"));
+    let rates = |reported: &Reported| -> Vec<u32> {
+        reported.groups.iter().map(|group| group.rate_millihertz).collect()
+    };
+    assert_eq!(rates(reported), [100_000; 2]);
+    for number in 0..10 {
+        pair.frame(number, &[]);
+    }
+    let reported = &pair.driver.reported;
+    // The recorder counts what comes after it as lost.
+    assert_eq!(rates(reported), [100_000, 100_000, 200_000, 200_000]);
+    assert_eq!(reported.groups[2].channels, reported.groups[0].channels);
+    let firsts: Vec<_> = reported.batches.iter().map(|batch| (batch.0, batch.2 % 512)).collect();
+    let expected: Vec<_> = (1..10).flat_map(|number| [(0, 2 * number), (1, 2 * number)]).collect();
+    assert_eq!(firsts, expected);
+    for note in ["'AMTI' has 2 samples of 3 channels in a frame, not 1 of 3", "'NI' has 2 samples"]
+    {
+        let found = reported.notes.iter().filter(|text| text.contains(note));
+        assert_eq!(found.count(), 1, "{note}: {:?}", reported.notes);
+    }
+}
+
+#[test]
+fn devices_with_more_samples_than_there_is_memory_for_are_left_out() {
+    let mut pair = Pair::new(Bitstream::NEWEST, MULTICAST);
+    pair.server.set_rates(2_000.0, 1_000);
+    pair.start();
+    // Three channels, and one.
+    let reported = &pair.driver.reported;
+    let groups: Vec<_> = reported.groups.iter().map(|group| &*group.channels[0].name).collect();
+    assert_eq!(groups, ["NI:ai0"]);
+    assert!(reported.has_note("1 force plates or devices are left out"), "{:?}", reported.notes);
+}
+
 /// Before 3.0 plates are not described; frames tell their channels.
 #[test]
 fn a_plate_without_a_description_has_numbers_for_names() {
@@ -105,6 +146,24 @@ fn lost_frames_leave_gaps_and_late_ones_and_duplicates_move_nothing() {
     pair.driver.command(Command::Stop);
     pair.step();
     assert_eq!(pair.driver.reported.ended.unwrap().frames_produced, 7);
+}
+
+#[test]
+fn a_number_that_jumps_is_no_loss() {
+    let mut pair = Pair::new(Bitstream::NEWEST, MULTICAST);
+    pair.start();
+    // Forth, back, and a frame that is missing.
+    for (number, stated) in [(0, 7_u32), (1, 50_000_008), (2, 9), (4, 11)] {
+        frame_bytes(number, &[], 0, &mut pair.server);
+        let mut datagram = pair.server.take_datagrams().remove(0);
+        datagram.bytes[4..8].copy_from_slice(&stated.to_le_bytes());
+        pair.driver.push(&datagram.bytes);
+        pair.steps(2);
+    }
+    pair.driver.command(Command::Stop);
+    pair.step();
+    assert_eq!(pair.driver.reported.frames.len(), 4);
+    assert_eq!(pair.driver.reported.ended.unwrap().frames_produced, 5);
 }
 
 #[test]

@@ -273,6 +273,9 @@ fn a_frame_in_several_datagrams_is_one_frame() {
             _ => parts.iter().rev().for_each(|part| pair.driver.push(part, true)),
         }
     }
+    assert_eq!(pair.driver.reported.frames.len(), 1, "the other half may still come");
+    pair.driver.now_ns += 20 * MS;
+    pair.driver.push(&[], false);
     let frames = &pair.driver.reported.frames;
     assert_eq!(frames.iter().map(|frame| frame.0).collect::<Vec<_>>(), [0, 1, 2]);
     assert_eq!(ids(&frames[0].2), [0, 1, 2, 4096]);
@@ -291,6 +294,32 @@ fn a_frame_in_several_datagrams_is_one_frame() {
     pair.steps(20);
     let notes = pair.driver.reported.notes.join("\n");
     assert!(notes.contains("2 frames are incomplete"), "{notes}");
+}
+
+#[test]
+fn datagrams_of_two_frames_that_change_places_are_two_whole_frames() {
+    // Number and half of each datagram; numbers and markers of the frames.
+    type Case<'a> = (&'a [(u32, usize)], &'a [(u32, usize)]);
+    let cases: [Case<'_>; 4] = [
+        (&[(1, 0), (2, 0), (1, 1), (2, 1), (3, 0), (3, 1)], &[(1, 4), (2, 4), (3, 4)]),
+        (&[(1, 0), (2, 1), (2, 0), (1, 1), (3, 0), (3, 1)], &[(1, 4), (2, 4), (3, 4)]),
+        // The other half is lost: the frame waits for it until a third one begins.
+        (&[(1, 0), (2, 0), (2, 1), (3, 0), (3, 1)], &[(1, 3), (2, 4), (3, 4)]),
+        (&[(1, 0), (2, 0), (3, 0), (2, 1), (3, 1)], &[(1, 3), (2, 4), (3, 4)]),
+    ];
+    for (datagrams, expected) in cases {
+        let mut pair = Pair::new(Some(5000));
+        pair.start();
+        for (number, half) in datagrams {
+            let both = [
+                (LABELLED, [0; 2], &[marker(*number, 0); 3][..]),
+                (UNLABELLED, [0; 2], &[marker(1, 70)]),
+            ];
+            pair.driver.push(&packet(header(*number), &both[*half..=*half]), true);
+        }
+        let found = pair.driver.reported.frames.iter().map(|frame| (frame.0, frame.2.len()));
+        assert_eq!(found.collect::<Vec<_>>(), expected, "{datagrams:?}");
+    }
 }
 
 #[test]

@@ -165,8 +165,8 @@ struct StreamedDevice {
     n_labelled: usize,
     /// When the first labelled marker appeared that the stream has not, and the last one.
     appeared: Option<(Instant, Instant)>,
-    /// The end of the last batch of each group, by the monotonic clock.
-    ends_ns: Vec<u64>,
+    /// The time stamp of the last sample of each group, by the monotonic clock.
+    last_samples_ns: Vec<u64>,
 }
 
 /// The server with its sockets.
@@ -351,7 +351,7 @@ impl LivePublisher for LslPublisher {
             n_channels: 0,
             n_labelled: 0,
             appeared: None,
-            ends_ns: vec![0; device.sampled.len()],
+            last_samples_ns: vec![0; device.sampled.len()],
             device: device.clone(),
             slots: Vec::new(),
             labels: Vec::new(),
@@ -414,13 +414,11 @@ impl LivePublisher for LslPublisher {
         let now_ns = monotonic_ns();
         let first_ns = served.time.of_sample(batch.device_ticks, now_ns, &device.progress);
         put_values(group, batch, &mut self.values);
-        let n_samples = (self.values.len() / group.channels.len().max(1)) as f64;
+        let n_samples = self.values.len() / group.channels.len().max(1);
         let period_ns = 1e12 / f64::from(group.rate_millihertz.max(1));
-        let Some(end_ns) = served.ends_ns.get_mut(index) else { return };
-        // A refitted line may be some microseconds earlier, or some milliseconds than the arrivals before there was one.
-        let is_step = end_ns.saturating_sub(first_ns) < STEP_MAX_NS;
-        let first_ns = if is_step { first_ns.max(*end_ns) } else { first_ns };
-        *end_ns = first_ns + (n_samples * period_ns) as u64;
+        let Some(last_ns) = served.last_samples_ns.get_mut(index) else { return };
+        let first_ns = in_order(first_ns, *last_ns);
+        *last_ns = first_ns + (n_samples.saturating_sub(1) as f64 * period_ns) as u64;
         let server = &mut self.server.server;
         server.push(port, seconds(first_ns), &self.values);
         // Of any group: nobody knows which.
@@ -487,6 +485,16 @@ fn seconds(ns: u64) -> f64 {
     ns as f64 * 1e-9
 }
 
+/// The time of a batch's first sample, or that of the last sample before it, if that is later: a refitted line may be some
+/// microseconds earlier, or some milliseconds than the arrivals before there was one.
+///
+/// Not the end of the batch before, which follows from the nominal rate: where converters run faster than that, stamps would
+/// leave the time of capture behind for good.
+fn in_order(first_ns: u64, last_ns: u64) -> u64 {
+    let is_step = last_ns.saturating_sub(first_ns) >= STEP_MAX_NS;
+    if is_step { first_ns } else { first_ns.max(last_ns) }
+}
+
 /// The values of a batch in the units of its channels, one sample after another.
 fn put_values(group: &SampledGroupInfo, batch: &TappedBatch, out: &mut Vec<f32>) {
     out.clear();
@@ -550,6 +558,22 @@ mod tests {
         assert!((400_000_000..2_000_000_000).contains(&age), "{age} ns ago");
         // The time of day was set.
         assert!(time_of(&event(ServiceEventKind::Mark, 0)) >= before);
+    }
+
+    #[test]
+    fn stamps_stay_at_the_time_of_capture_whatever_the_true_rate() {
+        // 20 samples a batch of nominally 1 ms, by converters that are 200 ppm fast or slow, read with jitter.
+        for period_ns in [999_800_u64, 1_000_200] {
+            let mut last_ns = 0;
+            for batch in 0..200_000_u64 {
+                let captured_ns = 5_000_000_000 + batch * 20 * period_ns + batch % 7 * 300_000;
+                let first_ns = in_order(captured_ns, last_ns);
+                assert!(first_ns >= last_ns && first_ns - captured_ns < 2_000_000, "{batch}");
+                last_ns = first_ns + 19 * 1_000_000;
+            }
+        }
+        assert_eq!(in_order(1_000, 5_000), 5_000, "a refitted line");
+        assert_eq!(in_order(1_000, 1_000 + STEP_MAX_NS), 1_000, "a clock that was set");
     }
 
     #[test]

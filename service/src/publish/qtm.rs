@@ -6,7 +6,7 @@ use std::{
     io,
     net::{SocketAddr, UdpSocket},
     sync::Arc,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context, anyhow};
@@ -48,6 +48,9 @@ pub const QTM: PublisherName = PublisherName { id: "qtm", title: "QTM" };
 /// What the server says to be.
 const VERSION: &str = concat!("mocapd ", env!("CARGO_PKG_VERSION"));
 
+/// A client that has set no version for so long makes room for another one: programs set it first, and get no frames before.
+const VERSION_TIMEOUT: Duration = Duration::from_secs(10);
+
 /// How long clients have to take what is pending when the service stops.
 const DRAIN: Duration = Duration::from_millis(500);
 
@@ -77,7 +80,7 @@ pub fn open(
         let limits = ClientLimits::new(QTM, &config.allow_from, config.clients_max);
         Ok(QtmPublisher {
             sockets,
-            server: AllowedServer { server, limits, news: Vec::new(), sent_to_gone: 0 },
+            server: AllowedServer::new(server, limits),
             map: MarkerMap::default(),
             samples: SampleMap::default(),
             bodies: Vec::new(),
@@ -133,20 +136,55 @@ struct AllowedServer {
     news: Vec<String>,
     /// Frames that clients were sent which are gone.
     sent_to_gone: u64,
+    /// Those that are connected, and since when.
+    connected: Vec<(ClientId, Instant)>,
+}
+
+impl AllowedServer {
+    fn new(server: QtmServer, limits: ClientLimits) -> Self {
+        Self { server, limits, news: Vec::new(), sent_to_gone: 0, connected: Vec::new() }
+    }
+
+    /// Where there are as many clients as there may be, disconnects the first one that has set no version.
+    fn make_room(&mut self, now: Instant) {
+        if self.server.reports().len() < self.limits.clients_max() {
+            return;
+        }
+        let is_silent = |(id, since): &&(ClientId, Instant)| {
+            let report = self.server.report(*id);
+            now.saturating_duration_since(*since) >= VERSION_TIMEOUT
+                && report.is_some_and(|report| report.minor.is_none())
+        };
+        let Some((id, _)) = self.connected.iter().find(is_silent).copied() else { return };
+        if let Some(report) = self.server.report(id) {
+            self.news.push(format!(
+                "QTM client {} disconnected: it has set no version for {} s, and another client connects",
+                report.peer,
+                VERSION_TIMEOUT.as_secs()
+            ));
+        }
+        self.disconnect(id);
+    }
 }
 
 impl StreamServer for AllowedServer {
     type Id = ClientId;
 
     fn connect(&mut self, peer: SocketAddr) -> Result<ClientId, Vec<u8>> {
+        if self.limits.is_allowed(peer.ip()) {
+            self.make_room(Instant::now());
+        }
         self.limits.check(peer, self.server.reports().len()).map_err(|refusal| match refusal {
             NotAccepted::Address => QtmServer::exclusion(),
             NotAccepted::Full => QtmServer::refusal(),
         })?;
-        self.server.connect(peer).ok_or_else(QtmServer::refusal)
+        let id = self.server.connect(peer).ok_or_else(QtmServer::refusal)?;
+        self.connected.push((id, Instant::now()));
+        Ok(id)
     }
 
     fn disconnect(&mut self, id: ClientId) {
+        self.connected.retain(|(connected, _)| *connected != id);
         let Some(report) = self.server.disconnect(id) else { return };
         self.sent_to_gone += report.frames_sent;
         if report.frames_missed > 0 || report.samples_missed > 0 {
@@ -170,7 +208,9 @@ impl StreamServer for AllowedServer {
     }
 
     fn is_over(&self, id: ClientId) -> bool {
+        // Or was disconnected to make room.
         self.server.is_out_of_step(id)
+            || self.connected.iter().all(|(connected, _)| *connected != id)
     }
 
     fn pending(&self, id: ClientId) -> &[u8] {
@@ -332,13 +372,14 @@ impl QtmPublisher {
     }
 
     /// Answers those who may connect, with the name of the rig.
-    fn answer_searches(&self) {
-        let Some(responder) = &self.sockets.responder else { return };
+    fn answer_searches(&mut self) {
         let port = self.address().port();
+        let Self { sockets, server, rig, .. } = self;
+        let Some(responder) = &mut sockets.responder else { return };
         responder.serve(|from, question| {
             let reply_port = read_discovery_request(question)?;
-            let is_allowed = self.server.limits.is_allowed(from);
-            is_allowed.then(|| (reply_port, discovery_reply(&self.rig, VERSION, port)))
+            let is_allowed = server.limits.is_allowed(from);
+            is_allowed.then(|| (reply_port, discovery_reply(rig, VERSION, port)))
         });
     }
 
@@ -429,5 +470,33 @@ fn execute_requests(
         if replies.send(OwnerReply { client, reply }).is_err() {
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mocapd_drivers::qtm::{PacketKind, put_text};
+
+    use super::*;
+
+    #[test]
+    fn a_client_that_sets_no_version_makes_room_after_ten_seconds() {
+        let server = QtmServer::of_recorder("mocapd".to_owned(), 2, None);
+        let mut server = AllowedServer::new(server, ClientLimits::new(QTM, &[], 2));
+        let peer = |port| SocketAddr::from(([127, 0, 0, 1], port));
+        let first = server.connect(peer(1)).unwrap();
+        let silent = server.connect(peer(2)).unwrap();
+        let mut version = Vec::new();
+        put_text(PacketKind::Command, "Version 1.23", &mut version);
+        server.receive(first, &version);
+        assert!(server.connect(peer(3)).is_err());
+        server.make_room(Instant::now() + VERSION_TIMEOUT);
+        assert_eq!((server.is_over(first), server.is_over(silent)), (false, true));
+        // Its connection is closed then.
+        server.disconnect(silent);
+        let third = server.connect(peer(3)).unwrap();
+        assert!(!server.is_over(third) && server.connect(peer(4)).is_err());
+        assert_eq!(server.news.len(), 1);
+        assert!(server.news[0].contains("127.0.0.1:2 disconnected: it has set no version"));
     }
 }

@@ -111,7 +111,7 @@ impl QtmListener {
             let wake_ns = device.poll(host_ns());
             self.follow_cable(device)?;
             self.send_datagrams(device);
-            if let Some(responder) = self.responder.as_ref().filter(|_| device.is_reachable()) {
+            if let Some(responder) = self.responder.as_mut().filter(|_| device.is_reachable()) {
                 let port = self.clients.address().port();
                 responder.serve(|from, question| {
                     let reply_port = read_discovery_request(question)?;

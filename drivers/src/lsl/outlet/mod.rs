@@ -7,11 +7,7 @@
 #[cfg(test)]
 mod tests;
 
-use std::{
-    collections::VecDeque,
-    net::{IpAddr, SocketAddr},
-    sync::Arc,
-};
+use std::{collections::VecDeque, net::SocketAddr, sync::Arc};
 
 use labstream_core::{
     net::{Node, StreamInfo, config, make_uid},
@@ -25,7 +21,10 @@ use labstream_core::{
 };
 
 use super::values::{put_floats, put_text};
-use crate::{outbox::Outbox, transport::network::server::StreamServer};
+use crate::{
+    outbox::Outbox,
+    transport::network::{responder::AnswerLimit, server::StreamServer},
+};
 
 /// Readers at the same time, at most: each may let 4 MiB of samples wait.
 pub const INLETS_MAX: usize = 64;
@@ -40,8 +39,8 @@ const REQUEST_TIMEOUT_NS: u64 = 10_000_000_000;
 /// forged: an answer is some twenty times as long as its question.
 const QUESTIONS_PER_S: u32 = 50;
 
-/// Machines whose questions are counted at the same time.
-const ASKERS_MAX: usize = 64;
+/// The same of all machines: those of the busiest laboratory.
+const ALL_QUESTIONS_PER_S: u32 = 500;
 
 /// Identifies a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,8 +85,9 @@ struct Inlet {
     stream: String,
     state: InletState,
     outbox: Outbox,
-    /// Samples of each packet of samples that waits.
+    /// Samples of each packet of samples that waits, and of all of them.
     held: VecDeque<usize>,
+    n_held: usize,
     missed: u64,
     since_ns: u64,
 }
@@ -103,13 +103,14 @@ impl Inlet {
         self.missed += self.outbox.frames_waiting() as u64;
         self.outbox.clear();
         self.held.clear();
+        self.n_held = 0;
         self.end(now_ns);
     }
 
     /// Queues samples, for which the oldest packets make room; a packet of more samples than may wait does so alone.
     fn put(&mut self, bytes: Arc<[u8]>, n_samples: usize, held_max: usize) {
-        let mut n_held: usize = self.held.iter().sum();
-        while n_held > 0 && n_held + n_samples > held_max || !self.outbox.has_room_for(bytes.len())
+        while self.n_held > 0 && self.n_held + n_samples > held_max
+            || !self.outbox.has_room_for(bytes.len())
         {
             let oldest = usize::from(self.outbox.has_begun_frame());
             if !self.outbox.drop_oldest_frame() {
@@ -120,17 +121,18 @@ impl Inlet {
                 self.missed += 1;
                 return;
             }
-            n_held -= self.held.remove(oldest).unwrap_or_default();
+            self.n_held -= self.held.remove(oldest).unwrap_or_default();
             self.missed += 1;
         }
         self.held.push_back(n_samples);
+        self.n_held += n_samples;
         self.outbox.put_frame(bytes);
     }
 
     fn sent(&mut self, n: usize) {
         self.outbox.sent(n);
         while self.held.len() > self.outbox.frames_waiting() {
-            self.held.pop_front();
+            self.n_held -= self.held.pop_front().unwrap_or_default();
         }
     }
 
@@ -155,8 +157,7 @@ pub struct OutletServer {
     now_ns: u64,
     missed_by_gone: u64,
     n_refused: u64,
-    /// Machines that asked, when their second began, and how often since then.
-    askers: VecDeque<(IpAddr, u64, u32)>,
+    questions: AnswerLimit,
 }
 
 impl OutletServer {
@@ -172,7 +173,7 @@ impl OutletServer {
             now_ns: 0,
             missed_by_gone: 0,
             n_refused: 0,
-            askers: VecDeque::with_capacity(ASKERS_MAX),
+            questions: AnswerLimit::new(QUESTIONS_PER_S, ALL_QUESTIONS_PER_S),
         }
     }
 
@@ -289,7 +290,7 @@ impl OutletServer {
     ) -> Vec<(SocketAddr, Vec<u8>)> {
         let arrived_s = clock_s();
         if let Some(query) = parse_query(datagram) {
-            if !self.may_ask(from.ip()) {
+            if !self.questions.allows(from.ip(), self.now_ns) {
                 return Vec::new();
             }
             let to = SocketAddr::new(from.ip(), query.return_port);
@@ -304,27 +305,6 @@ impl OutletServer {
             (from, timesync::build_answer(probe.wave_id, probe.t0, arrived_s, clock_s()))
         };
         probe.map(reply).into_iter().collect()
-    }
-
-    /// Counts a question of a machine, and says whether it is answered.
-    fn may_ask(&mut self, ip: IpAddr) -> bool {
-        let now_ns = self.now_ns;
-        match self.askers.iter_mut().find(|(asker, ..)| *asker == ip) {
-            Some((_, since_ns, n)) => {
-                if now_ns.saturating_sub(*since_ns) >= 1_000_000_000 {
-                    (*since_ns, *n) = (now_ns, 0);
-                }
-                *n = n.saturating_add(1);
-                *n <= QUESTIONS_PER_S
-            }
-            None => {
-                if self.askers.len() == ASKERS_MAX {
-                    self.askers.pop_front();
-                }
-                self.askers.push_back((ip, now_ns, 1));
-                true
-            }
-        }
     }
 
     /// The readers, in the order in which they connected.
@@ -414,6 +394,7 @@ impl StreamServer for OutletServer {
             outbox: Outbox::default(),
             // As many as packets wait, which the outbox bounds.
             held: VecDeque::default(),
+            n_held: 0,
             missed: 0,
             since_ns: self.now_ns,
         });
@@ -421,8 +402,9 @@ impl StreamServer for OutletServer {
     }
 
     fn disconnect(&mut self, id: InletId) {
-        let missed = self.find(id).map_or(0, |inlet| inlet.missed);
-        self.missed_by_gone += missed;
+        // What waits for it is not sent any more.
+        let missed = |inlet: &Inlet| inlet.missed + inlet.outbox.frames_waiting() as u64;
+        self.missed_by_gone += self.find(id).map_or(0, missed);
         self.inlets.retain(|inlet| inlet.id != id);
     }
 

@@ -154,6 +154,13 @@ fn samples_are_counted_and_not_the_batches_in_which_they_come() {
     // One of more than may wait does so alone.
     server.push(PORT, 1.0, &[1.0; 6 * 20]);
     assert_eq!(taken(&mut server, id).len(), size(20));
+    // What waits for one that leaves is missed: the rest of a begun batch, too.
+    for _ in 0..3 {
+        server.push(PORT, 1.0, &[1.0; 6 * 2]);
+    }
+    server.sent(id, 1);
+    server.disconnect(id);
+    assert_eq!(server.frames_missed(), 1 + 3);
 }
 
 #[test]

@@ -5,9 +5,14 @@
 //! sample of the others waits for somebody who does not answer.
 
 use std::{
+    collections::BTreeMap,
     io::{self, ErrorKind},
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket},
-    sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
+    ops::Range,
+    sync::{
+        Arc, LazyLock, Mutex, MutexGuard, PoisonError,
+        mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
+    },
     thread::Builder,
     time::{Duration, Instant},
 };
@@ -41,8 +46,9 @@ const OTHERS_MAX: usize = 64;
 /// Streams that an error names.
 const NAMED_MAX: usize = 8;
 
-/// Time-out of looking up the names of machines in LSL's configuration.
-const RESOLVE_TIMEOUT: Duration = Duration::from_secs(1);
+/// How long a search waits for the addresses of machines that LSL's configuration names: those that are found later are asked
+/// with the next wave.
+const RESOLVE_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// Bytes of an answer, at most those of a datagram.
 const ANSWER_BYTES_MAX: usize = 1 << 16;
@@ -205,15 +211,17 @@ struct Leg {
     /// One for each address of this machine: multicast leaves by one interface at a time.
     senders: Vec<UdpSocket>,
     groups: Vec<SocketAddr>,
+    /// The ports of each machine that is asked alone.
+    ports: Range<u16>,
 }
 
 impl Search {
     fn open(names: &[String]) -> Result<Self, TransportError> {
         let settings = config::get();
-        let peers = peers(&settings.known_peers);
+        PEERS.look_up(&settings.known_peers, resolve);
         let families = [(settings.allow_ipv4, false), (settings.allow_ipv6, true)];
         let opened = families.into_iter().filter(|(allowed, _)| *allowed);
-        let opened: Vec<io::Result<Leg>> = opened.map(|(_, v6)| Leg::open(v6, &peers)).collect();
+        let opened: Vec<io::Result<Leg>> = opened.map(|(_, v6)| Leg::open(v6)).collect();
         let (legs, errors): (Vec<_>, Vec<_>) = opened.into_iter().partition(Result::is_ok);
         let legs: Vec<Leg> = legs.into_iter().flatten().collect();
         if let (true, Some(Err(source))) = (legs.is_empty(), errors.into_iter().next()) {
@@ -234,8 +242,10 @@ impl Search {
     }
 
     fn ask(&self) {
-        let session = &config::get().session_id;
-        self.legs.iter().for_each(|leg| leg.ask(&format!("session_id='{session}'"), &self.id));
+        let settings = config::get();
+        let peers = PEERS.known(&settings.known_peers);
+        let question = format!("session_id='{}'", settings.session_id);
+        self.legs.iter().for_each(|leg| leg.ask(&question, &self.id, &peers));
     }
 
     /// Asks and listens for this long, or until the answers suffice.
@@ -284,7 +294,7 @@ impl Search {
 }
 
 impl Leg {
-    fn open(v6: bool, peers: &[IpAddr]) -> io::Result<Self> {
+    fn open(v6: bool) -> io::Result<Self> {
         let settings = config::get();
         let any: IpAddr =
             if v6 { Ipv6Addr::UNSPECIFIED.into() } else { Ipv4Addr::UNSPECIFIED.into() };
@@ -312,19 +322,26 @@ impl Leg {
             // The loopback interface has no group.
             hosts.push(Ipv6Addr::LOCALHOST.into());
         }
-        hosts.extend(peers.iter().filter(|ip| ip.is_ipv6() == v6));
         let last = settings.base_port.saturating_add(settings.port_range.min(PORTS_MAX));
-        for port in settings.base_port..last {
+        let ports = settings.base_port..last;
+        for port in ports.clone() {
             groups.extend(hosts.iter().map(|ip| SocketAddr::new(*ip, port)));
         }
-        Ok(Self { receiver, senders, groups })
+        Ok(Self { receiver, senders, groups, ports })
     }
 
-    fn ask(&self, question: &str, id: &str) {
+    fn ask(&self, question: &str, id: &str, peers: &[IpAddr]) {
         let Ok(own) = self.receiver.local_addr() else { return };
+        let peers = peers.iter().filter(|ip| ip.is_ipv6() == own.is_ipv6());
+        let at_ports = |ip: &IpAddr| {
+            let ip = *ip;
+            self.ports.clone().map(move |port| SocketAddr::new(ip, port))
+        };
+        let asked: Vec<SocketAddr> =
+            self.groups.iter().copied().chain(peers.flat_map(at_ports)).collect();
         let datagram = build_query(question, own.port(), id);
         for sender in &self.senders {
-            for to in &self.groups {
+            for to in &asked {
                 // A group that no interface reaches, a peer that is off: others may answer.
                 sender.send_to(&datagram, to).ok();
             }
@@ -335,30 +352,76 @@ impl Leg {
 /// Ports of a machine that are asked, at most, whatever a configuration says.
 const PORTS_MAX: u16 = 256;
 
-/// The addresses of machines that LSL's configuration names.
-fn peers(names: &[String]) -> Vec<IpAddr> {
-    let (mut known, mut unknown) = (Vec::new(), Vec::new());
-    for name in names {
-        match name.parse() {
-            Ok(ip) => known.push(ip),
-            Err(_) => unknown.push(name.clone()),
+/// Machines that are looked up by their names, at most, whatever a configuration says: each may take a thread for a while.
+const PEERS_MAX: usize = 64;
+
+/// The machines that LSL's configuration names: all searches of this process share what is known.
+static PEERS: LazyLock<PeerNames> = LazyLock::new(PeerNames::default);
+
+/// Addresses of machines, by their names.
+#[derive(Clone, Default)]
+struct PeerNames(Arc<Mutex<BTreeMap<String, PeerName>>>);
+
+#[derive(Default)]
+struct PeerName {
+    addresses: Vec<IpAddr>,
+    /// Whether a thread looks it up.
+    is_looked_up: bool,
+}
+
+impl PeerNames {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, PeerName>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Looks these machines up, and waits for a moment for the answers. The system's lookup cannot be cancelled: one that takes
+    /// long goes on, and holds up none of the others.
+    fn look_up(&self, names: &[String], resolve: fn(&str) -> Vec<IpAddr>) {
+        let is_name = |name: &&String| name.parse::<IpAddr>().is_err();
+        let mut started = Vec::new();
+        for name in names.iter().filter(is_name).take(PEERS_MAX) {
+            let peer = &mut self.lock();
+            let peer = peer.entry(name.clone()).or_default();
+            if std::mem::replace(&mut peer.is_looked_up, true) {
+                continue;
+            }
+            let (peers, of) = (self.clone(), name.clone());
+            let look_up = move || {
+                let found = resolve(&of);
+                let mut peers = peers.lock();
+                let peer = peers.entry(of).or_default();
+                peer.is_looked_up = false;
+                if !found.is_empty() {
+                    // A name server that is gone for a while does not hide the machine.
+                    peer.addresses = found;
+                }
+            };
+            match Builder::new().name("mocapd-resolve".to_owned()).spawn(look_up) {
+                Ok(_) => started.push(name),
+                Err(_) => peer.is_looked_up = false,
+            }
+        }
+        let until = Instant::now() + RESOLVE_TIMEOUT;
+        let is_open = |name: &&String| self.lock().get(*name).is_some_and(|peer| peer.is_looked_up);
+        while started.iter().any(is_open) && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(2));
         }
     }
-    if unknown.is_empty() {
-        return known;
+
+    /// The addresses that are known by now.
+    fn known(&self, names: &[String]) -> Vec<IpAddr> {
+        let peers = self.lock();
+        let addresses = |name: &String| match name.parse() {
+            Ok(ip) => vec![ip],
+            Err(_) => peers.get(name).map(|peer| peer.addresses.clone()).unwrap_or_default(),
+        };
+        names.iter().flat_map(addresses).collect()
     }
-    let (sender, receiver) = sync_channel(1);
-    // The resolver cannot be cancelled: a thread that finds nobody waiting ends by itself.
-    let thread = Builder::new().name("mocapd-resolve".to_owned()).spawn(move || {
-        let addresses = |name: &String| (name.as_str(), 0).to_socket_addrs().ok();
-        let found: Vec<IpAddr> =
-            unknown.iter().filter_map(addresses).flatten().map(|address| address.ip()).collect();
-        sender.send(found).ok();
-    });
-    if thread.is_ok() {
-        known.extend(receiver.recv_timeout(RESOLVE_TIMEOUT).unwrap_or_default());
-    }
-    known
+}
+
+fn resolve(name: &str) -> Vec<IpAddr> {
+    let addresses = (name, 0).to_socket_addrs();
+    addresses.map(|all| all.map(|address| address.ip()).collect()).unwrap_or_default()
 }
 
 /// Whether a call is to be repeated.
@@ -468,6 +531,8 @@ fn attempt(number: usize, lost: &StreamDescription, all: &[FoundStream]) -> Opti
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use super::*;
 
     fn found(name: &str, kind: &str, source_id: &str) -> FoundStream {
@@ -511,6 +576,30 @@ mod tests {
             FoundStream { machine: "192.0.2.2:9".parse().unwrap(), ..found("A", "EEG", "1") },
         ];
         assert_eq!(twins[0].uri_among(&twins), None);
+    }
+
+    #[test]
+    fn a_machine_that_is_not_found_hides_no_other_and_takes_one_thread() {
+        static LOOKUPS: AtomicUsize = AtomicUsize::new(0);
+        fn resolve(name: &str) -> Vec<IpAddr> {
+            if name == "gone" {
+                LOOKUPS.fetch_add(1, Ordering::Relaxed);
+                std::thread::sleep(Duration::from_secs(3));
+                return Vec::new();
+            }
+            vec![Ipv4Addr::new(192, 0, 2, 1).into()]
+        }
+        let peers = PeerNames::default();
+        let names = ["gone", "192.0.2.9", "there"].map(str::to_owned);
+        let began = Instant::now();
+        for _ in 0..4 {
+            peers.look_up(&names, resolve);
+            let known: Vec<String> = peers.known(&names).iter().map(IpAddr::to_string).collect();
+            assert_eq!(known, ["192.0.2.9", "192.0.2.1"]);
+        }
+        // The first search waits for it for a moment, and no other does.
+        assert!(began.elapsed() < Duration::from_secs(2));
+        assert_eq!(LOOKUPS.load(Ordering::Relaxed), 1);
     }
 
     #[test]

@@ -92,6 +92,8 @@ struct NatNetPublisher {
     changed_until_ns: u64,
     /// Whether it was reported that frames do not fit into datagrams.
     is_excess_known: bool,
+    /// Whether it was reported that samples are left out.
+    is_lag_known: bool,
     /// Frames that clients were sent, also those that have left.
     frames_sent: u64,
     bodies: Vec<WireBody>,
@@ -138,6 +140,7 @@ impl NatNetPublisher {
             news: Vec::new(),
             changed_until_ns: 0,
             is_excess_known: false,
+            is_lag_known: false,
             frames_sent: 0,
             bodies: Vec::new(),
         })
@@ -207,9 +210,13 @@ impl LivePublisher for NatNetPublisher {
     }
 
     fn set_device(&mut self, device: Option<&PublishedDevice>) {
+        if let Some(n @ 1..) = self.device.as_ref().map(|served| served.samples.n_left_out()) {
+            self.news
+                .push(format!("{n} samples of the last device were too late for NatNet's frames"));
+        }
         // Without a device, the definitions stay those of the last one: only others are a change.
         self.device = device.map(DescribedDevice::new);
-        self.is_excess_known = false;
+        (self.is_excess_known, self.is_lag_known) = (false, false);
         let Some((served, device)) = self.device.as_ref().zip(device) else { return };
         self.server.set_rates(device.header.rate_hz as f32, served.samples.per_frame());
         let model = served.table.model().clone();
@@ -266,6 +273,13 @@ impl LivePublisher for NatNetPublisher {
                 "frames of {} markers do not fit into NatNet's datagrams: clients miss them; publish them as QTM or LSL does",
                 frame.markers.len()
             ));
+        }
+        if served.samples.n_left_out() > 0 && !std::mem::replace(&mut self.is_lag_known, true) {
+            self.news.push(
+                "sampled channels come faster than their stated rate, or frames later: NatNet's frames have not all of their \
+                 samples; publish them as QTM or LSL does"
+                    .to_owned(),
+            );
         }
         self.send();
     }

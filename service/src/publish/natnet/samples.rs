@@ -36,6 +36,10 @@ struct GroupQueue {
     first: u64,
     /// Whether a batch has come, so that the number behind the last one is known.
     is_begun: bool,
+    /// Samples of the longest batch.
+    batch_max: i64,
+    /// Samples that were left out, because they were too far behind.
+    n_left_out: u64,
     /// The row of a frame, and the number of its first sample, which may be one before the first of all.
     anchor: Option<(u64, i64)>,
     /// Those of the current frame: the place of the first one, and their number.
@@ -73,6 +77,8 @@ impl ServedSamples {
                 values: VecDeque::default(),
                 first: 0,
                 is_begun: false,
+                batch_max: 0,
+                n_left_out: 0,
                 anchor: None,
                 current: (0, 0),
             });
@@ -96,6 +102,11 @@ impl ServedSamples {
         let group = info.id;
         self.devices.push(SampledDevice { group, channels, is_plate, id, samples: Vec::new() });
         SampledDescription { is_plate, id, name, data_type, channels: names }
+    }
+
+    /// Samples that were left out, because they came faster than their rate says, or frames came late.
+    pub(super) fn n_left_out(&self) -> u64 {
+        self.groups.iter().map(|group| group.n_left_out).sum()
     }
 
     /// Whether there are none.
@@ -175,6 +186,8 @@ impl GroupQueue {
             let channel = self.info.channels.get(place)?;
             Some(channel.value(*value) as f32)
         };
+        let n_samples = batch.samples.len() / self.n_channels();
+        self.batch_max = self.batch_max.max(n_samples as i64);
         for sample in batch.samples.chunks_exact(self.n_channels()) {
             self.values.extend(sample.iter().enumerate().filter_map(scaled));
         }
@@ -189,6 +202,9 @@ impl GroupQueue {
 
     /// Selects the samples of a row. Where they have not come, this frame goes without, and those of all later ones are so
     /// much older: as many as a batch has, until frames never wait for one.
+    ///
+    /// What is more than two batches behind is left out, and those behind it are so much younger: converters that run faster
+    /// than stated would leave their frames behind, and a pause of the frames as well.
     fn select(&mut self, row: u64) {
         self.current = (0, 0);
         let (first, end) = (self.first.cast_signed(), (self.first + self.n_held()).cast_signed());
@@ -206,8 +222,11 @@ impl GroupQueue {
             // They are gone: frames came too late for them.
             None
         } else {
-            self.current = ((start - first) as usize, (stop - start) as usize);
-            Some((anchor_row, anchor))
+            let behind_max = 2 * self.batch_max.max(self.per_frame.ceil() as i64);
+            let excess = (end - stop - behind_max).max(0);
+            self.n_left_out += excess.cast_unsigned();
+            self.current = ((start - first + excess) as usize, (stop - start) as usize);
+            Some((anchor_row, anchor.saturating_add(excess)))
         };
     }
 
@@ -245,6 +264,8 @@ mod tests {
             values: VecDeque::default(),
             first: 0,
             is_begun: false,
+            batch_max: 0,
+            n_left_out: 0,
             anchor: None,
             current: (0, 0),
         };
@@ -325,6 +346,28 @@ mod tests {
         let rest: Vec<f32> = found[12..].iter().flatten().copied().collect();
         let expected: Vec<f32> = (44..44 + rest.len()).map(|n| n as f32).collect();
         assert_eq!((rest, found[19].len()), (expected, 4));
+    }
+
+    #[test]
+    fn samples_stay_with_their_frames_where_converters_run_fast_or_slow() {
+        // Batches of ten samples; a frame has 2, and by these converters 1 % more or less.
+        for (faster, slower) in [(101, 100), (99, 100)] {
+            let mut served = queue(2.0);
+            let (mut pushed, mut behind_max) = (0, 0.0_f32);
+            for row in 0..50_000_u64 {
+                let captured = row * 2 * faster / slower;
+                while pushed + 10 <= captured {
+                    push(&mut served, pushed..pushed + 10);
+                    pushed += 10;
+                }
+                let last = select(&mut served, row).last().copied();
+                behind_max = last.map_or(behind_max, |last| behind_max.max(captured as f32 - last));
+            }
+            assert!(behind_max <= 40.0, "{behind_max}");
+            let left_out = served.n_left_out();
+            let expected = if faster > slower { 900..1001 } else { 0..1 };
+            assert!(expected.contains(&left_out), "{left_out}");
+        }
     }
 
     #[test]
