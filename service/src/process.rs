@@ -49,17 +49,19 @@ pub(crate) fn lower_thread_priority() {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_acquire::threads;
+
     use super::*;
 
     #[test]
     fn only_the_calling_thread_is_lowered() {
         let nice = || rustix::process::getpriority_process(None).unwrap();
         let own = nice();
-        let lowered = std::thread::spawn(move || {
+        let lowered = threads::spawn("lowered", move || {
             lower_thread_priority();
-            (nice(), std::thread::spawn(nice).join().unwrap())
+            (nice(), threads::spawn("started", nice).unwrap().join().unwrap())
         });
-        assert_eq!(lowered.join().unwrap(), (NICE_LOWEST, NICE_LOWEST));
+        assert_eq!(lowered.unwrap().join().unwrap(), (NICE_LOWEST, NICE_LOWEST));
         assert_eq!(nice(), own);
     }
 

@@ -192,8 +192,10 @@ impl WorkQueue {
 mod tests {
     use std::{
         sync::mpsc::{Sender, channel, sync_channel},
-        thread::{current, spawn},
+        thread::current,
     };
+
+    use mocapd_acquire::threads;
 
     use super::*;
     use crate::http::ProblemKind;
@@ -229,8 +231,9 @@ mod tests {
 
     #[test]
     fn a_panic_gets_a_reply() {
-        let threads = computing_threads(true).unwrap();
-        for work in [Work::Short(Duration::from_secs(20)), Work::Computes(threads.handle().clone())]
+        let computing = computing_threads(true).unwrap();
+        for work in
+            [Work::Short(Duration::from_secs(20)), Work::Computes(computing.handle().clone())]
         {
             let queue = of_one(work);
             let problem = runtime().block_on(queue.run(|| panic!("planted"))).unwrap_err();
@@ -245,7 +248,7 @@ mod tests {
         let nice = || rustix::process::getpriority_process(None).unwrap();
         let job = move || {
             let name = current().name().unwrap_or_default().to_owned();
-            (name, nice(), spawn(nice).join().unwrap())
+            (name, nice(), threads::spawn("started", nice).unwrap().join().unwrap())
         };
         runtime().block_on(queue.run(job)).unwrap()
     }
@@ -266,8 +269,8 @@ mod tests {
 
     #[test]
     fn jobs_that_compute_leave_the_threads_of_commands_free() {
-        let threads = computing_threads(true).unwrap();
-        let queues = WorkQueues::new(Duration::from_secs(20), threads.handle());
+        let computing = computing_threads(true).unwrap();
+        let queues = WorkQueues::new(Duration::from_secs(20), computing.handle());
         let runtime = Builder::new_current_thread()
             .enable_time()
             .max_blocking_threads(THREADS)
