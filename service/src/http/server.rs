@@ -55,10 +55,8 @@ impl HttpServer {
         let is_viewer = options.is_viewer;
         let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits, .. } =
             options;
-        let unix = unix_socket.map(|path| Listening::new(is_viewer, || listen_unix(&path)));
-        let unix = unix.transpose()?;
-        let tcp = tcp.map(|address| Listening::new(is_viewer, || listen_tcp(address)));
-        let tcp = tcp.transpose()?;
+        let unix = Listening::at(unix_socket, is_viewer, |path| listen_unix(&path))?;
+        let tcp = Listening::at(tcp, is_viewer, listen_tcp)?;
         let tcp_address = tcp.as_ref().map(|tcp| tcp.listener.local_addr()).transpose()?;
 
         let (stop, stopping) = watch::channel(false);
@@ -183,8 +181,13 @@ struct Listening<L> {
 }
 
 impl<L> Listening<L> {
-    /// `mocapd view` records nothing that its work could delay.
-    fn new(is_viewer: bool, listen: impl FnOnce() -> anyhow::Result<L>) -> anyhow::Result<Self> {
+    /// Listens at a place, if there is one. `mocapd view` records nothing that its work could delay.
+    fn at<P>(
+        place: Option<P>,
+        is_viewer: bool,
+        listen: impl FnOnce(P) -> anyhow::Result<L>,
+    ) -> anyhow::Result<Option<Self>> {
+        let Some(place) = place else { return Ok(None) };
         let computing = work_queues::computing_threads(!is_viewer)
             .context("cannot start the threads of the HTTP API")?;
         let runtime = Builder::new_current_thread()
@@ -195,9 +198,9 @@ impl<L> Listening<L> {
             .build()
             .context("cannot start the runtime of the HTTP API")?;
         let inside = runtime.enter();
-        let listener = listen()?;
+        let listener = listen(place)?;
         drop(inside);
-        Ok(Self { runtimes: Runtimes { serving: runtime, computing }, listener })
+        Ok(Some(Self { runtimes: Runtimes { serving: runtime, computing }, listener }))
     }
 }
 
