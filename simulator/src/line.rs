@@ -285,7 +285,7 @@ impl std::fmt::Debug for ServeOptions {
 }
 
 /// Serves a device on a line until `stop` is set or the device is [gone](LineDevice::is_gone). Before it returns, it
-/// waits until the host has read all bytes sent, or has read nothing for one second.
+/// waits until the host has read all bytes sent, or has read nothing for one second; for five, if no stop was requested.
 ///
 /// # Errors
 /// When the line or the log fails.
@@ -313,8 +313,8 @@ pub fn serve(
     };
     server.log_line(server.device.log_header())?;
     server.log_batch(server.device.batch_log_header())?;
-    server.run(options.once, stop)?;
-    server.drain()?;
+    let end = server.run(options.once, stop)?;
+    server.drain(end)?;
     server.device.close();
     server.log_frames()?;
     for log in server.log.iter_mut().chain(&mut server.batch_log) {
@@ -353,13 +353,32 @@ enum Progress {
     Full,
 }
 
+/// Why serving has ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// The run is over, or the device has gone.
+    Over,
+    /// The caller stopped it, and waits.
+    Stopped,
+}
+
+impl End {
+    /// A host that reads nothing for this long counts as gone.
+    const fn host_idle_max_ns(self) -> u64 {
+        match self {
+            Self::Over => HOST_LATE_MAX_NS,
+            Self::Stopped => HOST_IDLE_TIMEOUT_NS,
+        }
+    }
+}
+
 impl Server<'_> {
     fn failed(&self, action: &'static str) -> impl FnOnce(io::Error) -> LineError + use<> {
         let line = self.line.name();
         move |source| LineError::Line { line, action, source }
     }
 
-    fn run(&mut self, once: bool, stop: &AtomicBool) -> Result<(), LineError> {
+    fn run(&mut self, once: bool, stop: &AtomicBool) -> Result<End, LineError> {
         let until = |at_ns: u64| Duration::from_nanos(at_ns.saturating_sub(host_ns()));
         while !stop.load(Ordering::Relaxed) {
             let now_ns = host_ns();
@@ -376,7 +395,7 @@ impl Server<'_> {
             let has_ended = self.device.has_ended() && self.device.log().starts > 0;
             let is_over = self.device.is_gone() || (once && has_ended);
             if is_over && self.device.pending().is_empty() {
-                return Ok(());
+                return Ok(End::Over);
             }
             let idle = sleep.min(until(wake_ns)).min(SLEEP_MAX);
             let ready = if is_full { self.line.wait_for_room(idle) } else { self.line.wait(idle) };
@@ -385,7 +404,7 @@ impl Server<'_> {
             }
             self.maintain()?;
         }
-        Ok(())
+        Ok(End::Stopped)
     }
 
     /// Unplugs the line or plugs it in, when the device's state has changed.
@@ -399,7 +418,7 @@ impl Server<'_> {
             return self.line.plug_in().map_err(self.failed("plugging in"));
         }
         // The log knows only sent and unsent frames, so everything sent must have reached the host.
-        let mut drain = Drain::default();
+        let mut drain = Drain::new(HOST_IDLE_TIMEOUT_NS);
         loop {
             let unread = self.line.unread().map_err(self.failed("counting bytes"))?;
             if drain.is_over(unread, host_ns()) {
@@ -483,8 +502,8 @@ impl Server<'_> {
         Ok(())
     }
 
-    fn drain(&mut self) -> Result<(), LineError> {
-        let mut drain = Drain::default();
+    fn drain(&mut self, end: End) -> Result<(), LineError> {
+        let mut drain = Drain::new(end.host_idle_max_ns());
         loop {
             self.write()?;
             let unread = self.line.unread().map_err(self.failed("counting bytes"))?;
@@ -519,8 +538,12 @@ impl Server<'_> {
     }
 }
 
-/// A host that reads nothing for this long counts as gone.
+/// A host that reads nothing for this long counts as gone, if somebody waits for the end.
 const HOST_IDLE_TIMEOUT_NS: u64 = 1_000_000_000;
+
+/// The same after a run that has ended by itself, when nobody waits: on a machine that does much else, a host may get no
+/// processor for seconds, and a hang-up would discard what it has not read.
+const HOST_LATE_MAX_NS: u64 = 5_000_000_000;
 
 /// Time between two polls of the unread bytes.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
@@ -529,25 +552,30 @@ const POLL_INTERVAL: Duration = Duration::from_millis(5);
 const EMPTY_POLLS: u32 = 20;
 
 /// Watches the number of bytes that the host still has to read.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Drain {
+    host_idle_max_ns: u64,
     remaining: Option<u64>,
     progress_ns: u64,
     empty_polls: u32,
 }
 
 impl Drain {
+    fn new(host_idle_max_ns: u64) -> Self {
+        Self { host_idle_max_ns, remaining: None, progress_ns: 0, empty_polls: 0 }
+    }
+
     /// Takes the number of bytes between device and host; `true` at 0, or when the host has stopped reading.
     fn is_over(&mut self, remaining: u64, now_ns: u64) -> bool {
         if self.remaining != Some(remaining) {
             self.remaining = Some(remaining);
             self.progress_ns = now_ns;
         }
-        // The kernel moves bytes between its buffers asynchronously and counts only the last one. On a busy machine its
-        // worker can be late by tens of milliseconds, and a hang-up discards what it has not moved.
+        // The kernel moves bytes between its buffers asynchronously, and some lines count only the last one. On a busy machine
+        // its worker can be late by tens of milliseconds, and a hang-up discards what it has not moved.
         self.empty_polls = if remaining == 0 { self.empty_polls + 1 } else { 0 };
         self.empty_polls > EMPTY_POLLS
-            || now_ns.saturating_sub(self.progress_ns) > HOST_IDLE_TIMEOUT_NS
+            || now_ns.saturating_sub(self.progress_ns) > self.host_idle_max_ns
     }
 }
 

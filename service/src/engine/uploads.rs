@@ -1,4 +1,5 @@
-//! Uploads finished takes to object storage, on its own thread and at a limited rate, so that it does not disturb a recording.
+//! Uploads finished takes to object storage, on its own thread at the lowest priority and at a limited rate, so that it does not
+//! disturb a recording.
 //!
 //! What was uploaded is in a file beside the takes, so that a restart continues. An upload can be repeated at any time: an
 //! object of the same name and content counts as done. Errors are retried, less and less often.
@@ -26,6 +27,7 @@ use self::uploaded::{Journal, JournalEntry, check_apart};
 use super::{Inner, session::unix_ms};
 use crate::{
     config::ArchiveConfig,
+    process,
     status::{ArchiveStatus, ServiceEventKind, TakeSummary, TakeUpload, UploadState},
 };
 
@@ -166,6 +168,7 @@ fn is_of_take(error: &StoreError) -> bool {
 
 /// Uploads takes until the service stops.
 pub(super) fn run(inner: &Arc<Inner>) {
+    process::lower_thread_priority();
     let mut uploader = Uploader::default();
     while !inner.is_stopping() {
         let options = Arc::clone(&inner.core().options);

@@ -7,7 +7,8 @@
 //! ```
 //!
 //! Each listener has its own thread, `mocapd-socket` and `mocapd-tcp`, and a limited number of threads for blocking
-//! work, so that clients of one never wait for those of the other. The data plane does not depend on it.
+//! work, so that clients of one never wait for those of the other. The data plane does not depend on it, and what computes
+//! runs at a lower priority than the data plane.
 //! docs/api.md describes the routes and their guarantees.
 
 mod auth;

@@ -55,8 +55,8 @@ impl HttpServer {
         let is_viewer = options.is_viewer;
         let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits, .. } =
             options;
-        let unix = unix_socket.map(|path| Listening::new(|| listen_unix(&path))).transpose()?;
-        let tcp = tcp.map(|address| Listening::new(|| listen_tcp(address))).transpose()?;
+        let unix = Listening::at(unix_socket, is_viewer, |path| listen_unix(&path))?;
+        let tcp = Listening::at(tcp, is_viewer, listen_tcp)?;
         let tcp_address = tcp.as_ref().map(|tcp| tcp.listener.local_addr()).transpose()?;
 
         let (stop, stopping) = watch::channel(false);
@@ -85,10 +85,10 @@ impl HttpServer {
         let (hub, shown) = (Arc::clone(&live), Arc::clone(&control));
         let run = move || hub.run(shown.as_ref(), &stopped);
         server.broadcast_threads.push(threads::spawn("mocapd-live", run)?);
-        let serving = move |slots: usize| {
+        let serving = move |slots: usize, runtimes: Runtimes| {
             let app = Arc::new(App {
                 control: Arc::clone(&control),
-                queues: WorkQueues::new(limits.work),
+                queues: WorkQueues::new(limits.work, runtimes.computing.handle()),
                 maps: Arc::default(),
                 auth: Arc::clone(&auth),
                 counts: Arc::clone(&counts),
@@ -112,19 +112,19 @@ impl HttpServer {
                 stopping: stopping.clone(),
                 alive,
             };
-            Serving { acceptor, connections, how_long: how_long.clone() }
+            Serving { acceptor, connections, how_long: how_long.clone(), runtimes }
         };
-        if let Some(Listening { runtime, listener }) = unix {
-            let serving = serving(connections_max + UNIX_EXTRA);
+        if let Some(Listening { runtimes, listener }) = unix {
+            let serving = serving(connections_max + UNIX_EXTRA, runtimes);
             let run = move || {
                 let BoundSocket { listener, file } = listener;
-                serving.run(runtime, |acceptor| acceptor.serve_unix(listener), file);
+                serving.run(|acceptor| acceptor.serve_unix(listener), file);
             };
             server.threads.push(threads::spawn("mocapd-socket", run)?);
         }
-        if let Some(Listening { runtime, listener }) = tcp {
-            let serving = serving(connections_max);
-            let run = move || serving.run(runtime, |acceptor| acceptor.serve_tcp(listener), ());
+        if let Some(Listening { runtimes, listener }) = tcp {
+            let serving = serving(connections_max, runtimes);
+            let run = move || serving.run(|acceptor| acceptor.serve_tcp(listener), ());
             server.threads.push(threads::spawn("mocapd-tcp", run)?);
         }
         Ok(server)
@@ -166,14 +166,30 @@ impl Drop for HttpServer {
     }
 }
 
-/// A listener with its runtime.
+/// The runtimes of a listener.
+struct Runtimes {
+    /// Serves the connections, and has the threads of commands and files.
+    serving: Runtime,
+    /// Has the threads of work that computes.
+    computing: Runtime,
+}
+
+/// A listener with its runtimes.
 struct Listening<L> {
-    runtime: Runtime,
+    runtimes: Runtimes,
     listener: L,
 }
 
 impl<L> Listening<L> {
-    fn new(listen: impl FnOnce() -> anyhow::Result<L>) -> anyhow::Result<Self> {
+    /// Listens at a place, if there is one. `mocapd view` records nothing that its work could delay.
+    fn at<P>(
+        place: Option<P>,
+        is_viewer: bool,
+        listen: impl FnOnce(P) -> anyhow::Result<L>,
+    ) -> anyhow::Result<Option<Self>> {
+        let Some(place) = place else { return Ok(None) };
+        let computing = work_queues::computing_threads(!is_viewer)
+            .context("cannot start the threads of the HTTP API")?;
         let runtime = Builder::new_current_thread()
             .enable_io()
             .enable_time()
@@ -182,9 +198,9 @@ impl<L> Listening<L> {
             .build()
             .context("cannot start the runtime of the HTTP API")?;
         let inside = runtime.enter();
-        let listener = listen()?;
+        let listener = listen(place)?;
         drop(inside);
-        Ok(Self { runtime, listener })
+        Ok(Some(Self { runtimes: Runtimes { serving: runtime, computing }, listener }))
     }
 }
 
@@ -193,18 +209,18 @@ struct Serving {
     acceptor: Acceptor,
     connections: watch::Sender<()>,
     how_long: watch::Receiver<Duration>,
+    runtimes: Runtimes,
 }
 
 impl Serving {
     /// Accepts connections until the server stops, drops `file`, and waits for open connections up to the time limit.
     fn run<F: Future<Output = ()> + Send + 'static>(
         self,
-        runtime: Runtime,
         accept: impl FnOnce(Acceptor) -> F,
         file: impl Sized,
     ) {
-        let Self { acceptor, connections, how_long } = self;
-        let deadline = runtime.block_on(async move {
+        let Self { acceptor, connections, how_long, runtimes } = self;
+        let deadline = runtimes.serving.block_on(async move {
             let mut stopping = acceptor.stopping.clone();
             tokio::spawn(accept(acceptor));
             // The sender lives as long as the server: an error also means the end.
@@ -216,7 +232,9 @@ impl Serving {
             deadline
         });
         // Work that is not finished in time is abandoned.
-        runtime.shutdown_timeout(deadline.saturating_duration_since(Instant::now()));
+        for runtime in [runtimes.serving, runtimes.computing] {
+            runtime.shutdown_timeout(deadline.saturating_duration_since(Instant::now()));
+        }
     }
 }
 

@@ -1,10 +1,18 @@
 //! Queues for work that blocks, with a limited number of threads and waiting requests; further requests are rejected.
+//!
+//! Commands and reads of files take a moment, and run on the threads of the listener's runtime. Verifications, windows of takes
+//! and exports keep a core busy, and a recording that is being stopped needs it: they run on threads of their own, at the
+//! lowest priority.
 
-use std::{sync::Arc, time::Duration};
+use std::{io, sync::Arc, time::Duration};
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::{
+    runtime::{Builder, Handle, Runtime},
+    sync::{OwnedSemaphorePermit, Semaphore},
+};
 
 use super::body::Problem;
+use crate::process;
 
 /// Commands executed at once: a start, a stop, a mark and one more.
 const COMMANDS: Size = Size { running: 4, waiting: 16 };
@@ -23,9 +31,11 @@ const DECODES: Size = Size { running: 1, waiting: 5 };
 /// the next.
 const EXPORTS: Size = Size { running: 2, waiting: 4 };
 
-/// Threads that a listener's runtime may have for all queues.
-pub(super) const THREADS: usize =
-    COMMANDS.running + FILES.running + CHECKS.running + DECODES.running + EXPORTS.running;
+/// Threads that a listener's runtime may have for commands and files.
+pub(super) const THREADS: usize = COMMANDS.running + FILES.running;
+
+/// Threads of a listener for everything that computes.
+const COMPUTING_THREADS: usize = CHECKS.running + DECODES.running + EXPORTS.running;
 
 /// Requests that can be running or waiting at once; all others are replied to immediately.
 /// Conversions are downloads, which have a limit of their own.
@@ -41,6 +51,24 @@ impl Size {
     const fn all(self) -> usize {
         self.running + self.waiting
     }
+}
+
+/// Threads for the queues that compute. Nothing asynchronous runs on this runtime; it has its threads, which end when they
+/// are idle, and the end of jobs when the server stops. With `beside_recording` they run at the lowest priority, and so do
+/// threads that a job starts.
+///
+/// # Errors
+/// The system refuses what a runtime needs.
+pub(super) fn computing_threads(beside_recording: bool) -> io::Result<Runtime> {
+    Builder::new_current_thread()
+        .max_blocking_threads(COMPUTING_THREADS)
+        .thread_name("mocapd-compute")
+        .on_thread_start(move || {
+            if beside_recording {
+                process::lower_thread_priority();
+            }
+        })
+        .build()
 }
 
 /// The queues of one listener. A full queue blocks neither the other queues nor those of the other listener.
@@ -59,16 +87,28 @@ pub(super) struct WorkQueues {
 }
 
 impl WorkQueues {
-    pub(super) fn new(work_max: Duration) -> Self {
-        let work_max = Some(work_max);
+    /// `computing` is the handle of [`computing_threads`].
+    pub(super) fn new(work_max: Duration, computing: &Handle) -> Self {
+        let short = |busy_with, size| WorkQueue::new(busy_with, size, Work::Short(work_max));
+        let computes =
+            |busy_with, size| WorkQueue::new(busy_with, size, Work::Computes(computing.clone()));
         Self {
-            commands: WorkQueue::new("too many requests are being executed", COMMANDS, work_max),
-            files: WorkQueue::new("too many files are being read", FILES, work_max),
-            checks: WorkQueue::new("another take is being verified", CHECKS, None),
-            decodes: WorkQueue::new("too many players are reading takes", DECODES, None),
-            exports: WorkQueue::new("too many takes are being converted", EXPORTS, None),
+            commands: short("too many requests are being executed", COMMANDS),
+            files: short("too many files are being read", FILES),
+            checks: computes("another take is being verified", CHECKS),
+            decodes: computes("too many players are reading takes", DECODES),
+            exports: computes("too many takes are being converted", EXPORTS),
         }
     }
+}
+
+/// What the jobs of a queue do.
+#[derive(Debug)]
+enum Work {
+    /// They take a moment, unless a disk or a device stalls: a request waits no longer than this.
+    Short(Duration),
+    /// They keep a core busy until they are done, on the threads of this runtime.
+    Computes(Handle),
 }
 
 /// A queue for one kind of work.
@@ -77,16 +117,16 @@ pub(super) struct WorkQueue {
     busy_with: &'static str,
     slots: Arc<Semaphore>,
     workers: Arc<Semaphore>,
-    time_max: Option<Duration>,
+    work: Work,
 }
 
 impl WorkQueue {
-    fn new(busy_with: &'static str, size: Size, time_max: Option<Duration>) -> Self {
+    fn new(busy_with: &'static str, size: Size, work: Work) -> Self {
         Self {
             busy_with,
             slots: Arc::new(Semaphore::new(size.all())),
             workers: Arc::new(Semaphore::new(size.running)),
-            time_max,
+            work,
         }
     }
 
@@ -103,7 +143,7 @@ impl WorkQueue {
             return Err(Problem::unavailable(message));
         };
         let done = self.in_turn(permit, work);
-        let Some(time_max) = self.time_max else { return done.await };
+        let Work::Short(time_max) = self.work else { return done.await };
         tokio::time::timeout(time_max, done).await.unwrap_or_else(|_| {
             Err(Problem::unavailable(format!(
                 "not done within {} s, but still running: see /v1/status for the outcome",
@@ -135,32 +175,45 @@ impl WorkQueue {
         let worker = worker.map_err(|_| Problem::unavailable("the service is stopping"))?;
         // The slot is held as long as the thread is busy, even if the client is gone by then.
         let held = (permit, worker);
-        let job = tokio::task::spawn_blocking(move || {
+        let job = move || {
             let done = work();
             drop(held);
             done
-        });
+        };
+        let job = match &self.work {
+            Work::Short(_) => tokio::task::spawn_blocking(job),
+            Work::Computes(threads) => threads.spawn_blocking(job),
+        };
         job.await.map_err(|_| Problem::internal("a job panicked: please report this bug"))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc::sync_channel;
+    use std::{
+        sync::mpsc::{Sender, channel, sync_channel},
+        thread::current,
+    };
+
+    use mocapd_acquire::threads;
 
     use super::*;
     use crate::http::ProblemKind;
 
-    fn runtime() -> tokio::runtime::Runtime {
-        tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap()
+    fn runtime() -> Runtime {
+        Builder::new_current_thread().enable_time().build().unwrap()
+    }
+
+    fn of_one(work: Work) -> WorkQueue {
+        WorkQueue::new("x", Size { running: 1, waiting: 0 }, work)
     }
 
     #[test]
     fn a_full_queue_refuses_and_a_gone_client_keeps_its_slot_until_the_work_is_done() {
         let runtime = runtime();
         let _inside = runtime.enter();
-        let time_max = Some(Duration::from_millis(50));
-        let queue = WorkQueue::new("x", Size { running: 1, waiting: 1 }, time_max);
+        let work = Work::Short(Duration::from_millis(50));
+        let queue = WorkQueue::new("x", Size { running: 1, waiting: 1 }, work);
         let (release, released) = sync_channel::<()>(0);
         let slow = runtime.block_on(queue.run(move || released.recv().is_ok())).unwrap_err();
         assert_eq!((slow.status, slow.kind), (503, ProblemKind::Unavailable));
@@ -178,8 +231,75 @@ mod tests {
 
     #[test]
     fn a_panic_gets_a_reply() {
-        let queue = WorkQueue::new("x", Size { running: 1, waiting: 0 }, None);
-        let problem = runtime().block_on(queue.run(|| panic!("planted"))).unwrap_err();
-        assert_eq!(problem.status, 500);
+        let computing = computing_threads(true).unwrap();
+        for work in
+            [Work::Short(Duration::from_secs(20)), Work::Computes(computing.handle().clone())]
+        {
+            let queue = of_one(work);
+            let problem = runtime().block_on(queue.run(|| panic!("planted"))).unwrap_err();
+            assert_eq!(problem.status, 500);
+            // Its slot is free, and so is its thread.
+            assert_eq!(runtime().block_on(queue.run(|| 7)).unwrap(), 7);
+        }
+    }
+
+    /// The name and the nice value of a job's thread, and of a thread that the job starts.
+    fn priorities(queue: &WorkQueue) -> (String, i32, i32) {
+        let nice = || rustix::process::getpriority_process(None).unwrap();
+        let job = move || {
+            let name = current().name().unwrap_or_default().to_owned();
+            (name, nice(), threads::spawn("started", nice).unwrap().join().unwrap())
+        };
+        runtime().block_on(queue.run(job)).unwrap()
+    }
+
+    #[test]
+    fn only_what_computes_beside_a_recording_has_the_lowest_priority() {
+        let own = rustix::process::getpriority_process(None).unwrap();
+        let lowered = computing_threads(true).unwrap();
+        let computes = of_one(Work::Computes(lowered.handle().clone()));
+        assert_eq!(priorities(&computes), ("mocapd-compute".to_owned(), 19, 19));
+        let viewer = computing_threads(false).unwrap();
+        let computes = of_one(Work::Computes(viewer.handle().clone()));
+        assert_eq!(priorities(&computes), ("mocapd-compute".to_owned(), own, own));
+        let (_, job, started) = priorities(&of_one(Work::Short(Duration::from_secs(20))));
+        assert_eq!((job, started), (own, own));
+        assert_eq!(rustix::process::getpriority_process(None), Ok(own), "the thread that waits");
+    }
+
+    #[test]
+    fn jobs_that_compute_leave_the_threads_of_commands_free() {
+        let computing = computing_threads(true).unwrap();
+        let queues = WorkQueues::new(Duration::from_secs(20), computing.handle());
+        let runtime = Builder::new_current_thread()
+            .enable_time()
+            .max_blocking_threads(THREADS)
+            .build()
+            .unwrap();
+        let (begun, begins) = channel();
+        let mut releases = Vec::new();
+        let mut hold = |begun: Sender<()>| {
+            let (release, released) = sync_channel::<()>(0);
+            releases.push(release);
+            move || {
+                begun.send(()).unwrap();
+                released.recv().ok();
+            }
+        };
+        let check = queues.checks.run(hold(begun.clone()));
+        let decode = queues.decodes.run(hold(begun.clone()));
+        let exports = [queues.exports.run(hold(begun.clone())), queues.exports.run(hold(begun))];
+        let commands = async {
+            // All of them run at once, each on a thread.
+            let all =
+                tokio::task::spawn_blocking(move || begins.iter().take(COMPUTING_THREADS).count());
+            assert_eq!(all.await.unwrap(), COMPUTING_THREADS);
+            assert_eq!(queues.commands.run(|| 7).await, Ok(7));
+            releases.clear();
+        };
+        let [first, second] = exports;
+        let done = async { tokio::join!(check, decode, first, second, commands) };
+        let (check, decode, first, second, ()) = runtime.block_on(done);
+        assert_eq!([check, decode, first, second], [Ok(()), Ok(()), Ok(()), Ok(())]);
     }
 }

@@ -141,9 +141,12 @@ impl Line for PtyLine {
         }
     }
 
-    /// Bytes that the host could read now.
+    /// Bytes that the host could read now: 0 only if it has read all that was written.
     fn unread(&mut self) -> io::Result<u64> {
         let Some(Pair { slave, .. }) = &self.pair else { return Ok(0) };
+        // FIONREAD leaves out what the kernel's worker has not moved to the host's end yet. A poll of that end waits for the
+        // worker.
+        wait_readable(slave.as_fd(), Duration::ZERO)?;
         Ok(rustix::io::ioctl_fionread(slave)?)
     }
 

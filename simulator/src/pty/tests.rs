@@ -180,6 +180,51 @@ fn once_returns_when_a_slow_host_has_read_all() {
 }
 
 #[test]
+fn once_waits_for_a_host_that_reads_late() {
+    let options = ServeOptions { once: true, ..ServeOptions::default() };
+    let served = serve_in_background(jump(500.0, 0.1, 15), DeviceSettings::default(), options);
+    let mut host = Host::open(&served.path);
+    host.send(Command::Start { line_bytes_per_s: 0 });
+    // The motion takes 0.1 s.
+    std::thread::sleep(Duration::from_millis(2500));
+    assert!(!served.thread.is_finished(), "it hung up on a host that was late");
+    host.read_until(|host| host.end.is_some());
+    assert_eq!(host.frames.len(), 50);
+    assert_eq!(served.thread.join().unwrap().unwrap().frames_sent, 50);
+}
+
+#[test]
+fn a_host_that_never_reads_does_not_keep_the_line_open() {
+    let options = ServeOptions { once: true, ..ServeOptions::default() };
+    let served = serve_in_background(jump(500.0, 0.1, 15), DeviceSettings::default(), options);
+    let mut host = Host::open(&served.path);
+    host.send(Command::Start { line_bytes_per_s: 0 });
+    let begun = Instant::now();
+    while !served.thread.is_finished() {
+        assert!(begun.elapsed() < TIMEOUT, "it still waits");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert!(begun.elapsed() > Duration::from_secs(5), "{:?}", begun.elapsed());
+}
+
+#[test]
+fn bytes_on_their_way_to_the_host_count_as_unread() {
+    let mut line = PtyLine::open(None).unwrap();
+    let mut host = SerialTransport::open(line.path(), None).unwrap();
+    let (bytes, mut buffer) = ([7; 3000], [0; 4096]);
+    // The kernel's worker is often, but not always, later than the question.
+    for _ in 0..500 {
+        assert_eq!(line.write(&bytes).unwrap(), bytes.len());
+        assert!(line.unread().unwrap() > 0);
+        let mut read = 0;
+        while read < bytes.len() {
+            read += host.read(&mut buffer).unwrap();
+        }
+        assert_eq!(line.unread().unwrap(), 0);
+    }
+}
+
+#[test]
 fn a_paced_line_is_no_faster_than_its_baud_rate() {
     // The device produces 260 kB/s, the line carries 23 kB/s.
     let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
