@@ -218,6 +218,12 @@ impl LivePublisher for NatNetPublisher {
         self.device = device.map(DescribedDevice::new);
         (self.is_excess_known, self.is_lag_known) = (false, false);
         let Some((served, device)) = self.device.as_ref().zip(device) else { return };
+        for rate_hz in served.samples.uneven_hz() {
+            self.news.push(format!(
+                "sampled channels at {rate_hz} Hz are not published by NatNet, in which each frame has equally many samples:                  {rate_hz} Hz is no multiple of the frame rate, {} Hz; publish them as QTM or LSL does",
+                device.header.rate_hz
+            ));
+        }
         self.server.set_rates(device.header.rate_hz as f32, served.samples.per_frame());
         let model = served.table.model().clone();
         self.set_model(&model);

@@ -51,6 +51,16 @@ struct GroupQueue {
 pub(super) struct ServedSamples {
     devices: Vec<SampledDevice>,
     groups: Vec<GroupQueue>,
+    /// Rates of the groups that are not sent: no whole number of their samples belongs to a frame.
+    uneven_hz: Vec<f64>,
+}
+
+/// How far from a whole number of samples a frame may be: what rates in millihertz are rounded by.
+const UNEVEN_MAX: f64 = 1e-4;
+
+/// Whether every frame has equally many samples, at least one: clients of NatNet expect it.
+fn is_even(per_frame: f64) -> bool {
+    per_frame.round() >= 1.0 && (per_frame - per_frame.round()).abs() <= UNEVEN_MAX * per_frame
 }
 
 impl ServedSamples {
@@ -59,6 +69,12 @@ impl ServedSamples {
         let mut served = Self::default();
         let mut described = Vec::new();
         for info in &device.sampled {
+            let rate_hz = f64::from(info.rate_millihertz) / 1000.0;
+            let per_frame = rate_hz / device.header.rate_hz;
+            if !is_even(per_frame) {
+                served.uneven_hz.push(rate_hz);
+                continue;
+            }
             let plates = device.plates.iter().filter(|plate| plate.group == info.id);
             let mut rest: Vec<usize> = (0..info.channels.len()).collect();
             for plate in plates {
@@ -71,7 +87,7 @@ impl ServedSamples {
                 described.push(served.add(info, rest, false, u32::from(info.id) + 1));
             }
             served.groups.push(GroupQueue {
-                per_frame: f64::from(info.rate_millihertz) / 1000.0 / device.header.rate_hz,
+                per_frame,
                 info: info.clone(),
                 // A second of samples: see `held_max`.
                 values: VecDeque::default(),
@@ -109,6 +125,11 @@ impl ServedSamples {
         self.groups.iter().map(|group| group.n_left_out).sum()
     }
 
+    /// Rates of the groups that are left out, in Hz.
+    pub(super) fn uneven_hz(&self) -> &[f64] {
+        &self.uneven_hz
+    }
+
     /// Whether there are none.
     pub(super) fn is_empty(&self) -> bool {
         self.groups.is_empty()
@@ -128,7 +149,7 @@ impl ServedSamples {
 
     /// Selects the samples of a frame.
     pub(super) fn select(&mut self, row: u64) {
-        let Self { devices, groups } = self;
+        let Self { devices, groups, .. } = self;
         for group in groups.iter_mut() {
             group.select(row);
             for device in devices.iter_mut().filter(|device| device.group == group.info.id) {
@@ -283,6 +304,12 @@ mod tests {
     fn select(served: &mut ServedSamples, row: u64) -> Vec<f32> {
         served.select(row);
         served.to_send(true)[0].samples.to_vec()
+    }
+
+    #[test]
+    fn groups_with_unequal_numbers_of_samples_in_frames_are_left_out() {
+        assert!(is_even(4.0) && is_even(1.0) && is_even(2000.0 / 199.999));
+        assert!(!is_even(1000.0 / 120.0) && !is_even(0.5) && !is_even(1.5));
     }
 
     #[test]
