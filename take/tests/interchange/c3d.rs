@@ -136,6 +136,22 @@ fn frames_beyond_16_bits_are_counted_by_their_own_parameters() {
 }
 
 #[test]
+fn a_place_of_poses_that_are_not_there_ends_no_points() {
+    let frames: Vec<Vec<f32>> = (0..500).map(|i| vec![i as f32, 0.0, 1.0, 0.0]).collect();
+    for (used, n_frames) in [(0, 500), (2, 32 * 5)] {
+        let mut file = C3dFile::new(1, frames.clone());
+        file.records.extend(file.group(3, "ROTATION"));
+        file.words(3, "USED", &[used]);
+        let start = file.bytes();
+        // Five blocks of 32 frames behind the first of the points, which is at the same block with or without a value.
+        let first = u16::from_le_bytes([start[16], start[17]]);
+        file.words(3, "DATA_START", &[first + 5]);
+        let motion = read(&file);
+        assert_eq!(motion.n_frames(), n_frames, "{:?}", motion.info.source.warnings);
+    }
+}
+
+#[test]
 fn a_truncated_file_gives_its_complete_frames_and_counts_the_missing_ones() {
     let bytes = small().bytes();
     let motion = Format::C3d.read(&bytes[..bytes.len() - 5]).expect("two whole frames");

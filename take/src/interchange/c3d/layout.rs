@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use super::{
     header::{BLOCK, ByteOrder, C3dHeader},
     malformed,
-    parameters::{Parameter, Parameters},
+    parameters::Parameters,
     stride::{self, CANDIDATES_MAX, FileBytes, SizeFit, Stride, StrideCandidate},
 };
 use crate::{
@@ -60,15 +60,17 @@ impl Layout {
     ) -> Result<Self> {
         let file = &mut FileBytes::new(source, order)?;
         let starts = data_starts(header, parameters, file.len)?;
-        // Behind the points may be a section of poses.
-        let rotations = parameters.get("ROTATION", "DATA_START").map(Parameter::integers);
-        let rotations = rotations.and_then(|blocks| blocks.first().copied()).unwrap_or(0);
-        let rotations = usize::from(rotations).saturating_sub(1) * BLOCK;
+        // Behind the points may be a section of poses. A file without poses may state a place for them, too: ezc3d does, and
+        // behind more than 65535 blocks that is a place amid the points.
+        let n_bodies = parameters.number("ROTATION", "USED").filter(|n| *n >= 1.0);
+        let rotations = parameters.get("ROTATION", "DATA_START").filter(|_| n_bodies.is_some());
+        let rotations = rotations.and_then(|blocks| blocks.integers().first().copied());
+        let rotations = usize::from(rotations.unwrap_or(0)).saturating_sub(1) * BLOCK;
         if starts.iter().all(|start| *start < rotations) {
             (file.len, file.filled) = (file.len.min(rotations), file.filled.min(rotations));
         }
         let rate_hz = rate(header, parameters.number("POINT", "RATE"), &mut notes.warnings);
-        if let Some(n) = parameters.number("ROTATION", "USED").filter(|n| *n >= 1.0) {
+        if let Some(n) = n_bodies {
             notes
                 .warnings
                 .push(format!("The poses of {n} rigid bodies (ROTATION) were not imported."));
