@@ -17,8 +17,13 @@ use crate::{bytes::Cursor, transport::network::responder::AnswerLimit};
 /// Clients that get frames of their own at the same time.
 pub const CLIENTS_MAX: usize = 32;
 
-/// A client that was silent for so long gets no more frames.
+/// A client that was silent for so long gets no more frames, if it has kept its connection alive before: each second, as NatNet's
+/// documents require.
 const CLIENT_TIMEOUT_NS: u64 = 10_000_000_000;
+
+/// The same for one that never did: libmotioncapture sends nothing after its requests to connect, and reads frames all the same.
+/// If it is gone, frames are sent to nobody for ten minutes; another client that needs its place gets it.
+const SILENT_CLIENT_TIMEOUT_NS: u64 = 600_000_000_000;
 
 /// Definitions that a client is sent in a second, at most: one that waits for them asks four times.
 const MODELS_PER_S: u32 = 10;
@@ -78,6 +83,8 @@ pub struct StreamReport {
 struct StreamClient {
     report: StreamReport,
     last_ns: u64,
+    /// Whether it has sent what clients repeat while they read.
+    keeps_alive: bool,
     /// Definitions that it was sent in the second that began then.
     models: (u64, u32),
 }
@@ -85,7 +92,7 @@ struct StreamClient {
 impl StreamClient {
     fn new(address: SocketAddr, version: Bitstream, last_ns: u64) -> Self {
         let report = StreamReport { address, version, frames_sent: 0, frames_missed: 0 };
-        Self { report, last_ns, models: (last_ns, 0) }
+        Self { report, last_ns, keeps_alive: false, models: (last_ns, 0) }
     }
 
     /// Whether it may be sent definitions now, which are many times as long as the request.
@@ -279,6 +286,8 @@ impl NatNetServer {
         }
         if let Some(client) = self.client(from) {
             client.last_ns = now_ns;
+            client.keeps_alive |=
+                matches!(message.kind, Some(MessageKind::KeepAlive | MessageKind::Echo));
         }
         let has_reply =
             !matches!(message.kind, Some(MessageKind::KeepAlive | MessageKind::Disconnect));
@@ -439,7 +448,11 @@ impl NatNetServer {
 
     /// Forgets clients that have been silent for too long.
     pub fn forget_silent(&mut self, now_ns: u64) {
-        self.forget(|client| now_ns.saturating_sub(client.last_ns) > CLIENT_TIMEOUT_NS);
+        self.forget(|client| {
+            let timeout_ns =
+                if client.keeps_alive { CLIENT_TIMEOUT_NS } else { SILENT_CLIENT_TIMEOUT_NS };
+            now_ns.saturating_sub(client.last_ns) > timeout_ns
+        });
     }
 
     /// Sends a frame to all who want it. Returns how many datagrams it takes; `None` when it does not fit into one.

@@ -178,22 +178,25 @@ fn clients_that_are_gone_or_too_many_cost_nothing() {
     let mut server = NatNetServer::new(settings(Bitstream::NEWEST, stream));
     let connect = connect(None);
     let at = |n: u16| std::net::SocketAddr::from(([10, 0, (n % 50) as u8, 1], 20_000 + n));
+    let keep_alive = [10, 0, 0, 0];
     for n in 0..2000 {
         server.receive(at(n), &connect, 0, u64::from(n) * MS);
+        server.receive(at(n), &keep_alive, 0, u64::from(n) * MS);
     }
     server.take_datagrams();
     frame_bytes(0, &[], 0, &mut server);
     let n = server.take_datagrams().len();
     assert_eq!(n, 2 * CLIENTS_MAX, "its own socket, and the port of its machine");
     assert_eq!(server.n_refused(), 2000 - CLIENTS_MAX as u64);
-    let keep_alive = [10, 0, 0, 0];
     server.receive(at(1), &keep_alive, 0, 9_000 * MS);
     // One that has been silent makes room.
     server.receive(at(1999), &connect, 0, 9_000 * MS);
     assert!(server.reports().iter().any(|report| report.address == at(1999)));
     let frame = mocapd_drivers::natnet::FrameToSend::default();
     assert_eq!(server.frame(&frame, 15_000 * MS), Some(4));
-    assert_eq!(server.frame(&frame, 30_000 * MS), Some(0));
+    // Those that kept their connections alive are gone, and the last one may be of those that never do.
+    assert_eq!(server.frame(&frame, 30_000 * MS), Some(2));
+    assert_eq!(server.frame(&frame, 610_000 * MS), Some(0));
     assert!(!server.has_listeners());
 }
 
@@ -297,11 +300,23 @@ fn words_of_servers_are_left_and_definitions_are_for_clients_and_few() {
         assert_eq!(server.take_datagrams().len(), 10, "in a second");
         server.receive(other, &request, 0, 1500 * MS);
         assert_eq!(server.take_datagrams().len(), 1);
+        // One that never kept its connection alive is waited for.
+        server.forget_silent(590_000 * MS);
+        server.receive(other, &request, 0, 590_000 * MS);
+        assert_eq!(server.take_datagrams().len(), 1);
+        let mut alive = Vec::new();
+        put_message(MessageKind::KeepAlive, &mut alive, |_| {});
+        server.receive(other, &alive, 0, 600_000 * MS);
         // What another server sends is no sign of life.
-        server.receive(other, &[100, 0, 0, 0], 0, 9_000 * MS);
-        server.forget_silent(12_000 * MS);
-        server.receive(other, &request, 0, 12_000 * MS);
+        server.receive(other, &[100, 0, 0, 0], 0, 608_000 * MS);
+        server.forget_silent(611_000 * MS);
+        server.receive(other, &request, 0, 611_000 * MS);
         assert_eq!(server.take_datagrams(), []);
+        server.receive(other, &connect(None), 0, 620_000 * MS);
+        server.take_datagrams();
+        server.forget_silent(1_230_000 * MS);
+        server.receive(other, &request, 0, 1_230_000 * MS);
+        assert_eq!(server.take_datagrams(), [], "for ten minutes");
     }
 }
 
