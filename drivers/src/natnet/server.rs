@@ -21,8 +21,8 @@ pub const CLIENTS_MAX: usize = 32;
 /// documents require.
 const CLIENT_TIMEOUT_NS: u64 = 10_000_000_000;
 
-/// The same for one that never did: libmotioncapture sends nothing after its requests to connect, and reads frames all the same.
-/// If it is gone, frames are sent to nobody for ten minutes; another client that needs its place gets it.
+/// A client that never kept its connection alive gets frames for so long: libmotioncapture sends nothing once it has connected, but
+/// goes on reading. If it is gone, its frames reach nobody for ten minutes, but a client that needs its place gets it.
 const SILENT_CLIENT_TIMEOUT_NS: u64 = 600_000_000_000;
 
 /// Definitions that a client is sent in a second, at most: one that waits for them asks four times.

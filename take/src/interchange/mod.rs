@@ -294,7 +294,7 @@ impl Format {
     pub fn leaves_out(self, info: &MotionInfo, up_is_chosen: bool) -> Vec<String> {
         let others = info.foreign.iter().filter(|part| !self.holds(&part.kind, info));
         let mut left_out: Vec<String> = match self {
-            // Nobody looks for a header or its parameters in a page.
+            // A page shows motion: the header and its parameters are not missed there.
             Self::Html => others.filter_map(|part| left_out_of_a_page(&part.kind)).collect(),
             _ => others.map(|part| part.kind.clone()).collect(),
         };
