@@ -382,7 +382,7 @@ def main():
     parser.add_argument("--mocapd", required=True, type=Path)
     parser.add_argument("--mocapd-sim", required=True, type=Path)
     parser.add_argument("--npm", required=True, type=Path, help="the folder with node_modules")
-    parser.add_argument("--seconds", type=float, default=5, help="how long the stream of markers is read")
+    parser.add_argument("--seconds", type=float, default=20, help="how long the stream of markers is read")
     options = parser.parse_args()
     options.mocapd, options.mocapd_sim = options.mocapd.resolve(), options.mocapd_sim.resolve()
     checks = [check_markers, check_recorded, check_strangers]

@@ -115,8 +115,9 @@ def check_labelled(markers, number):
     expect(len(markers) == N_LABELLED, f"frame {number}: {len(markers)} labelled markers")
     for column, marker in enumerate(markers):
         expected = position(column, number % N_FRAMES)
-        expect(same(marker[:3], expected), f"frame {number} marker {column}: {marker}, not {expected}")
-        expect(len(marker) == 3 or marker.residual == RESIDUAL_MM, f"frame {number}: {marker}")
+        # Not by `expect`, which would write a message for each of a million markers.
+        if not same(marker[:3], expected) or len(marker) > 3 and marker.residual != RESIDUAL_MM:
+            raise AssertionError(f"frame {number} marker {column}: {marker}, not {expected}")
 
 
 def check_unlabelled(markers, number):
@@ -390,7 +391,7 @@ async def bodies_beside_motioncapture(port, seconds):
     await connection.stream_frames("allframes", ["6dres", "6deuler"], on_packet)
     with concurrent.futures.ProcessPoolExecutor(max_workers=1) as pool:
         reading = pool.submit(read_motioncapture, port, seconds)
-        theirs = await asyncio.wait_for(asyncio.wrap_future(reading), 30)
+        theirs = await asyncio.wait_for(asyncio.wrap_future(reading), seconds + 30)
     # The last frames that motioncapture has read may reach this client later.
     enough = len(packets) + RATE_HZ
     async with asyncio.timeout(10):
@@ -412,7 +413,9 @@ async def bodies_beside_motioncapture(port, seconds):
     for bodies in theirs:
         expect(list(sorted(bodies)) == sorted(names), bodies)
         place = bodies[names[0]][0]
-        index = min(range(len(first)), key=lambda at: math.dist(first[at], place))
+        index = found[-1] + 1 if found else 0
+        if math.dist(first[index], place) > 1e-6:
+            index = min(range(len(first)), key=lambda at: math.dist(first[at], place))
         found.append(index)
         for name, (sent, rotation, _) in zip(names, packets[index][1][1]):
             position, (w, x, y, z) = bodies[name]
@@ -425,15 +428,15 @@ async def bodies_beside_motioncapture(port, seconds):
     expect(len(found) > 0.7 * RATE_HZ * seconds, f"{len(found)} frames")
 
 
-async def check_bodies(port, _):
-    await bodies_beside_motioncapture(port, 2)
+async def check_bodies(port, options):
+    await bodies_beside_motioncapture(port, options.seconds)
 
 
 async def check_published_bodies(port, options):
     """The same through the service."""
     with tempfile.TemporaryDirectory() as folder, service(options, port, folder) as (published, _):
         (await connected_service(published, folder)).disconnect()
-        await bodies_beside_motioncapture(published, 2)
+        await bodies_beside_motioncapture(published, options.seconds)
 
 
 async def check_discovery(port, _):
@@ -736,13 +739,30 @@ async def check_recorder_beside(port, options):
     connection.disconnect()
 
 
+def run(checks, more, motion, options):
+    """Runs checks one after another, each with a simulator of its own."""
+    return [run_one(check, more, motion, options) for check in checks]
+
+
+def run_one(check, more, motion, options):
+    name = check.__name__.removeprefix("check_")
+    try:
+        is_generated = check in (check_samples, check_bodies, check_published_bodies)
+        played = ["--generate", "jump"] if is_generated else [motion]
+        with simulator(options.mocapd_sim.resolve(), played, *more) as port:
+            asyncio.run(check(port, options))
+        return True, f"ok   {name}"
+    except Exception as problem:  # any failure is this check's, the others still count
+        return False, f"FAIL {name}: {type(problem).__name__}: {problem}"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mocapd-sim", required=True, type=Path)
     parser.add_argument("--mocapd", required=True, type=Path)
     parser.add_argument("--npm", type=Path, help="the folder with node_modules, to run qualisys-rt")
     parser.add_argument("--crate-client", type=Path, help="the example qtm_client, to run the crate qualisys")
-    parser.add_argument("--seconds", type=float, default=5, help="how long each stream of all frames is read")
+    parser.add_argument("--seconds", type=float, default=20, help="how long each stream of all frames is read")
     parser.add_argument("--memory", action="store_true", help="measure the memory of the service with eight clients")
     options = parser.parse_args()
     options.mocapd = options.mocapd.resolve()
@@ -755,27 +775,24 @@ def main():
                check_datagrams, check_control, check_crowd, check_discovery, check_service, check_recorder_beside]
     if options.npm or options.crate_client:
         endless += [check_other_clients, check_other_clients_of_the_service]
-    jobs = [(check, ("--loop",)) for check in endless] + [(check_end, ())]
-    jobs += [(check_samples, ("--plates", "--emg", "5@2kHz"))]
-    moved = ("--bodies", str(N_BODIES), "--rate", str(RATE_HZ), "--seconds", "30s")
-    jobs += [(check, moved) for check in (check_bodies, check_published_bodies)]
-    passed = 0
+    jobs = [([check], ("--loop",)) for check in endless] + [([check_end], ())]
+    jobs += [([check_samples], ("--plates", "--emg", "5@2kHz"))]
+    moved = ("--bodies", str(N_BODIES), "--rate", str(RATE_HZ), "--seconds", f"{options.seconds + 30}s")
+    # motioncapture always opens the same port for datagrams, so one of it runs at a time; these take longest.
+    jobs.insert(0, ([check_bodies, check_published_bodies], moved))
+    passed = failed = 0
     with tempfile.TemporaryDirectory() as folder:
         motion = Path(folder) / "motion.csv"
         write_motion(motion)
-        for check, more in jobs:
-            name = check.__name__.removeprefix("check_")
-            try:
-                is_generated = check in (check_samples, check_bodies, check_published_bodies)
-                played = ["--generate", "jump"] if is_generated else [motion]
-                with simulator(options.mocapd_sim.resolve(), played, *more) as port:
-                    asyncio.run(check(port, options))
-                print(f"ok   {name}", flush=True)
-                passed += 1
-            except Exception as problem:  # any failure is this check's, the others still count
-                print(f"FAIL {name}: {type(problem).__name__}: {problem}", flush=True)
-    print(f"{passed} passed, {len(jobs) - passed} failed")
-    sys.exit(passed != len(jobs))
+        # Side by side, because they wait for frames.
+        with concurrent.futures.ProcessPoolExecutor(max_workers=4) as pool:
+            running = [pool.submit(run, checks, more, motion, options) for checks, more in jobs]
+            for is_passed, line in itertools.chain.from_iterable(job.result() for job in running):
+                passed += is_passed
+                failed += not is_passed
+                print(line, flush=True)
+    print(f"{passed} passed, {failed} failed")
+    sys.exit(failed > 0)
 
 
 if __name__ == "__main__":
