@@ -218,6 +218,20 @@ impl SpanPlan {
         self.decided |= 1 << (slot % SPAN);
         self.steps[slot % SPAN] = steps;
     }
+
+    /// The decided steps of the row at `slot` if they lead into the tolerance ball; else its prediction, if that is inside.
+    pub(super) fn fitting(
+        &self,
+        slot: usize,
+        inputs: &ResidualInputs,
+        samples: &LevelSamples,
+    ) -> Option<Point> {
+        let fits = |steps: &Point| {
+            inputs.lattice.contains(*steps)
+                && samples.is_inside(inputs, steps.map(|step| step as f64))
+        };
+        [self.steps(slot)?, [0; 3]].into_iter().find(fits)
+    }
 }
 
 /// Prices the rows of a span: the points of a plan, greedy choices elsewhere.

@@ -333,15 +333,10 @@ impl<'a, 'r> RowEncoder<'a, 'r> {
         self.coder.finish() && is_within
     }
 
-    /// The planned steps of a row if they lead into the tolerance ball; else its prediction, if that is inside.
+    /// The planned steps of a row.
     fn planned(&self, inputs: &ResidualInputs) -> Option<Point> {
         let plan = self.planner.as_ref()?.plan(self.channel);
-        let steps = plan.steps(self.slot + inputs.place)?;
-        let fits = |steps: &Point| {
-            inputs.lattice.contains(*steps)
-                && self.samples.is_inside(inputs, steps.map(|step| step as f64))
-        };
-        [steps, [0; 3]].into_iter().find(fits)
+        plan.fitting(self.slot + inputs.place, inputs, &self.samples)
     }
 }
 

@@ -317,13 +317,13 @@ static COSTS: [u16; 4096] = {
     costs
 };
 
-/// Counts the cost of decisions in 2^-10 bits.
+/// Counts the cost of decisions in 2^-10 bits; whether the model learns from them depends on what they are counted for.
 #[derive(Debug, Default)]
-pub(super) struct CostCounter {
+pub(super) struct CostCounter<const LEARNS: bool = false> {
     pub(super) cost: u64,
 }
 
-impl BinaryCoder for CostCounter {
+impl<const LEARNS: bool> BinaryCoder for CostCounter<LEARNS> {
     #[inline(always)]
     fn split(&mut self, probability: u32, bit: bool) -> bool {
         let probability = if bit { 65536 - probability } else { probability };
@@ -338,8 +338,8 @@ impl BinaryCoder for CostCounter {
     }
 }
 
-impl ModelCoder for CostCounter {
-    const LEARNS: bool = false;
+impl<const LEARNS: bool> ModelCoder for CostCounter<LEARNS> {
+    const LEARNS: bool = LEARNS;
 }
 
 #[cfg(test)]
@@ -367,7 +367,7 @@ mod tests {
             let bits = 13.0 - (2.0 * i as f64 + 1.0).log2();
             assert!((f64::from(cost) / 1024.0 - bits).abs() < 0.001_5, "{i}: {cost} for {bits}");
         }
-        let mut counter = CostCounter::default();
+        let mut counter = CostCounter::<false>::default();
         assert!(counter.split(1 << 15, true));
         assert_eq!(counter.plain(0b110_1010, 4), 0b1010);
         assert!(counter.cost.abs_diff(5 << COST_FRACTION_BITS) <= 2, "{}", counter.cost);

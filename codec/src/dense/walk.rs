@@ -157,7 +157,7 @@ impl Dense {
     }
 
     /// Codes all rows of the runs of a span.
-    fn walk<S: RowCodec>(
+    pub(super) fn walk<S: RowCodec>(
         &mut self,
         codec: &mut S,
         runs: &mut [Run],

@@ -23,7 +23,7 @@ use crate::{ChannelOrder, TakeError, motion::MotionInfo, record::Header};
 const SEARCHED_SAMPLES_MAX: usize = 1 << 17;
 
 /// Time of coding a sample at effort 9, where that at effort 1 is 1: docs/codec.md, "Effort".
-const GREATEST_TIME: u64 = 106;
+const GREATEST_TIME: u64 = 310;
 
 /// Bytes that an order must save: what may differ in the rest of the take, the first offset in its index.
 const SAVED_BYTES_MIN: u64 = 2;
