@@ -11,7 +11,6 @@ import argparse
 import concurrent.futures
 import contextlib
 import csv
-import faulthandler
 import functools
 import itertools
 import json
@@ -25,6 +24,8 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+
+from in_child import in_child
 
 RATE_HZ = 240
 N_FRAMES = 480
@@ -40,8 +41,8 @@ TURN_PER_FRAME = 0.01
 
 # It names its port as soon as it has opened it; a machine under load may take seconds to start it.
 FIRST_WORD_WITHIN_S = 30.0
-# A pair ends within seconds of its stream, or half a minute on a machine under load.
-HANGS_AFTER_S = 120.0
+# motioncapture waits for ever for a frame that does not come. It ends within seconds of its stream, or half a minute under load.
+HANGS_AFTER_S = 60.0
 
 
 def float32(value):
@@ -275,7 +276,7 @@ def body_position(row):
     return tuple(float32(sum(place[axis] for place in places) / len(places)) for axis in range(3))
 
 
-def check_motioncapture(port, _, version, is_multicast, seconds, is_service=False, missed=None):
+def check_motioncapture(port, _, version, is_multicast, seconds, is_service):
     """Names and poses of rigid bodies in the newest frames. Those of 2.10 have markers, which this client does not skip: there
     it only reads frames without bodies to their end."""
     import motioncapture
@@ -310,6 +311,11 @@ def check_motioncapture(port, _, version, is_multicast, seconds, is_service=Fals
     return f"{count} frames"
 
 
+def bounded_motioncapture(port, data_port, version, is_multicast, seconds, is_service=False, missed=None):
+    arguments = (port, data_port, version, is_multicast, seconds, is_service)
+    return in_child(check_motioncapture, *arguments, within_s=seconds + HANGS_AFTER_S)
+
+
 def check_recorder_beside(port, data_port, version, is_multicast, seconds, mocapd):
     """The recorder and natnet read the same frames at the same time."""
     with tempfile.TemporaryDirectory() as folder:
@@ -334,7 +340,7 @@ def check_service(name, data, version, is_multicast, seconds, mocapd):
     with tempfile.TemporaryDirectory() as folder:
         with service(mocapd, f"natnet:127.0.0.1:{port}", version, is_multicast, folder) as (published, data_port):
             ask(mocapd, folder, "start", "--name", "published")
-            check = check_natnet if "motioncapture" not in name else check_motioncapture
+            check = check_natnet if "motioncapture" not in name else bounded_motioncapture
 
             def counted():
                 return ask(mocapd, folder, "status")["publish"][0]["frames_missed"]
@@ -452,8 +458,6 @@ def same_samples(ours, taken, what):
 
 def run_pair(job):
     name, version, is_multicast, program, mocapd, motion, seconds = job
-    # motioncapture waits for ever for a frame that does not come.
-    faulthandler.dump_traceback_later(seconds + HANGS_AFTER_S, exit=True)
     label = f"{name} {version} {'multicast' if is_multicast else 'unicast'}"
     # This client does not read the markers that rigid bodies have before 3.0.
     more = () if name.startswith("motioncapture") and version == "2.10" else ("--rigid-body", "Body")
@@ -468,7 +472,7 @@ def run_pair(job):
             elif name == "recorder beside natnet":
                 result = check_recorder_beside(port, data_port, version, is_multicast, seconds, mocapd)
             else:
-                check = check_natnet if name == "natnet" else check_motioncapture
+                check = check_natnet if name == "natnet" else bounded_motioncapture
                 result = check(port, data_port, version, is_multicast, seconds)
         return True, f"ok   {label}: {result}"
     except Exception as problem:  # any failure is this pair's, the others still count

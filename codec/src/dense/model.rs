@@ -1,5 +1,5 @@
-//! The probability model of a group: contexts, logistic mixing of their estimates, and the cost of decisions under a
-//! model that does not adapt.
+//! The probability model of a group: contexts, logistic mixing of their estimates, and the cost of decisions, under a
+//! model that adapts to them or does not.
 //!
 //! One to three contexts estimate the probability of every binary decision. Each context holds a probability that
 //! adapts to its bits, quickly at first. A mixer adds the logits of these probabilities with weights that adapt as
@@ -181,7 +181,7 @@ const _: () = assert!(MIXER_RATES[63] == MIN_RATE);
 
 /// A coder of modelled decisions.
 pub(super) trait ModelCoder: BinaryCoder {
-    /// Whether the model learns from the decisions. It does not where they are only priced.
+    /// Whether the model learns from the decisions. It does not while points are tried.
     const LEARNS: bool = true;
 }
 

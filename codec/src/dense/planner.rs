@@ -1,14 +1,14 @@
 //! Plans of the points of whole spans: the search for the points of each run, as deep as the encoder's effort allows.
 //!
 //! Within a span the points of a channel depend on the channels before it and on itself alone; only the probabilities
-//! adapt in the order in which rows are coded. So a copy of the group, with the probabilities fixed at the beginning of
-//! the span, is enough to evaluate each choice, one channel after another.
+//! adapt in the order in which rows are coded. So a copy of the group, with probabilities that are fixed while the span is
+//! planned, is enough to evaluate each choice, one channel after another.
 //!
 //! For each coarse row, from the anchor down, every lattice point in the tolerance ball is tried: the rest of the run is
 //! coded greedily, and its cost counted. The cheapest plans so far continue to the next row.
 //!
-//! What the span itself teaches the model is unknown at its beginning. Further passes plan it again, with the probabilities
-//! after it was coded by the plans of the pass before.
+//! The first pass has the probabilities from before the span, which do not know it yet. Further passes plan it again, with
+//! those from after it, coded with the plans of the pass before.
 //!
 //! Plans are made channel by channel, but rows are coded level by level: where a run ends between the rows of a whole
 //! span, the rows next to its ends have not been decoded in all channels before it, and are hidden.
@@ -133,7 +133,7 @@ pub(super) struct Planner {
     group: Dense,
     /// By channel: the plan of the current span.
     plans: Vec<SpanPlan>,
-    /// The model behind the span, coded by the plans so far.
+    /// The model after the span, coded with the plans of the pass before; `None` in the first pass.
     learned: Option<Model>,
 }
 
@@ -174,7 +174,7 @@ impl Planner {
         Ok(())
     }
 
-    /// Codes a span by its plans, which the model learns from. Returns the cost.
+    /// Codes a span with its plans, which the model learns from. Returns the cost.
     fn rehearse(
         &mut self,
         group: &Dense,

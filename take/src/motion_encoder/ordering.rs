@@ -344,7 +344,7 @@ impl SearchStage {
         }
     }
 
-    /// Maximum number of codings: in both stages, a few times as long as the two codings of the whole at effort 9.
+    /// Maximum number of codings: both stages together take about as long as the two codings of the whole at effort 9.
     pub(super) fn codings_max(self) -> usize {
         self.rounds_max() * ROUND_ORDERS
     }

@@ -38,15 +38,23 @@ struct GroupQueue {
     is_begun: bool,
     /// Samples of the longest batch.
     batch_max: i64,
-    /// Frames since it was last checked how far samples are behind, and the fewest that waited behind the samples of one.
-    n_watched: u64,
-    behind_min: i64,
+    lag: Lag,
     /// Samples that were left out, because they were too far behind.
     n_left_out: u64,
     /// The row of a frame, and the number of its first sample, which may be one before the first of all.
     anchor: Option<(u64, i64)>,
     /// Those of the current frame: the place of the first one, and their number.
     current: (usize, usize),
+}
+
+/// How far samples are behind their frames.
+#[derive(Debug, Default)]
+struct Lag {
+    /// Frames that were watched, and the fewest samples that waited behind those of one of them.
+    n_frames: u64,
+    least: i64,
+    /// Whether more waited than are held.
+    has_overflowed: bool,
 }
 
 /// All sampled channels of a device.
@@ -97,8 +105,7 @@ impl ServedSamples {
                 first: 0,
                 is_begun: false,
                 batch_max: 0,
-                n_watched: 0,
-                behind_min: i64::MAX,
+                lag: Lag::default(),
                 n_left_out: 0,
                 anchor: None,
                 current: (0, 0),
@@ -203,6 +210,7 @@ impl GroupQueue {
             // The first one, numbers that begin anew, or a long gap.
             self.values.clear();
             (self.first, self.is_begun, self.anchor) = (batch.first, true, None);
+            self.lag = Lag::default();
         } else if let Some(missing) = follows {
             // Samples that are missing stay so: those behind them keep their frames.
             let n = missing as usize * self.n_channels();
@@ -219,6 +227,8 @@ impl GroupQueue {
         }
         let excess = self.n_held().saturating_sub(self.held_max());
         self.drop_front(excess);
+        self.n_left_out += excess;
+        self.lag.has_overflowed |= excess > 0;
     }
 
     fn drop_front(&mut self, n: u64) {
@@ -229,9 +239,9 @@ impl GroupQueue {
     /// Selects the samples of a row. Where they have not come, this frame goes without, and those of all later ones are so
     /// much older: as many as a batch has, until frames never wait for one.
     ///
-    /// What is more than two batches behind for a second is left out, and those behind it are so much younger: converters that
-    /// run faster than stated would leave their frames behind, and a pause of the frames as well. For a moment more samples
-    /// wait whenever this machine stood still, because their frames come after them.
+    /// What is more than two batches behind for half a second is left out, and those behind it are so much younger:
+    /// converters that run faster than stated would leave their frames behind, and a pause of the frames as well. For a
+    /// moment more samples wait whenever this machine stood still, because their frames come after them.
     fn select(&mut self, row: u64) {
         self.current = (0, 0);
         let (first, end) = (self.first.cast_signed(), (self.first + self.n_held()).cast_signed());
@@ -244,6 +254,7 @@ impl GroupQueue {
         let start = anchor.saturating_add(samples_in(row - anchor_row));
         let stop = anchor.saturating_add(samples_in(row - anchor_row + 1));
         self.anchor = if stop > end {
+            self.lag = Lag { has_overflowed: self.lag.has_overflowed, ..Lag::default() };
             Some((anchor_row, anchor - (stop - start)))
         } else if start < first {
             // They are gone: frames came too late for them.
@@ -258,15 +269,18 @@ impl GroupQueue {
 
     /// The samples to leave out at a frame behind whose own `behind` others wait.
     fn excess(&mut self, behind: i64) -> i64 {
-        self.n_watched += 1;
-        self.behind_min = self.behind_min.min(behind);
-        if self.n_watched as f64 * self.per_frame < self.held_max() as f64 {
+        let Lag { n_frames, least, has_overflowed } = self.lag;
+        let least = if n_frames == 0 || has_overflowed { behind } else { least.min(behind) };
+        let n_frames = n_frames + 1;
+        // With half of what is held, converters twice as fast as stated do not overflow the queue.
+        let is_due = 2.0 * n_frames as f64 * self.per_frame >= self.held_max() as f64;
+        if !is_due && !has_overflowed {
+            self.lag = Lag { n_frames, least, has_overflowed };
             return 0;
         }
+        self.lag = Lag::default();
         let behind_max = 2 * self.batch_max.max(self.per_frame.ceil() as i64);
-        let excess = (self.behind_min - behind_max).max(0);
-        (self.n_watched, self.behind_min) = (0, i64::MAX);
-        excess
+        (least - behind_max).max(0)
     }
 
     fn put_channel(&self, channel: usize, out: &mut Vec<f32>) {
@@ -304,8 +318,7 @@ mod tests {
             first: 0,
             is_begun: false,
             batch_max: 0,
-            n_watched: 0,
-            behind_min: i64::MAX,
+            lag: Lag::default(),
             n_left_out: 0,
             anchor: None,
             current: (0, 0),
@@ -436,6 +449,27 @@ mod tests {
         assert_eq!(all, (0..2000).map(|n| n as f32).collect::<Vec<_>>());
         let behind = pushed as f32 - found[1899][1];
         assert!(behind <= 40.0 && served.n_left_out() > 150, "{behind}, {}", served.n_left_out());
+    }
+
+    #[test]
+    fn after_a_pause_longer_than_what_is_held_hardly_a_frame_goes_without() {
+        for (per_frame, batch) in [(2, 10), (4, 8), (4, 20)] {
+            let mut served = queue(per_frame as f64);
+            let (mut pushed, mut n_empty) = (0, 0);
+            for row in 0..2000_u64 {
+                while pushed + batch <= (row + 4) * per_frame {
+                    push(&mut served, pushed..pushed + batch);
+                    pushed += batch;
+                }
+                // Of this one, no frame has come for 1.4 times as long as samples are held.
+                let paused = 500..500 + 1400 / per_frame;
+                if !paused.contains(&row) {
+                    let missed = if row < 500 { 0 } else { 1400 / per_frame };
+                    n_empty += u32::from(select(&mut served, row - missed).is_empty() && row > 20);
+                }
+            }
+            assert!(n_empty <= 3, "{per_frame} {batch}: {n_empty}");
+        }
     }
 
     #[test]
