@@ -22,7 +22,7 @@ use crate::{
 
 /// The version of what an import writes: readers of motion files, encoders and the writer of takes. Every change after
 /// which a file may give other bytes with the same settings raises it, because archives name takes by it.
-pub const IMPORTER_VERSION: u32 = 1;
+pub const IMPORTER_VERSION: u32 = 2;
 
 /// Plausible frame rates, Hz: from time lapse to ballistics.
 pub const RATE_HZ: std::ops::RangeInclusive<f64> = 0.001..=1e6;
