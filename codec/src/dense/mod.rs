@@ -63,7 +63,6 @@ mod level;
 mod level_prediction;
 mod model;
 mod planner;
-mod rehearsal;
 mod row_syntax;
 mod segment_lengths;
 #[cfg(feature = "training")]

@@ -17,12 +17,11 @@ use std::{fmt, ops::RangeInclusive, rc::Rc, str::FromStr};
 
 use super::{
     LEVELS, SPAN,
-    choice::{ChannelState, SpanPlan, Trial},
+    choice::{ChannelState, Rehearsal, SpanPlan, Trial},
     lattice::Grid,
     level::{Channels, RowCodec},
     level_prediction::{LevelLayout, slot},
     model::Model,
-    rehearsal::Rehearsal,
     walk::{Dense, Run, SpanPresence},
 };
 use crate::{CodecError, GROUP_CHANNELS, Result, Rows};
