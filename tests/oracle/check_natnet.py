@@ -366,6 +366,7 @@ def sampled_device(program, folder):
     silent.start()
     try:
         expect(process.stdout.readline().strip(), "the simulator names no port")
+        silent.cancel()
         yield f"serial:{folder}/device"
     finally:
         silent.cancel()
