@@ -10,8 +10,11 @@ use crate::Input;
 /// Maximum number of blocks of one input.
 const BLOCKS_MAX: usize = 12;
 
-/// Maximum number of rows of a block: 64 channels of them take milliseconds.
+/// Maximum number of rows of a block.
 const ROWS_MAX: usize = 1 << 8;
+
+/// Maximum number of samples of a block that is encoded: an input runs for 0.3 ms, not for 3 as with all rows of 64 channels.
+const SAMPLES_MAX: usize = 1 << 10;
 
 /// Encodes arbitrary samples, which come back bit for bit, and decodes arbitrary, damaged and skipped blocks. Each gives
 /// an error or samples. After an error the decoder accepts only a key block, and after that works normally.
@@ -19,13 +22,14 @@ pub fn decode_samples(bytes: &[u8]) {
     let mut input = Input::new(bytes);
     let n_channels = usize::from(input.byte()) % 64 + 1;
     let (mut encoder, mut decoder) = (SampledEncoder::new(), SampledDecoder::new());
-    let (mut is_in_step, mut is_broken) = (false, true);
-    for number in 0..BLOCKS_MAX {
+    let (mut is_in_step, mut is_broken, mut has_begun) = (false, true, false);
+    for _ in 0..BLOCKS_MAX {
         if input.is_empty() {
             break;
         }
         let head = input.byte();
-        let (operation, key) = (head & 3, head & 4 != 0 || number == 0);
+        // An encoder begins with a key block.
+        let (operation, key) = (head & 3, head & 4 != 0 || !has_begun);
         if operation == 3 {
             is_in_step = false;
             decoder = SampledDecoder::new();
@@ -46,6 +50,7 @@ pub fn decode_samples(bytes: &[u8]) {
         let rows: Vec<&[f32]> = channels.iter().map(Vec::as_slice).collect();
         let n_rows = rows[0].len();
         let mut block = Vec::new();
+        has_begun = true;
         encoder.encode(&rows, key, &mut block).expect("channels of one length");
         assert!(block.len() <= max_block_bytes(n_channels, n_rows), "longer than the limit");
         let whole = block.clone();
@@ -74,7 +79,7 @@ pub fn decode_samples(bytes: &[u8]) {
 
 /// Samples of channels: of integers, of scaled ones, of repeated ones, or of any bits.
 fn channels(input: &mut Input<'_>, n_channels: usize, mode: usize) -> Vec<Vec<f32>> {
-    let n_rows = usize::from(input.byte()) % ROWS_MAX + 1;
+    let n_rows = usize::from(input.byte()) % ROWS_MAX.min(SAMPLES_MAX / n_channels) + 1;
     let channel = |channel: usize| {
         let mut last = 0.0;
         let mut sample = |_| {
