@@ -399,13 +399,16 @@ def check_samples(program, mocapd, seconds):
     groups = json.loads(info.stdout)["sampled_groups"]
     expect([len(group["channels"]) for group in groups] == [12, 2], groups)
     # Frames go without samples that have not come, and those of later frames are so much older: the first ones, until frames never
-    # wait for a batch, and others on a machine that stands still. Between two of them samples follow each other.
+    # wait for a batch, and others on a machine that stands still. Between two of them samples follow each other. A lost datagram
+    # may have been such a frame.
     runs = [[]]
+    number = frames[0].prefix.frame_number
     for frame in frames:
-        if lacks_samples(frame):
+        if lacks_samples(frame) or frame.prefix.frame_number != number:
             runs.append([])
-        else:
+        if not lacks_samples(frame):
             runs[-1].append(frame)
+        number = frame.prefix.frame_number + 1
     long_runs = [run for run in runs if len(run) >= RATE_HZ]
     n_compared = sum(map(len, long_runs))
     expect(n_compared > 0.25 * len(frames), f"runs of {[len(run) for run in runs]} of {len(frames)} frames have samples")
@@ -414,27 +417,22 @@ def check_samples(program, mocapd, seconds):
 
 
 def compare_samples(frames, plates, electrodes):
-    """Frames with samples that follow each other have those of the take: their number."""
+    """Frames without a gap, whose samples follow each other, have those of the take: their number."""
     import numpy as np
 
-    first = frames[0].prefix.frame_number
     counts = {(len(frame.force_plates), len(frame.devices)) for frame in frames}
     expect(counts == {(2, 1)}, counts)
-    n_frames = frames[-1].prefix.frame_number - first + 1
-    found = {}
-    for kind, per_frame, n_channels in (("force_plates", 4, 6), ("devices", 8, 2)):
-        for index in range(len(getattr(frames[0], kind))):
-            values = np.full((n_frames * per_frame, n_channels), np.nan, dtype=np.float32)
-            for frame in frames:
-                channels = np.array(getattr(frame, kind)[index].channel_arrays, dtype=np.float32)
-                expect(channels.shape == (n_channels, per_frame), f"frame {frame.prefix.frame_number}: {channels.shape}")
-                at = (frame.prefix.frame_number - first) * per_frame
-                values[at:at + per_frame] = channels.T
-            found[kind, index] = values
-    for (kind, index), columns in {("force_plates", 0): plates[:, :6], ("force_plates", 1): plates[:, 6:],
-                                   ("devices", 0): electrodes}.items():
-        same_samples(found[kind, index], columns.astype(np.float32), f"{kind} {index}")
-    return sum(len(values) for values in found.values())
+    n_samples = 0
+    for kind, index, per_frame, taken in (("force_plates", 0, 4, plates[:, :6]), ("force_plates", 1, 4, plates[:, 6:]),
+                                          ("devices", 0, 8, electrodes)):
+        values = []
+        for frame in frames:
+            channels = np.array(getattr(frame, kind)[index].channel_arrays, dtype=np.float32)
+            expect(channels.shape == (taken.shape[1], per_frame), f"frame {frame.prefix.frame_number}: {channels.shape}")
+            values.append(channels.T)
+        same_samples(np.concatenate(values), taken.astype(np.float32), f"{kind} {index}")
+        n_samples += per_frame * len(frames)
+    return n_samples
 
 
 def lacks_samples(frame):
@@ -443,16 +441,13 @@ def lacks_samples(frame):
 
 
 def same_samples(ours, taken, what):
-    """What was published is a piece of what was recorded, where it was received."""
-    import numpy as np
-    seen = ~np.isnan(ours).any(axis=1)
+    """What was published is a piece of what was recorded."""
     # From the middle, because the first may have been sent before the take began, and the last after its end.
-    middle = int(np.flatnonzero(seen)[seen.sum() // 2])
+    middle = len(ours) // 2
     n = []
-    for at in np.flatnonzero((taken == ours[middle]).all(axis=1)):
+    for at in (taken == ours[middle]).all(axis=1).nonzero()[0]:
         before, behind = min(middle, int(at)), min(len(ours) - middle, len(taken) - int(at))
-        piece, ours_piece = taken[at - before:at + behind], ours[middle - before:middle + behind]
-        if (~seen[middle - before:middle + behind] | (ours_piece == piece).all(axis=1)).all():
+        if (ours[middle - before:middle + behind] == taken[at - before:at + behind]).all():
             n.append(before + behind)
     expect(max(n, default=0) > 0.6 * len(ours), f"{what}: the take has other samples: {n} of {len(ours)} agree")
 
