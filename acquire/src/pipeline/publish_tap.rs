@@ -65,6 +65,8 @@ pub struct TappedFrame {
     /// The poses of all bodies, in the order in which the device announced them, as the device sent them; empty if none came
     /// with the frame.
     pub poses: Vec<Pose>,
+    /// Whether poses were wanted when it arrived: where they were not, `poses` is empty.
+    pub wants_poses: bool,
     /// Frames before it that arrived and were left out here, because the rings were full.
     pub frames_left_out: u64,
 }
@@ -118,7 +120,8 @@ struct FrameHead {
     arrival_ns: u64,
     n_channels: usize,
     left_out: u64,
-    /// Whether its poses are expected.
+    /// Whether its poses are wanted, and expected.
+    wants_poses: bool,
     awaits_poses: bool,
 }
 
@@ -268,7 +271,7 @@ impl PublishTapSender {
         let FramePlace { seq, row: number, device_ticks, arrival_ns } = place;
         self.misses = self.misses.saturating_add(1);
         self.last = Some(LastFrame { seq, row: number, wants_poses: false });
-        if !self.state.wants_frames.load(Ordering::Relaxed) {
+        if !self.state.wants_frames.load(Ordering::Acquire) {
             self.frames_left_out = 0;
             return;
         }
@@ -277,6 +280,7 @@ impl PublishTapSender {
             self.state.frames_left_out.fetch_add(1, Ordering::Relaxed);
             return;
         }
+        let wants_poses = self.state.wants_poses.load(Ordering::Relaxed);
         self.markers.push_slice(row);
         self.frames.push(FrameHead {
             row: number,
@@ -284,11 +288,9 @@ impl PublishTapSender {
             arrival_ns,
             n_channels: row.len(),
             left_out: std::mem::take(&mut self.frames_left_out),
-            awaits_poses: self.n_bodies > 0
-                && self.misses <= self.misses_max
-                && self.state.wants_poses.load(Ordering::Relaxed),
+            wants_poses,
+            awaits_poses: wants_poses && self.n_bodies > 0 && self.misses <= self.misses_max,
         });
-        let wants_poses = self.state.wants_poses.load(Ordering::Relaxed);
         self.last = Some(LastFrame { seq, row: number, wants_poses });
     }
 
@@ -354,8 +356,9 @@ impl PublishTap {
     /// Whether frames, their poses, and batches of samples are wanted from now on. At first none is. Where poses are not wanted,
     /// frames do not wait for them.
     pub fn set_wanted(&self, frames: bool, poses: bool, samples: bool) {
-        self.state.wants_frames.store(frames, Ordering::Relaxed);
         self.state.wants_poses.store(poses, Ordering::Relaxed);
+        // The first frame has its poses, if both are wanted.
+        self.state.wants_frames.store(frames, Ordering::Release);
         self.state.wants_samples.store(samples, Ordering::Relaxed);
     }
 
@@ -418,6 +421,7 @@ impl PublishTap {
         frame.device_ticks = head.device_ticks;
         frame.arrival_ns = head.arrival_ns;
         frame.frames_left_out = head.left_out;
+        frame.wants_poses = head.wants_poses;
         true
     }
 
@@ -585,6 +589,22 @@ mod tests {
         sender.poses(121, &[[0.0; POSE_CHANNELS]; 2]);
         sender.frame(place(122), &ROW);
         assert_eq!(tap.abandon(), LeftOut { frames: 1, poses: 1, batches: 0 });
+    }
+
+    #[test]
+    fn a_frame_says_whether_its_poses_were_wanted() {
+        let (mut sender, mut tap) = tap(1);
+        let mut frame = TappedFrame::default();
+        for (seq, is_wanted) in [(1, false), (2, true), (3, false)] {
+            tap.set_wanted(true, is_wanted, false);
+            sender.frame(place(seq), &ROW);
+            sender.poses(seq, &[[0.0; POSE_CHANNELS]]);
+        }
+        for is_wanted in [false, true, false] {
+            assert!(tap.next_frame(&mut frame));
+            assert_eq!((frame.wants_poses, frame.poses.len()), (is_wanted, usize::from(is_wanted)));
+        }
+        assert_eq!(tap.left_out(), LeftOut::default());
     }
 
     #[test]

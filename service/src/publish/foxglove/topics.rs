@@ -167,16 +167,19 @@ impl DeviceTopics {
         server
             .message(SPHERES, time_ns, || foxglove::marker_scene(row, &self.is_labelled, time_ns));
         server.message(LINES, time_ns, || foxglove::line_scene(row, &self.lines, time_ns));
-        server.message(TRANSFORMS, time_ns, || {
-            let bodies = self.bodies.iter().zip(&frame.poses);
-            let tracked = bodies.filter(|(_, pose)| pose.state == PoseState::Tracked);
-            let placed = tracked.map(|(name, pose)| PlacedBody {
-                name,
-                position_mm: pose.position_mm,
-                quaternion: pose.quaternion,
+        // A frame from before the first client wanted bodies has none, which would look like bodies that are not tracked.
+        if self.bodies.is_empty() || frame.wants_poses {
+            server.message(TRANSFORMS, time_ns, || {
+                let bodies = self.bodies.iter().zip(&frame.poses);
+                let tracked = bodies.filter(|(_, pose)| pose.state == PoseState::Tracked);
+                let placed = tracked.map(|(name, pose)| PlacedBody {
+                    name,
+                    position_mm: pose.position_mm,
+                    quaternion: pose.quaternion,
+                });
+                foxglove::transforms(Some(self.up), &placed.collect::<Vec<_>>(), time_ns)
             });
-            foxglove::transforms(Some(self.up), &placed.collect::<Vec<_>>(), time_ns)
-        });
+        }
         if is_due(&mut self.names_due_ns, time_ns, NAMES_HZ) {
             server.message(NAMES, time_ns, || foxglove::label_scene(row, &self.labels, time_ns));
         }
