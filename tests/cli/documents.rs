@@ -91,8 +91,10 @@ fn paths_of(document: &Value) -> BTreeMap<String, BTreeSet<&'static str>> {
 /// The example has the keys of `real`, the first document; all of `real` together have the documented fields,
 /// each of a documented type, and no other.
 fn check(heading: &str, real: &[Value]) {
-    let expected: Vec<_> = paths_of(&real[0]).into_keys().collect();
     let shown: Vec<_> = paths_of(&example(heading)).into_keys().collect();
+    // A take has an event if the machine stood still meanwhile.
+    let is_shown = |path: &String| !path.starts_with("events[]") || shown.contains(path);
+    let expected: Vec<_> = paths_of(&real[0]).into_keys().filter(is_shown).collect();
     assert_eq!(shown, expected, "{heading}: the example has other keys");
 
     let mut documented = fields(heading);

@@ -27,11 +27,14 @@ use crate::support::{assert_mentions, jump, rows};
 const RATE_HZ: f64 = 240.0;
 const SECONDS: f64 = 2.0;
 
-/// LSL's configuration for this process and the recorders that it starts: on this machine, in a session of its own.
+/// LSL's configuration for this process and the recorders that it starts: on this machine, in a session of its own, with ports of
+/// its own, because the 32 that LSL uses by default are not enough for two programs that test at the same time.
 static CONFIGURATION: LazyLock<Folder> = LazyLock::new(|| {
     let session = std::process::id();
+    // Below the ports of outgoing connections.
+    let base_port = 17_000 + session % 400 * 32;
     let text = format!(
-        "[multicast]\nResolveScope=machine\n[lab]\nKnownPeers={{127.0.0.1}}\nSessionID=tests-{session}\n"
+        "[ports]\nBasePort={base_port}\n[multicast]\nResolveScope=machine\n[lab]\nKnownPeers={{127.0.0.1}}\nSessionID=tests-{session}\n"
     );
     let folder = Folder::new();
     folder.write("lsl.cfg", &text);

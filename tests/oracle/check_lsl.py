@@ -23,8 +23,11 @@ from pathlib import Path
 
 import numpy as np
 
+# Tests that run at the same time have streams, too: they use a session and ports of their own.
 SESSION = f"mocapd-{os.getpid()}"
-CONFIGURATION = f"""[multicast]
+CONFIGURATION = f"""[ports]
+BasePort={17_000 + os.getpid() % 400 * 32}
+[multicast]
 ResolveScope=machine
 [lab]
 KnownPeers={{127.0.0.1}}

@@ -23,8 +23,10 @@ MOTION = ["--generate", "jump:7", "--rate", str(RATE_HZ), "--markers", str(N_MAR
 UNITS_MM = 0.0003
 # What a stream may send before the recorder has connected: 5 frames of NatNet on an idle machine.
 SKIPPED_MAX = 2 * RATE_HZ
-# Another simulator or recording on this machine has streams of the same name.
-LSL_CONFIGURATION = f"""[multicast]
+# Another simulator or recording on this machine has streams of the same name, and ports.
+LSL_CONFIGURATION = f"""[ports]
+BasePort={17_000 + os.getpid() % 400 * 32}
+[multicast]
 ResolveScope=machine
 [lab]
 KnownPeers={{127.0.0.1}}
