@@ -297,6 +297,7 @@ mod no_allocation {
                 labelled: &markers,
                 unlabelled: &markers[(number % 40) as usize..60],
                 bodies: &bodies,
+                lacks_bodies: false,
             });
             let before = ALLOCATIONS.get();
             let n_markers = qtm_read(&mut host, &commands, &mut server, client);

@@ -2,7 +2,10 @@
 
 use mocapd_drivers::{
     device::{Command, Pose, PoseStatus},
-    qtm::{BodySettings, Event, FrameHeader, ServedBody, ServedSettings, put_event},
+    qtm::{
+        BodySettings, Event, FrameHeader, PacketKind, QtmServer, ServedBody, ServedFrame,
+        ServedSettings, put_event, put_text,
+    },
 };
 
 use crate::pair::{LABELS, Pair};
@@ -310,4 +313,26 @@ fn the_datagram_of_the_bodies_may_be_lost_alone() {
     assert_eq!(numbers, [0, 1, 2, 4, 5]);
     let notes = reported.notes.join("\n");
     assert!(notes.contains("1 frames are incomplete"), "{notes}");
+}
+
+#[test]
+fn one_frame_with_bodies_is_the_next_that_has_them() {
+    let mut server = QtmServer::new(settings(&["cup"]), String::new());
+    let clients = [1, 2].map(|port| server.connect(([127, 0, 0, 1], port).into()).unwrap());
+    for (client, components) in clients.into_iter().zip(["3D 6D", "3D"]) {
+        let mut bytes = Vec::new();
+        for command in ["Version 1.28", &format!("GetCurrentFrame {components}")] {
+            put_text(PacketKind::Command, command, &mut bytes);
+        }
+        server.receive(client, &bytes);
+        server.take_pending(client);
+    }
+    let bodies = [ServedBody::LOST];
+    let mut answers = Vec::new();
+    for (number, lacks_bodies) in [(0, true), (1, false), (2, false)] {
+        let header = header(number);
+        server.frame(&ServedFrame { header, bodies: &bodies, lacks_bodies, ..Default::default() });
+        answers.push(clients.map(|client| !server.take_pending(client).is_empty()));
+    }
+    assert_eq!(answers, [[false, true], [true, false], [false, false]]);
 }

@@ -76,6 +76,7 @@ fn frame(number: u32) -> Vec<u8> {
         labelled: &labelled,
         unlabelled: &unlabelled,
         bodies: &[body, ServedBody::LOST],
+        lacks_bodies: false,
     });
     server.take_pending(client)
 }

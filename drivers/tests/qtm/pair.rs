@@ -209,6 +209,7 @@ impl Pair {
             labelled: &labelled,
             unlabelled: &unlabelled,
             bodies,
+            lacks_bodies: false,
         });
     }
 }

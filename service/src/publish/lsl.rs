@@ -387,7 +387,8 @@ impl LivePublisher for LslPublisher {
             self.values.extend(position_m);
         }
         server.push(markers, time_s, &self.values);
-        if served.device.bodies.is_empty() {
+        // A frame from before a program read the poses has none, which would look like bodies that are not tracked.
+        if served.device.bodies.is_empty() || !frame.wants_poses {
             return;
         }
         self.values.clear();

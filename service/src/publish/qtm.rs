@@ -282,8 +282,10 @@ impl LivePublisher for QtmPublisher {
         let tick_hz = device.header.device.as_ref().map_or(1_000_000, |device| device.tick_hz);
         let header = header_of(frame, tick_hz);
         let MarkerMap { labelled, unlabelled, .. } = &self.map;
-        let (rates, bodies) = ([0; 2], &self.bodies[..]);
-        self.server.server.frame(&ServedFrame { header, rates, labelled, unlabelled, bodies });
+        let (bodies, lacks_bodies) = (&self.bodies[..], !frame.wants_poses);
+        let frame =
+            ServedFrame { header, labelled, unlabelled, bodies, lacks_bodies, rates: [0; 2] };
+        self.server.server.frame(&frame);
     }
 
     fn samples(&mut self, _: &PublishedDevice, batch: &TappedBatch) {

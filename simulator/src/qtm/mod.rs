@@ -431,8 +431,8 @@ impl QtmDevice {
         let way = self.faults_on_the_way(since_ns);
         let header = FrameHeader { time_us, number };
         let [labelled, unlabelled] = &self.markers;
-        let frame =
-            ServedFrame { header, rates: [0; 2], labelled, unlabelled, bodies: &self.bodies };
+        let bodies = &self.bodies[..];
+        let frame = ServedFrame { header, labelled, unlabelled, bodies, ..Default::default() };
         let first = self.server.first_stream();
         let sent = SentFrame {
             run: first.unwrap_or(self.server.n_streams()),

@@ -55,6 +55,8 @@ pub struct ServedFrame<'a> {
     pub unlabelled: &'a [WireMarker],
     /// The rigid bodies, in the order of the settings.
     pub bodies: &'a [ServedBody],
+    /// Whether they are not known, because the frame is from before a client wanted them.
+    pub lacks_bodies: bool,
 }
 
 /// What became of a frame for the stream that was started first.
@@ -88,7 +90,9 @@ impl QtmServer {
         let (hz, mut clients) = (self.settings.frequency_hz, std::mem::take(&mut self.clients));
         let mut encoded = Encoded::new();
         for client in &mut clients {
-            if let Some(components) = client.one_frame.take() {
+            // One frame with bodies is the next that has them.
+            let has_all = |wanted: &mut Components| !(frame.lacks_bodies && wanted.has_bodies());
+            if let Some(components) = client.one_frame.take_if(has_all) {
                 let content = self.content(frame, components, None);
                 client.outbox.put(|out| put_components(frame.header, &content, out));
             }
