@@ -314,7 +314,7 @@ def check_recorded(options):
     # Frames from before bodies were wanted go without.
     missing = len(client.of("/markers")) - len(bodies)
     at_first = [when for when, _ in client.of("/markers")][missing:]
-    expect(0 <= missing < 0.1 * len(bodies) and at_first == [when for when, _ in bodies], "not a transform for each frame")
+    expect(0 <= missing < 0.05 * len(bodies) and at_first == [when for when, _ in bodies], "not a transform for each frame")
     without = 0
     for _, message in bodies:
         frames = [(of.parent_frame_id, of.child_frame_id) for of in message.transforms]

@@ -399,8 +399,8 @@ def check_samples(program, mocapd, seconds):
     groups = json.loads(info.stdout)["sampled_groups"]
     expect([len(group["channels"]) for group in groups] == [12, 2], groups)
     # Frames go without samples that have not come, and those of later frames are so much older: the first ones, until frames never
-    # wait for a batch, and others on a machine that stands still. Between two of them samples follow each other. A lost datagram
-    # may have been such a frame.
+    # wait for a batch, and others on a machine that stands still. Between two of them samples follow each other, but for those
+    # that are left out. A lost datagram may have been such a frame.
     runs = [[]]
     number = frames[0].prefix.frame_number
     for frame in frames:
@@ -417,7 +417,7 @@ def check_samples(program, mocapd, seconds):
 
 
 def compare_samples(frames, plates, electrodes):
-    """Frames without a gap, whose samples follow each other, have those of the take: their number."""
+    """Frames without a gap have the samples of the take: their number."""
     import numpy as np
 
     counts = {(len(frame.force_plates), len(frame.devices)) for frame in frames}
@@ -430,7 +430,7 @@ def compare_samples(frames, plates, electrodes):
             channels = np.array(getattr(frame, kind)[index].channel_arrays, dtype=np.float32)
             expect(channels.shape == (taken.shape[1], per_frame), f"frame {frame.prefix.frame_number}: {channels.shape}")
             values.append(channels.T)
-        same_samples(np.concatenate(values), taken.astype(np.float32), f"{kind} {index}")
+        same_samples(np.concatenate(values), taken.astype(np.float32), per_frame, f"{kind} {index}")
         n_samples += per_frame * len(frames)
     return n_samples
 
@@ -440,16 +440,39 @@ def lacks_samples(frame):
     return any(len(channel) == 0 for entry in (*frame.force_plates, *frame.devices) for channel in entry.channel_arrays)
 
 
-def same_samples(ours, taken, what):
-    """What was published is a piece of what was recorded."""
-    # From the middle, because the first may have been sent before the take began, and the last after its end.
-    middle = len(ours) // 2
-    n = []
-    for at in (taken == ours[middle]).all(axis=1).nonzero()[0]:
-        before, behind = min(middle, int(at)), min(len(ours) - middle, len(taken) - int(at))
-        if (ours[middle - before:middle + behind] == taken[at - before:at + behind]).all():
-            n.append(before + behind)
-    expect(max(n, default=0) > 0.6 * len(ours), f"{what}: the take has other samples: {n} of {len(ours)} agree")
+def same_samples(ours, taken, per_frame, what):
+    """What was published is what was recorded, in order. After a moment in which the machine stood still, samples that are behind
+    their frames are left out; others are not."""
+    # The first frames may have samples from before the take began, and the last from after its end.
+    for first in range(0, int(0.4 * len(ours)), per_frame):
+        places = (taken == ours[first]).all(axis=1).nonzero()[0]
+        for at in places if first == 0 else places[places < per_frame]:
+            n_same, n_left_out = follow(ours[first:], taken[at:], per_frame)
+            if n_same > 0.6 * len(ours) and n_left_out < 0.1 * n_same:
+                return
+    raise AssertionError(f"{what}: the take has other samples")
+
+
+def follow(ours, taken, per_frame):
+    """How many samples are the same, but for those that were left out before a frame, and how many those are."""
+    i = at = n_left_out = 0
+    while i < len(ours) and at < len(taken):
+        n = min(len(ours) - i, len(taken) - at)
+        differs = (ours[i:i + n] != taken[at:at + n]).any(axis=1)
+        n_same = int(differs.argmax()) if differs.any() else n
+        i, at = i + n_same, at + n_same
+        if n_same == n:
+            break
+        frame = ours[i - i % per_frame:][:per_frame]
+        i, at = i - i % per_frame, at - i % per_frame
+        # A queue holds a second.
+        window = range(at + 1, min(at + per_frame * RATE_HZ, len(taken) - per_frame))
+        behind = next((place for place in window if (taken[place:place + per_frame] == frame).all()), None)
+        if behind is None:
+            return 0, 0
+        n_left_out += behind - at
+        at = behind
+    return i, n_left_out
 
 
 def run_pair(job):
