@@ -27,8 +27,8 @@ use crate::support::{assert_mentions, jump, rows};
 const RATE_HZ: f64 = 240.0;
 const SECONDS: f64 = 2.0;
 
-/// LSL's configuration for this process and the recorders that it starts: on this machine, in a session of its own, with ports of
-/// its own, because the 32 that LSL uses by default are not enough for two programs that test at the same time.
+/// LSL's configuration for this process and the recorders that it starts: it keeps them on this machine, and gives them a session
+/// and ports of their own. LSL's default range of 32 ports is too small for two test programs at the same time.
 static CONFIGURATION: LazyLock<Folder> = LazyLock::new(|| {
     let session = std::process::id();
     // Below the ports of outgoing connections.

@@ -120,8 +120,9 @@ struct FrameHead {
     arrival_ns: u64,
     n_channels: usize,
     left_out: u64,
-    /// Whether its poses are wanted, and expected.
+    /// Whether its poses are wanted.
     wants_poses: bool,
+    /// Whether they are wanted and expected.
     awaits_poses: bool,
 }
 

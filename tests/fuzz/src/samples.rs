@@ -13,7 +13,7 @@ const BLOCKS_MAX: usize = 12;
 /// Maximum number of rows of a block.
 const ROWS_MAX: usize = 1 << 8;
 
-/// Maximum number of samples of a block that is encoded: an input runs for 0.3 ms, not for 3 as with all rows of 64 channels.
+/// Maximum number of samples of a block that is encoded: with all rows of 64 channels the fuzzer runs half as many inputs a second.
 const SAMPLES_MAX: usize = 1 << 10;
 
 /// Encodes arbitrary samples, which come back bit for bit, and decodes arbitrary, damaged and skipped blocks. Each gives
