@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Runs the commands of the documents as they are written, each document in a folder of its own.
 
-A command is a line of a block marked `sh`, or an indented line that begins with the name of a program. Each is either run
+Most commands wait for a simulated device, so three documents run at a time; those that use the same path below /tmp, or
+serve on the service's port, run one after another. A command is a line of a block marked `sh`, or an indented line that begins with the name of a program. Each is either run
 or listed here with the reason why not; a command that is neither fails the check.
 
     python3 tests/documents/commands.py --programs target/release [--subject FOLDER]
@@ -18,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -145,6 +147,22 @@ def script(document: str, lines: list[tuple[int, str, str]]) -> str:
     return "\n".join(parts) + "\n"
 
 
+def groups(documents: dict[str, list[tuple[int, str, str]]]) -> list[list[str]]:
+    """Documents that must not run at the same time, because they use the same places, together."""
+    found: list[tuple[set[str], list[str]]] = []
+    for document, lines in documents.items():
+        text = "\n".join(command for _, command, _ in lines)
+        places = set(re.findall(r"/tmp/\w+", text)) | ({"port"} if re.search(r"mocapd (run|view) ", text) else set())
+        together = [document]
+        for group in [group for group in found if group[0] & places]:
+            found.remove(group)
+            places |= group[0]
+            together = group[1] + together
+        found.append((places, together))
+    # The largest first.
+    return sorted((together for _, together in found), key=lambda group: -sum(len(documents[one]) for one in group))
+
+
 def run(document: str, lines: list[tuple[int, str, str]], programs: pathlib.Path, subject: pathlib.Path | None) -> bool:
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
@@ -159,9 +177,10 @@ def run(document: str, lines: list[tuple[int, str, str]], programs: pathlib.Path
         began = time.monotonic()
         done = subprocess.run(["bash", "-c", script(document, lines)], cwd=folder, env=env, capture_output=True,
                               text=True, timeout=300, check=False)
-        print(f"{'ok' if done.returncode == 0 else 'FAILED'}: {document}: {len(lines)} commands, {time.monotonic() - began:.0f} s")
+        shown = f"{'ok' if done.returncode == 0 else 'FAILED'}: {document}: {len(lines)} commands, {time.monotonic() - began:.0f} s"
         if done.returncode != 0:
-            print(done.stdout[-2000:], done.stderr[-2000:], sep="\n")
+            shown += f"\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        print(shown, flush=True)
         return done.returncode == 0
 
 
@@ -172,7 +191,8 @@ def main() -> int:
     parser.add_argument("documents", nargs="*", default=DOCUMENTS)
     args = parser.parse_args()
     programs, subject = args.programs.resolve(), args.subject and args.subject.resolve()
-    n_run, n_listed, failed = 0, 0, 0
+    n_listed = 0
+    to_run: dict[str, list[tuple[int, str, str]]] = {}
     for document in args.documents:
         lines = []
         for number, command, section in commands(document):
@@ -184,8 +204,12 @@ def main() -> int:
             else:
                 n_listed += 1
         if lines:
-            n_run += len(lines)
-            failed += not run(document, lines, programs, subject)
+            to_run[document] = lines
+    with ThreadPoolExecutor(3) as pool:
+        jobs = [pool.submit(lambda group=group: [run(one, to_run[one], programs, subject) for one in group])
+                for group in groups(to_run)]
+        failed = sum(not held for job in jobs for held in job.result())
+    n_run = sum(map(len, to_run.values()))
     print(f"{n_listed} commands are not run here, for the reasons listed in {pathlib.Path(__file__).name}")
     print(f"{n_run if not failed else n_run - failed} passed, {failed} failed")
     return 1 if failed else 0
