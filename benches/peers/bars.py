@@ -9,7 +9,7 @@ DENSE, FAST, SPLINE = "dense", "fast", "spline:worst-sample"
 SPEED_RAW_BYTES_MIN = 300_000
 
 # How many times as many bytes the best peer needs: of the live encoder, and of the highest effort.
-AGAINST_BEST_PEER = 1.9, 2.12
+AGAINST_BEST_PEER = 1.9, 2.11
 
 
 @dataclass
