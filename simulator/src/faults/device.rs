@@ -25,6 +25,9 @@ pub struct FaultyDevice {
     starts: u64,
     /// Whether the cable is back in and no host has sent anything yet: no bytes leave the device.
     awaits_host: bool,
+    /// Whether the cable or the power is back, and no host has started the device since. One that comes back stops it
+    /// first, in case it still streams: that is not the end of what it plays.
+    awaits_start: bool,
 }
 
 impl FaultyDevice {
@@ -43,6 +46,7 @@ impl FaultyDevice {
             batches_discarded: 0,
             starts: 0,
             awaits_host: false,
+            awaits_start: false,
         }
     }
 
@@ -109,9 +113,11 @@ impl FaultyDevice {
         }
         if !before.powered && now.powered {
             self.device.power_up(now_ns, now.plugged && before.plugged);
+            self.awaits_start = true;
         }
         if !before.plugged && now.plugged {
             self.awaits_host = true;
+            self.awaits_start = true;
             self.wire.set_unasked(true);
         }
     }
@@ -129,6 +135,7 @@ impl LineDevice for FaultyDevice {
         let starts = self.device.log().starts;
         if starts > self.starts {
             self.starts = starts;
+            self.awaits_start = false;
             self.first_start_ns.get_or_insert(now_ns);
             self.wire.set_unasked(false);
         }
@@ -166,7 +173,7 @@ impl LineDevice for FaultyDevice {
     fn has_ended(&self) -> bool {
         let is_there = self.state.plugged && self.state.powered;
         let all_left = self.wire.is_empty() && self.device.pending().is_empty();
-        is_there && all_left && self.device.has_ended()
+        is_there && !self.awaits_start && all_left && self.device.has_ended()
     }
 
     fn is_plugged(&self) -> bool {

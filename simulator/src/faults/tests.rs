@@ -291,3 +291,45 @@ fn totals(script: &Script) -> FaultTotals {
     device.close();
     device.log().faults.unwrap()
 }
+
+/// A host that comes back stops the device, identifies it and starts it: the Stop alone is no end, however late the rest
+/// comes.
+#[test]
+fn the_first_stop_after_an_outage_is_no_end() {
+    for fault in ["kind = 'power-loss'", "kind = 'unplug'"] {
+        let script =
+            Arc::new(parse(&format!("[[fault]]\n{fault}\nat_s = 0.5\nfor_s = 0.5")).unwrap());
+        let spec = JumpSpec { seconds: Some(2.0), ..JumpSpec::new(1, 240.0) };
+        let settings =
+            DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
+        let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
+        let mut device = FaultyDevice::new(device, &script);
+        let mut now_ns = 1_000_000;
+        let send = |device: &mut FaultyDevice, command, now_ns| {
+            let mut bytes = Vec::new();
+            HostLink::new().command(command, &mut bytes);
+            device.on_bytes(&bytes, now_ns);
+        };
+        let mut play = |device: &mut FaultyDevice, until_ns: u64| {
+            while now_ns < until_ns && !device.has_ended() {
+                let wake_ns = device.poll(now_ns);
+                let n = device.pending().len();
+                device.sent(n);
+                now_ns = wake_ns.clamp(now_ns + 1, now_ns + 10_000_000);
+            }
+            now_ns
+        };
+        let start = Command::Start { line_bytes_per_s: 0 };
+        send(&mut device, start, 1_000_000);
+        let at_ns = play(&mut device, 1_200_000_000);
+        send(&mut device, Command::Stop, at_ns);
+        let at_ns = play(&mut device, at_ns + 100_000_000);
+        assert!(!device.has_ended() && device.pending().is_empty(), "{fault}");
+        send(&mut device, Command::Identify, at_ns);
+        send(&mut device, start, at_ns);
+        let began_ns = at_ns;
+        let at_ns = play(&mut device, at_ns + 5_000_000_000);
+        assert!(device.has_ended(), "{fault}: no end");
+        assert!(at_ns - began_ns >= 1_900_000_000, "{fault}: ended after {} ns", at_ns - began_ns);
+    }
+}
