@@ -29,7 +29,7 @@ RATE_HZ, SECONDS, MARKERS = 100, 240, 7
 # By the distance of keys, claims that --check tests: bytes of mocapd over those of the best peer, the largest of all
 # tolerances. By default, stretches of ten seconds in which nothing moves are joined. No peer has keys, so `--keys 10s` is
 # shown without a claim: at 20 mm, 24 times the positions of seven markers alone are more than all bytes of the best peer.
-BARS = {"default": 1.3, "10s": None, "none": 1.0}
+BARS = {"default": 0.8, "10s": None, "none": 0.7}
 
 
 def still_take(seed=25):

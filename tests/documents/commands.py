@@ -152,7 +152,7 @@ def groups(documents: dict[str, list[tuple[int, str, str]]]) -> list[list[str]]:
     found: list[tuple[set[str], list[str]]] = []
     for document, lines in documents.items():
         text = "\n".join(command for _, command, _ in lines)
-        places = set(re.findall(r"/tmp/\w+", text)) | ({"port"} if re.search(r"mocapd (run|view) ", text) else set())
+        places = set(re.findall(r"/tmp/\w+", text)) | ({"port"} if re.search(r"mocapd run ", text) else set())
         together = [document]
         for group in [group for group in found if group[0] & places]:
             found.remove(group)
@@ -175,13 +175,20 @@ def run(document: str, lines: list[tuple[int, str, str]], programs: pathlib.Path
             (folder / "portrait.jpg").write_bytes((subject / "portrait.png").read_bytes())
         env = {**os.environ, "PATH": f"{programs}:{os.environ['PATH']}"}
         began = time.monotonic()
-        done = subprocess.run(["bash", "-c", script(document, lines)], cwd=folder, env=env, capture_output=True,
-                              text=True, timeout=300, check=False)
-        shown = f"{'ok' if done.returncode == 0 else 'FAILED'}: {document}: {len(lines)} commands, {time.monotonic() - began:.0f} s"
-        if done.returncode != 0:
-            shown += f"\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        with subprocess.Popen(["bash", "-c", script(document, lines)], cwd=folder, env=env, stdout=subprocess.PIPE,
+                              stderr=subprocess.PIPE, text=True, start_new_session=True) as shell:
+            try:
+                stdout, stderr = shell.communicate(timeout=300)
+            except subprocess.TimeoutExpired:
+                # Each command has a process group of its own, and all are in the session of the shell.
+                subprocess.run(["pkill", "-KILL", "-s", str(shell.pid)], check=False)
+                stdout, stderr = shell.communicate()
+        held = shell.returncode == 0
+        shown = f"{'ok' if held else 'FAILED'}: {document}: {len(lines)} commands, {time.monotonic() - began:.0f} s"
+        if not held:
+            shown += f"\n{stdout[-2000:]}\n{stderr[-2000:]}"
         print(shown, flush=True)
-        return done.returncode == 0
+        return held
 
 
 def main() -> int:

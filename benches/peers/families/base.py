@@ -82,12 +82,12 @@ class Codec:
 
 def attempt(take, way, axis_tolerance):
     """Encodes, decodes and measures. A codec raises ValueError for a layout that it refuses (too few dimensions, too
-    wide numbers)."""
+    wide numbers) or in which it hangs."""
     try:
         payload = way.encode(take, axis_tolerance)
+        error = max_error_mm(take, way.decode(take, payload))
     except (ValueError, OverflowError):
         return None
-    error = max_error_mm(take, way.decode(take, payload))
     return Result(way.name, way.size(payload), error, axis_tolerance)
 
 

@@ -96,11 +96,13 @@ class Particles:
     order: np.ndarray
 
     def size(self):
-        """With the fewest bytes that tell the markers apart: the order of a frame where it is not that of the frame
-        before, and a bit where it is."""
+        """With what tells the markers apart: each order once, a bit for each frame that says whether its order is that
+        of the frame before, and where it is not, the number of its order."""
         frames, markers = self.order.shape
-        changes = 1 + np.count_nonzero((self.order[1:] != self.order[:-1]).any(axis=1))
-        return len(self.packed) + math.ceil((frames + changes * math.lgamma(markers + 1) / math.log(2)) / 8)
+        changes = np.count_nonzero((self.order[1:] != self.order[:-1]).any(axis=1))
+        orders = len(np.unique(self.order, axis=0))
+        bits = frames + orders * math.lgamma(markers + 1) / math.log(2) + changes * math.log2(orders)
+        return len(self.packed) + math.ceil(bits / 8)
 
 
 def lcp_encode(positions, batch_frames, finer, tolerance):

@@ -235,6 +235,11 @@ impl Device {
         }
     }
 
+    /// Whether the motion has ended by itself, and no host has stopped or started the device since.
+    pub(crate) fn has_played_all(&self) -> bool {
+        self.finished
+    }
+
     /// Switches the device on again; with `greets`, on an open line, it sends an unsolicited Hello.
     pub(crate) fn power_up(&mut self, now_ns: u64, greets: bool) {
         self.clock.begin(now_ns);

@@ -173,7 +173,8 @@ impl LineDevice for FaultyDevice {
     fn has_ended(&self) -> bool {
         let is_there = self.state.plugged && self.state.powered;
         let all_left = self.wire.is_empty() && self.device.pending().is_empty();
-        is_there && !self.awaits_start && all_left && self.device.has_ended()
+        let is_over = !self.awaits_start || self.device.has_played_all();
+        is_there && is_over && all_left && self.device.has_ended()
     }
 
     fn is_plugged(&self) -> bool {

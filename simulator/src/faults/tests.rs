@@ -292,44 +292,51 @@ fn totals(script: &Script) -> FaultTotals {
     device.log().faults.unwrap()
 }
 
+/// Plays a motion of two seconds on a device to which `commands` are sent, each at its time in seconds. Returns whether the
+/// device had ended before the next command, for each of them, and the time at the end.
+fn play_with(fault: &str, commands: &[(f64, Command)]) -> (Vec<bool>, u64) {
+    let script = Arc::new(parse(&format!("[[fault]]\n{fault}\nat_s = 0.5\nfor_s = 0.5")).unwrap());
+    let spec = JumpSpec { seconds: Some(2.0), ..JumpSpec::new(1, 240.0) };
+    let settings =
+        DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
+    let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
+    let mut device = FaultyDevice::new(device, &script);
+    let (mut now_ns, mut ended) = (1_000_000, Vec::new());
+    let ends = commands.iter().skip(1).map(|(at_s, _)| *at_s).chain([10.0]);
+    for ((_, command), until_s) in commands.iter().zip(ends) {
+        let mut bytes = Vec::new();
+        HostLink::new().command(*command, &mut bytes);
+        device.on_bytes(&bytes, now_ns);
+        while now_ns < (until_s * 1e9) as u64 && !device.has_ended() {
+            let wake_ns = device.poll(now_ns);
+            let n = device.pending().len();
+            device.sent(n);
+            now_ns = wake_ns.clamp(now_ns + 1, now_ns + 10_000_000);
+        }
+        ended.push(device.has_ended());
+    }
+    (ended, now_ns)
+}
+
 /// A host that comes back stops the device, identifies it and starts it: the Stop alone is no end, however late the rest
 /// comes.
 #[test]
 fn the_first_stop_after_an_outage_is_no_end() {
+    let start = Command::Start { line_bytes_per_s: 0 };
+    let commands = [(0.0, start), (1.2, Command::Stop), (1.3, Command::Identify), (1.3, start)];
     for fault in ["kind = 'power-loss'", "kind = 'unplug'"] {
-        let script =
-            Arc::new(parse(&format!("[[fault]]\n{fault}\nat_s = 0.5\nfor_s = 0.5")).unwrap());
-        let spec = JumpSpec { seconds: Some(2.0), ..JumpSpec::new(1, 240.0) };
-        let settings =
-            DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
-        let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
-        let mut device = FaultyDevice::new(device, &script);
-        let mut now_ns = 1_000_000;
-        let send = |device: &mut FaultyDevice, command, now_ns| {
-            let mut bytes = Vec::new();
-            HostLink::new().command(command, &mut bytes);
-            device.on_bytes(&bytes, now_ns);
-        };
-        let mut play = |device: &mut FaultyDevice, until_ns: u64| {
-            while now_ns < until_ns && !device.has_ended() {
-                let wake_ns = device.poll(now_ns);
-                let n = device.pending().len();
-                device.sent(n);
-                now_ns = wake_ns.clamp(now_ns + 1, now_ns + 10_000_000);
-            }
-            now_ns
-        };
-        let start = Command::Start { line_bytes_per_s: 0 };
-        send(&mut device, start, 1_000_000);
-        let at_ns = play(&mut device, 1_200_000_000);
-        send(&mut device, Command::Stop, at_ns);
-        let at_ns = play(&mut device, at_ns + 100_000_000);
-        assert!(!device.has_ended() && device.pending().is_empty(), "{fault}");
-        send(&mut device, Command::Identify, at_ns);
-        send(&mut device, start, at_ns);
-        let began_ns = at_ns;
-        let at_ns = play(&mut device, at_ns + 5_000_000_000);
-        assert!(device.has_ended(), "{fault}: no end");
-        assert!(at_ns - began_ns >= 1_900_000_000, "{fault}: ended after {} ns", at_ns - began_ns);
+        let (ended, at_ns) = play_with(fault, &commands);
+        assert_eq!(ended, [false, false, false, true], "{fault}");
+        assert!((3_200_000_000..3_600_000_000).contains(&at_ns), "{fault}: ended at {at_ns} ns");
     }
+}
+
+/// A device that played on while its cable was out ends as if nothing had been.
+#[test]
+fn a_motion_that_ends_by_itself_after_an_outage_is_an_end() {
+    let commands =
+        [(0.0, Command::Start { line_bytes_per_s: 0 }), (1.2, Command::Ping { host_ns: 7 })];
+    let (ended, at_ns) = play_with("kind = 'unplug'", &commands);
+    assert_eq!(ended, [false, true]);
+    assert!((1_900_000_000..2_300_000_000).contains(&at_ns), "ended at {at_ns} ns");
 }
