@@ -28,7 +28,8 @@ RATE_HZ, SECONDS, MARKERS = 100, 240, 7
 
 # By the distance of keys, claims that --check tests: bytes of mocapd over those of the best peer, the largest of all
 # tolerances. By default, stretches of ten seconds in which nothing moves are joined. No peer has keys, so `--keys 10s` is
-# shown without a claim: at 20 mm, 24 times the positions of seven markers alone are more than all bytes of the best peer.
+# shown without a claim: at 20 mm a position takes 17 bits (a ball of 20 mm in a cube of 1.8 m), so those of seven markers
+# in 24 key stretches alone are more bytes than all of the best peer.
 BARS = {"default": 0.8, "10s": None, "none": 0.7}
 
 

@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
 """Runs the commands of the documents as they are written, each document in a folder of its own.
 
-Most commands wait for a simulated device, so three documents run at a time; those that use the same path below /tmp, or
-serve on the service's port, run one after another. A command is a line of a block marked `sh`, or an indented line that begins with the name of a program. Each is either run
+Most commands wait for a simulated device, so three documents run at a time. Documents that use the same path below /tmp,
+or the port of the service, run one after another.
+
+A command is a line of a block marked `sh`, or an indented line that begins with the name of a program. Each is either run
 or listed here with the reason why not; a command that is neither fails the check.
 
     python3 tests/documents/commands.py --programs target/release [--subject FOLDER]
@@ -148,7 +150,7 @@ def script(document: str, lines: list[tuple[int, str, str]]) -> str:
 
 
 def groups(documents: dict[str, list[tuple[int, str, str]]]) -> list[list[str]]:
-    """Documents that must not run at the same time, because they use the same places, together."""
+    """Lists of documents. Those that use the same path or port are in one list, and must not run at the same time."""
     found: list[tuple[set[str], list[str]]] = []
     for document, lines in documents.items():
         text = "\n".join(command for _, command, _ in lines)
@@ -180,7 +182,7 @@ def run(document: str, lines: list[tuple[int, str, str]], programs: pathlib.Path
             try:
                 stdout, stderr = shell.communicate(timeout=300)
             except subprocess.TimeoutExpired:
-                # Each command has a process group of its own, and all are in the session of the shell.
+                # `set -m` gives each command its own process group; only the session has them all.
                 subprocess.run(["pkill", "-KILL", "-s", str(shell.pid)], check=False)
                 stdout, stderr = shell.communicate()
         held = shell.returncode == 0

@@ -235,7 +235,7 @@ impl Device {
         }
     }
 
-    /// Whether the motion has ended by itself, and no host has stopped or started the device since.
+    /// Whether the motion was played to its end. A Stop or a Start from the host clears this.
     pub(crate) fn has_played_all(&self) -> bool {
         self.finished
     }

@@ -25,8 +25,8 @@ pub struct FaultyDevice {
     starts: u64,
     /// Whether the cable is back in and no host has sent anything yet: no bytes leave the device.
     awaits_host: bool,
-    /// Whether the cable or the power is back, and no host has started the device since. One that comes back stops it
-    /// first, in case it still streams: that is not the end of what it plays.
+    /// Whether the cable or the power is back and the host has not started the device again. Before it does, it sends
+    /// Stop, in case the device still streams; that Stop does not end the run for `--once`.
     awaits_start: bool,
 }
 

@@ -146,15 +146,31 @@ fn the_document_lists_every_key() {
     assert_eq!(rows.next(), None, "a row for a key that does not exist");
 }
 
-/// Plays a device with faults in virtual time to a host that takes `chunk` bytes at a time and pings every `ping_ns`.
-/// Returns the fates, and the counters of the frames that the host decoded.
-fn play(script: &Script, chunk: usize, ping_ns: u64) -> (Vec<FrameFate>, Vec<u32>) {
+/// A device that plays 480 frames in two seconds.
+fn device_with(script: &Script) -> FaultyDevice {
     let script = Arc::new(script.clone());
     let spec = JumpSpec { seconds: Some(2.0), ..JumpSpec::new(1, 240.0) };
     let settings =
         DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
     let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
-    let mut device = FaultyDevice::new(device, &script);
+    FaultyDevice::new(device, &script)
+}
+
+/// Sends all that the device has, in virtual time, until it has ended or `until_ns`. Returns the time.
+fn send_all(device: &mut FaultyDevice, mut now_ns: u64, until_ns: u64) -> u64 {
+    while now_ns < until_ns && !device.has_ended() {
+        let wake_ns = device.poll(now_ns);
+        let n = device.pending().len();
+        device.sent(n);
+        now_ns = wake_ns.clamp(now_ns + 1, now_ns + 10_000_000);
+    }
+    now_ns
+}
+
+/// Plays a device with faults in virtual time to a host that takes `chunk` bytes at a time and pings every `ping_ns`.
+/// Returns the fates, and the counters of the frames that the host decoded.
+fn play(script: &Script, chunk: usize, ping_ns: u64) -> (Vec<FrameFate>, Vec<u32>) {
+    let mut device = device_with(script);
     device.keep_frame_log();
     let mut host = HostLink::new();
     let mut bytes = Vec::new();
@@ -270,24 +286,13 @@ fn totals_count_the_effects_of_each_kind() {
 }
 
 fn totals(script: &Script) -> FaultTotals {
-    let script = Arc::new(script.clone());
-    let spec = JumpSpec { seconds: Some(2.0), ..JumpSpec::new(1, 240.0) };
-    let settings =
-        DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
-    let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
-    let mut device = FaultyDevice::new(device, &script);
+    let mut device = device_with(script);
     let mut bytes = Vec::new();
     HostLink::new().command(Command::Identify, &mut bytes);
     HostLink::new().command(Command::Start { line_bytes_per_s: 0 }, &mut bytes);
-    let mut now_ns = 1_000_000;
-    device.on_bytes(&bytes, now_ns);
-    while !device.has_ended() {
-        let wake_ns = device.poll(now_ns);
-        let n = device.pending().len();
-        device.sent(n);
-        now_ns = wake_ns.clamp(now_ns + 1, now_ns + 10_000_000);
-        assert!(now_ns < 20_000_000_000, "no end");
-    }
+    device.on_bytes(&bytes, 1_000_000);
+    send_all(&mut device, 1_000_000, 20_000_000_000);
+    assert!(device.has_ended(), "no end");
     device.close();
     device.log().faults.unwrap()
 }
@@ -295,24 +300,15 @@ fn totals(script: &Script) -> FaultTotals {
 /// Plays a motion of two seconds on a device to which `commands` are sent, each at its time in seconds. Returns whether the
 /// device had ended before the next command, for each of them, and the time at the end.
 fn play_with(fault: &str, commands: &[(f64, Command)]) -> (Vec<bool>, u64) {
-    let script = Arc::new(parse(&format!("[[fault]]\n{fault}\nat_s = 0.5\nfor_s = 0.5")).unwrap());
-    let spec = JumpSpec { seconds: Some(2.0), ..JumpSpec::new(1, 240.0) };
-    let settings =
-        DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
-    let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
-    let mut device = FaultyDevice::new(device, &script);
+    let script = parse(&format!("[[fault]]\n{fault}\nat_s = 0.5\nfor_s = 0.5")).unwrap();
+    let mut device = device_with(&script);
     let (mut now_ns, mut ended) = (1_000_000, Vec::new());
     let ends = commands.iter().skip(1).map(|(at_s, _)| *at_s).chain([10.0]);
     for ((_, command), until_s) in commands.iter().zip(ends) {
         let mut bytes = Vec::new();
         HostLink::new().command(*command, &mut bytes);
         device.on_bytes(&bytes, now_ns);
-        while now_ns < (until_s * 1e9) as u64 && !device.has_ended() {
-            let wake_ns = device.poll(now_ns);
-            let n = device.pending().len();
-            device.sent(n);
-            now_ns = wake_ns.clamp(now_ns + 1, now_ns + 10_000_000);
-        }
+        now_ns = send_all(&mut device, now_ns, (until_s * 1e9) as u64);
         ended.push(device.has_ended());
     }
     (ended, now_ns)
