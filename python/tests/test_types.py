@@ -13,11 +13,17 @@ def run(*command):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.fixture(scope="module")
+def mypy(tmp_path_factory):
+    """The command, with one cache for this file: NumPy's own types take most of the time."""
+    return ["mypy", "--strict", "--cache-dir", str(tmp_path_factory.mktemp("mypy"))]
+
+
 def test_the_stub_matches_the_module():
     run("mypy.stubtest", "mocapd._native")
 
 
-def test_the_package_is_typed_strictly(tmp_path):
+def test_the_package_is_typed_strictly(tmp_path, mypy):
     use = tmp_path / "use.py"
     use.write_text(
         "import mocapd\n"
@@ -36,15 +42,14 @@ def test_the_package_is_typed_strictly(tmp_path):
         "    rows: int = len(take.to_pandas('analog', 1, 2, ['EMG1'])) + len(take.to_pandas(1, 2, layout='long'))\n"
         "    columns = take.to_pandas('force_plates', 1).columns, take.to_pandas('events').columns\n"
     )
-    run("mypy", "--strict", "--cache-dir", str(tmp_path / "cache"), str(use))
+    run(*mypy, str(use))
 
 
-def test_calls_that_fail_are_type_errors(tmp_path):
+def test_calls_that_fail_are_type_errors(tmp_path, mypy):
     use = tmp_path / "use.py"
     wrong = ["to_pandas('forces')", "to_pandas('events', 1, 2)", "to_pandas(layout='tidy')"]
     use.write_text("import mocapd\n" + "".join(f"mocapd.open('a.take').{call}\n" for call in wrong))
-    command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path / "cache"), str(use)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", *mypy, str(use)], capture_output=True, text=True)
     refused = [line for line in done.stdout.splitlines() if "call-overload" in line]
     assert done.returncode == 1
     assert [line.split(":")[1] for line in refused] == ["2", "3", "4"], done.stdout
