@@ -168,6 +168,8 @@ impl ImportPlan<'_> {
             job.notify("no samples: the take holds only gaps");
         }
         let mut report = ImportReport::new(output, &info, &codec, &written, foreign_dropped);
+        report.analog_tolerance = self.settings.analog.to_string();
+        report.note_exact_analog(&info).iter().for_each(|note| job.notify(note));
         (report.file, report.unchanged) = (name.clone(), is_unchanged);
         report.effort = self.settings.effort.level();
         if args.verify {
@@ -279,6 +281,11 @@ pub(super) struct ImportReport {
     effort: u8,
     samples_missing: u64,
     foreign_dropped: Vec<String>,
+    /// Analog channels whose samples are not those of the file, but within their tolerance.
+    analog_channels_inexact: usize,
+    /// As given; empty without any.
+    #[serde(skip)]
+    analog_tolerance: String,
     warnings: Vec<String>,
     /// Whether the take was compared with its source, with `--verify`: a difference is an error.
     verified: bool,
@@ -306,8 +313,23 @@ impl ImportReport {
             effort: Effort::MIN.level(),
             samples_missing: frames.saturating_mul(n_markers).saturating_sub(written.samples),
             foreign_dropped,
+            analog_channels_inexact: info.n_inexact_channels(),
+            analog_tolerance: String::new(),
             warnings: info.source.warnings.clone(),
             verified: false,
+        }
+    }
+
+    /// What to say of a tolerance that changed no sample.
+    fn note_exact_analog(&self, info: &MotionInfo) -> Option<String> {
+        let tolerance = &self.analog_tolerance;
+        match self.analog_channels_inexact {
+            0 if tolerance.is_empty() => None,
+            0 if info.has_analog() => Some(format!(
+                "--analog-tolerance {tolerance}: no channel is smaller with it, so every analog sample is exact"
+            )),
+            0 => Some(format!("--analog-tolerance {tolerance}: the file has no analog channels")),
+            _ => None,
         }
     }
 
@@ -316,10 +338,18 @@ impl ImportReport {
             0 => String::new(),
             n => format!(" ({} samples missing)", thousands(n)),
         };
+        let analog = match self.analog_channels_inexact {
+            0 => String::new(),
+            n => format!(
+                "; {} within {}, not exact",
+                count(n as u64, "analog channel"),
+                self.analog_tolerance
+            ),
+        };
         let unchanged = if self.unchanged { "; unchanged, imported before" } else { "" };
         let verified = if self.verified { "; compared with the source" } else { "" };
         format!(
-            "{}: {} of {}{gaps} at {}, {}{unchanged}{verified}\n",
+            "{}: {} of {}{gaps} at {}, {}{analog}{unchanged}{verified}\n",
             plain_path(&self.take),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),

@@ -86,7 +86,7 @@ enum Command {
     Cut(cut::Args),
     /// Join takes with the same markers one after another; samples stay unchanged
     Concat(concat::Args),
-    /// Write takes again in fewer bytes; samples stay unchanged
+    /// Write takes again in fewer bytes: with the same samples, or, with --tolerance, lossless takes within it
     Repack(repack::Args),
     /// Show how two takes differ: markers, frames, gaps, samples, times, events, ledger, header and settings
     Diff(diff::Args),

@@ -147,7 +147,7 @@ impl<'a> Import<'a> {
         let mut reader = open_motion(&source, &settings.options, keeps_foreign, bytes_read)?;
         let foreign_dropped = settings
             .apply(reader.info_mut(), files::scratch)
-            .with_context(|| reading(&input.name))?;
+            .with_context(|| format!("cannot import {}", input.name.display()))?;
         Ok(Self { settings, input, reader, foreign_dropped })
     }
 

@@ -32,7 +32,7 @@ use super::{
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "What a take decodes to stays the same, bit for bit, and is compared before the new take gets its name: \
+    after_help = "What a take decodes to stays the same, bit for bit, unless --tolerance is given, and is compared before the new take gets its name: \
     samples, gaps, lost frames, times, events, markers, parts of the imported file, observations of the clocks, ledger, \
     and the errors that its blocks state. Only a \
     lossless take can be encoded with another resampler, tolerance or effort; for others, import the source again."
@@ -96,9 +96,9 @@ impl Args {
         };
         let effort = match self.effort {
             Some(_) if kind != ResamplerKind::Dense => {
-                return usage(format!(
-                    "--effort is for the resampler dense: omit it with {kind}, or give --tolerance"
-                ));
+                let message = "--effort is for lossless takes that become takes of the resampler dense: give \
+                               --tolerance, too, or omit it";
+                return usage(message.to_owned());
             }
             Some(effort) => effort,
             None if kind == ResamplerKind::Dense => default_effort()?,
@@ -244,6 +244,9 @@ struct RepackReport {
     tolerance_mm: f64,
     effort: u8,
     format_version: u16,
+    /// Whether every bit of the old take's positions is known.
+    #[serde(skip)]
+    was_lossless: bool,
 }
 
 impl RepackReport {
@@ -265,13 +268,15 @@ impl RepackReport {
             tolerance_mm: header.tolerance_mm,
             effort: header.effort().level(),
             format_version: header.codec_version,
+            was_lossless: false,
         }
     }
 
     /// A take that is not written again is as it was, with the header `old`.
     fn with_outcome(self, written: bool, repacked: bool, old: &Header) -> Self {
+        let was_lossless = old.codec().is_ok_and(|codec| codec.kind.is_lossless());
         if repacked {
-            return Self { written, repacked, ..self };
+            return Self { written, repacked, was_lossless, ..self };
         }
         Self {
             written,
@@ -301,12 +306,17 @@ impl RepackReport {
         }
         let change = 100.0 * (self.file_bytes as f64 / self.bytes_before.max(1) as f64 - 1.0);
         format!(
-            "{}: {} in place of {} ({change:+.1} %), {} in place of {} stretches; compared with the old take\n",
+            "{}: {} in place of {} ({change:+.1} %), {} in place of {} stretches; {}\n",
             plain_path(&self.output),
             bytes(self.file_bytes),
             bytes(self.bytes_before),
             thousands(self.stretches),
             thousands(self.stretches_before),
+            match self.tolerance_mm {
+                tolerance_mm if self.was_lossless && tolerance_mm > 0.0 =>
+                    format!("every sample compared with the old take, and within {tolerance_mm} mm"),
+                _ => "compared with the old take: no sample differs".to_owned(),
+            },
         )
     }
 }

@@ -345,7 +345,7 @@ impl SizeReport {
         let bound = if self.tolerance_mm > 0.0 {
             format!("max error {:.4} mm <= {} mm", self.max_error_mm, self.tolerance_mm)
         } else {
-            "every bit kept".to_owned()
+            "every bit of the positions kept".to_owned()
         };
         let (raw, file) = (bytes(self.raw_bytes), bytes(self.file_bytes));
         format!("{raw} as float32, {file} on disk ({:.1}:1), {bound}", self.ratio)

@@ -147,6 +147,12 @@ pub enum Problem {
         /// Its kind.
         kind: String,
     },
+    /// The parameters of an imported file are missing, but its analog samples are not.
+    #[error(
+        "the parameters of the C3D file are missing: names, units and scales of analog channels are those that the take \
+         states for each of them; force plates and all other parameters are lost"
+    )]
+    ParametersLost,
     /// Samples of a group whose description is lost.
     #[error(
         "{chunks} chunks of sampled channels cannot be read: the description of the channels is lost"

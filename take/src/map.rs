@@ -26,6 +26,10 @@ use crate::{
 /// channels as 16 bits can count has 6144.
 const GROUPS_MAX: usize = 1 << 13;
 
+/// Maximum number of bytes of the names and units of all these channels. Deflated they take hardly any space, so a file of a
+/// few megabytes could state gigabytes. As many names as those of that C3D file, of the 255 bytes that it allows, have as many.
+const GROUP_TEXT_BYTES_MAX: usize = 1 << 25;
+
 /// Which chunks of sampled channels are of a later version. They are skipped, and nothing is wrong with a take in which
 /// what they state is missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -233,10 +237,12 @@ impl TakeMap {
 
     fn add_group(&mut self, group: GroupSamples) {
         let known = self.foreign.iter().filter_map(ForeignPart::sampled);
-        let mut n_groups = 0;
+        let (mut n_groups, mut text_bytes) = (0, group.text_bytes);
         for known in known.flat_map(SampledPart::groups) {
             n_groups += 1;
-            if known.group.number == group.group.number || n_groups == GROUPS_MAX {
+            text_bytes = text_bytes.saturating_add(known.text_bytes);
+            let is_too_much = n_groups == GROUPS_MAX || text_bytes > GROUP_TEXT_BYTES_MAX;
+            if known.group.number == group.group.number || is_too_much {
                 self.samples_orphaned += 1;
                 return;
             }

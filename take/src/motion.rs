@@ -5,6 +5,7 @@ use std::{fmt, time::Duration};
 
 pub use crate::{foreign::Foreign, up_axis::UpAxis};
 use crate::{
+    interchange::c3d::ANALOG,
     map::TakeMap,
     record::{Channel, EventKind, Subject},
     sampled::Recording,
@@ -103,6 +104,18 @@ pub struct MotionInfo {
 }
 
 impl MotionInfo {
+    /// Whether the file has analog samples.
+    #[must_use]
+    pub fn has_analog(&self) -> bool {
+        self.foreign.iter().any(|part| part.kind == ANALOG)
+    }
+
+    /// Number of sampled channels whose samples are within a tolerance, and not exact.
+    #[must_use]
+    pub fn n_inexact_channels(&self) -> usize {
+        self.foreign.iter().flat_map(|part| &part.bounds).filter(|bound| **bound > 0.0).count()
+    }
+
     /// The labels, in column order.
     #[must_use]
     pub fn labels(&self) -> Vec<String> {

@@ -392,8 +392,10 @@ fn analog_channels_are_within_a_tolerance_if_one_is_given() {
         folder.run(&all)
     };
     import("exact.take", &[]).with_code(0);
-    import("zero.take", &["0"]).with_code(0);
-    import("both.take", &["1%", "F?*=2N", "EMG=3count"]).with_code(0);
+    let zero = import("zero.take", &["0"]).with_code(0);
+    assert_mentions(&zero.stderr, &["--analog-tolerance 0", "every analog sample is exact"]);
+    let ran = import("both.take", &["1%", "F?*=2N", "EMG=3count"]).with_code(0);
+    assert_mentions(&ran.stdout, &["2 analog channels within 1%, F?*=2N, EMG=3count, not exact"]);
     let [exact, both] = ["exact.take", "both.take"].map(|take| folder.read(take).len());
     assert!(both * 5 < exact * 4, "{both} of {exact} bytes");
     let errors = |take: &str| -> Vec<f64> {
@@ -421,8 +423,13 @@ fn analog_channels_are_within_a_tolerance_if_one_is_given() {
     assert_mentions(&ran.stdout, &["ERROR ABOVE the one that the channel states"]);
 
     // Exports say so, and have the samples of the take; edited takes state the bounds, and replace nothing again.
-    let ran = folder.run(&["export", "both.take", "-o", "again.c3d"]).with_code(0);
-    assert_mentions(&ran.stderr, &["samples of 2 analog channels", "not those of the source"]);
+    for output in ["again.c3d", "again.npz"] {
+        let ran = folder.run(&["export", "both.take", "-o", output]).with_code(0);
+        assert_mentions(
+            &ran.stderr,
+            &["within a tolerance: Fz within 2.000e0 N, EMG within 2.930e-3 V"],
+        );
+    }
     folder.run(&["verify", "both.take", "--against", "again.c3d"]).with_code(0);
     folder.run(&["cut", "both.take", "--from", "1s", "--to", "9s", "-o", "cut.take"]).with_code(0);
     assert_eq!(errors("cut.take"), [2.0, 3.0 / 1024.0]);
@@ -447,5 +454,30 @@ fn analog_channels_are_within_a_tolerance_if_one_is_given() {
     ] {
         let ran = import("wrong.take", &[wrong]).with_code(code);
         assert_mentions(&ran.stderr, &[why]);
+    }
+}
+
+/// A take that has lost the parameters of its file states names, units and scales of analog channels nevertheless.
+#[test]
+fn analog_samples_keep_their_units_without_the_parameters() {
+    let folder = Folder::new();
+    folder.write("walk.c3d", plate_file());
+    folder.run(&["import", "walk.c3d", "-o", "walk.take"]).with_code(0);
+    let mut take = folder.read("walk.take");
+    let parameters = places(&take).into_iter().find(|(kind, _)| *kind == types::FOREIGN).unwrap().1;
+    take[(parameters.start + parameters.end) / 2] ^= 1;
+    folder.write("damaged.take", &take);
+    folder.run(&["recover", "damaged.take", "-o", "recovered.take"]).with_code(3);
+    for damaged in ["damaged.take", "recovered.take"] {
+        let output = damaged.replace("take", "c3d");
+        let ran = folder.run(&["export", damaged, "-o", &output]).with_code(3);
+        assert_mentions(&ran.stderr, &["the parameters of the C3D file are missing"]);
+        let again = damaged.replace(".take", "-again.take");
+        folder.run(&["import", &output, "-o", &again]).with_code(0);
+        let channels = |take: &str| {
+            let report = folder.run(&["info", take, "--json"]).with_code(0).json();
+            report["sampled_groups"][0]["channels"].clone()
+        };
+        assert_eq!(channels(&again), channels("walk.take"));
     }
 }

@@ -20,10 +20,12 @@ use mocapd_acquire::{
 use mocapd_service::units;
 use mocapd_store::is_url;
 use mocapd_take::{
-    TakeFrames,
+    TakeFrames, TakeMap,
+    foreign::ForeignPart,
     interchange::{Format, InterchangeError, RotatedFrames, bids, mot, npz, write_c3d},
-    motion::{FrameSource, MotionInfo, UpAxis},
+    motion::{FrameSource, UpAxis},
     record::Ledger,
+    sampled::SampledPart,
 };
 use serde::Serialize;
 
@@ -35,7 +37,7 @@ use super::{
     batch::{
         self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Inputs, Job, outputs,
     },
-    output::plain_path,
+    output::{plain, plain_path},
     paths,
     remote::{self, OutputFile},
     values::{self, TimeOrFormat, bytes, count, split_to, time_or_format},
@@ -255,7 +257,7 @@ impl ExportPlan<'_> {
             }
         };
         attempt.written.remarks.extend(remark_on_axes(format, of_take, args.up));
-        attempt.written.remarks.extend(remark_on_bounds(format, frames.info()));
+        attempt.written.remarks.extend(remark_on_bounds(frames.map(), &attempt.not_supported));
         attempt.written.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
@@ -451,17 +453,32 @@ fn remark_on_axes(format: Format, of_take: UpAxis, given: Option<UpAxis>) -> Opt
     }
 }
 
-/// A remark on analog samples that are not those of the source, for a format that otherwise restores them bit by bit.
-fn remark_on_bounds(format: Format, info: &MotionInfo) -> Option<String> {
-    let bounds = info.foreign.iter().flat_map(|part| &part.bounds);
-    let n_replaced = bounds.filter(|bound| **bound > 0.0).count();
-    (format == Format::C3d && n_replaced > 0).then(|| {
+/// The largest number of channels that a remark names.
+const NAMED_MAX: usize = 3;
+
+/// A remark on analog samples that are not those of the source, unless the format has none.
+fn remark_on_bounds(take: &TakeMap, not_supported: &[String]) -> Option<String> {
+    let written = take.foreign.iter().filter(|part| !not_supported.contains(&part.kind));
+    let groups = written.filter_map(ForeignPart::sampled).flat_map(SampledPart::groups);
+    let groups = groups.map(|found| &found.group).filter(|group| !group.has_poses());
+    let channels = groups
+        .flat_map(|group| group.channels.iter().enumerate().map(move |(i, c)| (group.bound(i), c)));
+    let inexact: Vec<String> = channels
+        .filter(|(bound, _)| *bound > 0.0)
+        .map(|(bound, channel)| {
+            let (name, unit) = (plain(&channel.name), plain(&channel.unit));
+            format!("{name} within {:.3e} {unit}", bound * channel.scale.abs())
+        })
+        .collect();
+    let more = match inexact.len().saturating_sub(NAMED_MAX) {
+        0 => String::new(),
+        n => format!(" and {n} more"),
+    };
+    let named: Vec<&str> = inexact.iter().take(NAMED_MAX).map(|text| text.trim_end()).collect();
+    (!inexact.is_empty()).then(|| {
         format!(
-            "{} not those of the source bit by bit, but within the tolerance of the import",
-            match n_replaced {
-                1 => "the samples of 1 analog channel are".to_owned(),
-                n => format!("the samples of {n} analog channels are"),
-            }
+            "analog channels that the import stored within a tolerance: {}{more}",
+            named.join(", ")
         )
     })
 }

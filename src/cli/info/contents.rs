@@ -38,7 +38,7 @@ pub(super) struct SampledGroupReport {
     samples_lost: u64,
     /// The share of samples that are not lost, 0 to 1; `None` for a group without samples.
     recorded_share: Option<f64>,
-    stored_bytes: u64,
+    pub(super) stored_bytes: u64,
     channels: Vec<SampledChannelReport>,
 }
 
@@ -105,8 +105,13 @@ pub(super) fn channels_text(groups: &[&SampledGroupReport]) -> String {
             percent(group.recorded_share)
         ),
     };
+    let channels = || groups.iter().flat_map(|group| &group.channels);
+    let inexact = match channels().filter(|channel| channel.max_error > 0.0).count() {
+        0 => String::new(),
+        n => format!(", {n} of them within a tolerance (--markers lists the errors)"),
+    };
     format!(
-        ": {} at {}, {} of each{lost}, {} in the take",
+        ": {} at {}{inexact}, {} of each{lost}, {} in the take",
         count(n_channels, "channel"),
         rate(first.rate_hz),
         count(first.samples, "sample"),

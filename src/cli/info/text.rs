@@ -188,7 +188,7 @@ fn resampler(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     let bound = if tolerance_mm > 0.0 {
         format!("within {tolerance_mm} mm (no error above {error_mm:.4} mm), {knots} kept")
     } else {
-        "every bit kept".to_owned()
+        "every bit of the positions kept".to_owned()
     };
     line("resampler", &format!("{}, {bound}", report.resampler));
     if report.keys.is_some() || report.format_version != CODEC_VERSION {
@@ -213,8 +213,9 @@ fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     }
     let trajectories = report.bytes.blocks;
     let is_sampled = |part: &&ForeignReport| SAMPLED.contains(&&*part.kind);
-    let sampled: u64 =
-        report.foreign_parts.iter().filter(is_sampled).map(|part| part.stored_bytes).sum();
+    let imported = report.foreign_parts.iter().filter(is_sampled).map(|part| part.stored_bytes);
+    let recorded = report.sampled_groups.iter().filter(|group| group.kind.is_empty());
+    let sampled = imported.sum::<u64>() + recorded.map(|group| group.stored_bytes).sum::<u64>();
     let rest = report.file_bytes.saturating_sub(trajectories + sampled);
     let ratio = report.raw_bytes as f64 / trajectories.max(1) as f64;
     let mut parts = format!("{} for trajectories, {ratio:.1}:1", bytes(trajectories));

@@ -406,7 +406,7 @@ fn analog_text(found: &AnalogDifference) -> String {
     for ChannelDifference { name, unit, stated_max_error, max_error } in with_error {
         let (name, unit) = (plain(name), plain(unit));
         out += &format!(
-            "    {name}: max error {max_error:.3e} {unit}, stated {stated_max_error:.3e}\n"
+            "    {name}: max error {max_error:.3e} {unit}, stated {stated_max_error:.3e} {unit}\n"
         );
     }
     if found.samples_lost > 0 {

@@ -80,8 +80,12 @@ pub fn repack<W: Write>(
     let codec = map.header.codec()?;
     let is_lossless = codec.kind.is_lossless();
     if settings.is_some() && !is_lossless {
+        let remedy = match map.header.source {
+            Some(_) => "import the source again with them",
+            None => "a recording within a tolerance keeps its own",
+        };
         return invalid(format!(
-            "other settings need the source or a lossless take, and this take is {} within {} mm: import the source again",
+            "other settings need the source or a lossless take, and this take is {} within {} mm: {remedy}",
             codec.kind,
             codec.tolerance.mm()
         ));

@@ -12,6 +12,9 @@ use crate::{
     record::SampledChannel,
 };
 
+/// With as much, the middle of the range is within the tolerance of every sample.
+const PERCENT_MAX: f64 = 50.0;
+
 /// The unit in which the largest error is given.
 #[derive(Debug, Clone, PartialEq)]
 enum ToleranceUnit {
@@ -56,6 +59,11 @@ impl FromStr for ChannelTolerance {
         };
         let value = number.parse::<f64>().ok().filter(|value| value.is_finite());
         let value = value.ok_or_else(|| format!("`{number}` is too large"))?;
+        if unit.trim() == "%" && value > PERCENT_MAX {
+            return Err(format!(
+                "{value} % is too large: from {PERCENT_MAX} % of its range on, a channel may be constant"
+            ));
+        }
         let unit = match unit.trim() {
             "" => ToleranceUnit::Own,
             "%" => ToleranceUnit::Percent,
@@ -197,8 +205,8 @@ impl AnalogTolerance {
                 {
                     let rule = rule.map(ToString::to_string).unwrap_or_default();
                     Err(listed(format!(
-                        "analog tolerance {rule}: {} is in `{}`, not in `{unit}`; name the channels, as in \
-                         PATTERN={unit}, or give % or counts",
+                        "analog tolerance {rule}: {} is in `{}`, not in `{unit}`; give it in that unit, in % or in \
+                         counts, or for channels in `{unit}` alone, with a pattern before it",
                         channel.name, channel.unit
                     )))
                 }
@@ -225,7 +233,7 @@ mod tests {
             "1count, 0.1%, 0.5, EMG*=0.1%, F?z*=0.5N, a=b=0.002V, 0.002V"
         );
         assert_eq!(tolerance(&["2 counts"]).to_string(), "2count");
-        for wrong in ["", "N", "-1N", "=1N", "EMG*=", "nan", "inf%", "1e999N", "+1"] {
+        for wrong in ["", "N", "-1N", "=1N", "EMG*=", "nan", "inf%", "1e999N", "+1", "50.1%"] {
             let error = wrong.parse::<ChannelTolerance>().unwrap_err();
             assert!(error.contains("expected") || error.contains("too large"), "{wrong}: {error}");
         }

@@ -361,8 +361,8 @@ fn put_load(out: &mut Vec<u8>, load: &PlateLoad) -> io::Result<()> {
 #[derive(Debug, Clone, Default)]
 struct LoadCounts {
     missing: u64,
-    up: u64,
-    down: u64,
+    /// Sum of the vertical forces, so that the many small ones of a plate that stands empty, of either sign, hardly count.
+    vertical_n: f64,
 }
 
 impl LoadCounts {
@@ -371,9 +371,7 @@ impl LoadCounts {
             self.missing += 1;
         } else if load.cop_mm.iter().all(|v| v.is_finite()) {
             let vertical = info.up.index().and_then(|axis| load.force_n.get(axis));
-            let vertical_n = vertical.copied().unwrap_or_default();
-            self.up += u64::from(vertical_n > 0.0);
-            self.down += u64::from(vertical_n < 0.0);
+            self.vertical_n += vertical.copied().unwrap_or_default();
         }
     }
 
@@ -385,9 +383,9 @@ impl LoadCounts {
                 self.missing
             ));
         }
-        if self.down > self.up {
+        if self.vertical_n < 0.0 {
             remarks.push(format!(
-                "Most forces of force plate {number} point down: the file may state the forces of the subject on \
+                "On the whole the forces of force plate {number} point down: the file may state the forces of the subject on \
                  the plate; OpenSim needs those of the plate on the subject."
             ));
         }

@@ -78,7 +78,13 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
             }
             types::ORDER => {
                 let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
-                std::mem::take(&mut orderable) && add_order(&mut map, &payload, offset)
+                match add_order(&mut map, &payload, offset) {
+                    Some(is_order) if orderable => {
+                        orderable = !is_order;
+                        true
+                    }
+                    _ => false,
+                }
             }
             // A single wrong bit turns another type into one of these, so check their CRC.
             types::FOREIGN
@@ -142,16 +148,17 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
     true
 }
 
-/// Sets the order of the markers. Returns whether it is valid, and that of an import.
-fn add_order(map: &mut Option<TakeMap>, payload: &[u8], offset: u64) -> bool {
-    let Some(map) = map.as_mut().filter(|map| map.header.device.is_none()) else { return false };
+/// Sets the order of the markers. Returns whether the chunk states one, or is of a later version, which is skipped; `None` if
+/// it is invalid, or the take is not an import.
+fn add_order(map: &mut Option<TakeMap>, payload: &[u8], offset: u64) -> Option<bool> {
+    let map = map.as_mut().filter(|map| map.header.device.is_none())?;
     match order(payload, offset, Some(map.header.channels.len())) {
         Ok(TakeEvent::Order(order)) => {
             map.order = order;
-            true
+            Some(true)
         }
-        // A later version is skipped.
-        other => matches!(other, Err(TakeError::Unsupported { .. })),
+        Err(TakeError::Unsupported { .. }) => Some(false),
+        _ => None,
     }
 }
 

@@ -125,7 +125,10 @@ impl TakeReader {
             self.orderable = None;
         }
         let event = match kind {
-            types::ORDER => order(payload, offset, self.orderable.take()),
+            // The first valid one counts.
+            types::ORDER => {
+                order(payload, offset, self.orderable).inspect(|_| self.orderable = None)
+            }
             types::FOREIGN => foreign_part(payload, payload_at, offset, !self.skips_content),
             types::SAMPLES => {
                 SamplesChunk::from_payload(payload, payload_at, offset).map(TakeEvent::Samples)

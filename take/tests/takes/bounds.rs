@@ -11,7 +11,7 @@ use mocapd_take::{
     index::Footer,
     motion::{FrameSource, UpAxis},
     reader::read_events,
-    record::{Channel, Device, Header, Ledger},
+    record::{Channel, Device, Header, Ledger, SampledChannel, SampledGroup},
     recovery::RecoveryScan,
     statistics::StretchTally,
     stretch::{LIVE_ROWS_MAX, ROWS_MAX, Span, Stretch, StretchDecoder, StretchSizes, rows_max},
@@ -388,4 +388,33 @@ fn an_index_with_another_row_is_a_problem() {
     assert_eq!(part.next_stretch().unwrap().map(|span| span.first_row), Some(30));
     assert_eq!(part.problems(), [Problem::IndexRow { stated: 20, found: 30 }]);
     assert!(!part.is_intact());
+}
+
+/// Names that deflate to nothing do not fill the memory: what exceeds the limit is left out, and reported.
+#[test]
+fn names_of_sampled_channels_are_bounded() {
+    let channel = SampledChannel { name: "n".repeat(60_000), ..SampledChannel::default() };
+    let group = |number: u32| SampledGroup {
+        number,
+        kind: "c3d/analog".to_owned(),
+        part_channels: 64,
+        samples_per_frame: 1,
+        rate_hz: 60.0,
+        channels: vec![channel.clone(); 64],
+        ..SampledGroup::default()
+    };
+    let mut take = take("dense", &[held(0, 0, 30, &AT_REST)], None);
+    let at = take.len();
+    for number in 0..20 {
+        let payload = group(number).to_chunk_payload().unwrap();
+        chunk::put(&mut take, types::SAMPLED_GROUP, &payload).unwrap();
+    }
+    assert!(take.len() - at < 20 * 8192, "{} bytes", take.len() - at);
+    let map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
+    let groups =
+        map.foreign.iter().filter_map(|part| part.sampled()).flat_map(|part| part.groups());
+    // 3.84 MB each.
+    assert_eq!(groups.count(), 8);
+    assert_eq!(map.samples_orphaned, 12);
+    assert!(map.problems.contains(&Problem::SamplesOrphaned { chunks: 12 }), "{:?}", map.problems);
 }

@@ -340,6 +340,13 @@ fn orders_that_are_missing_damaged_or_repeated_are_reported() {
         let map = TakeMap::open(&mut Cursor::new(&damaged)).unwrap();
         assert!(!map.problems.is_empty(), "{what}");
     }
+    // An invalid one, or one of a later version, does not keep the next one from being the first.
+    for before in [&no_permutation[..], &[2, 0, 9]] {
+        let mut two = all.clone();
+        two.insert(at, (0, types::ORDER, before.to_vec()));
+        let (found, problems) = read(&of_chunks(&two)).unwrap();
+        assert_eq!(found.info.labels(), expected.info.labels(), "{problems:?}");
+    }
     let mut orders = 0;
     read_events(&ordered, |event| {
         orders += usize::from(matches!(event, mocapd_take::TakeEvent::Order(_)));

@@ -22,9 +22,13 @@ use super::{
     parameters::{Parameters, encode_records},
 };
 use crate::{
-    foreign::content::{Content, PartStore},
+    foreign::{
+        ForeignPart,
+        content::{Content, PartStore},
+    },
     motion::{Foreign, MotionInfo, Position, is_gap},
-    sampled::RESIDUAL_SCALE,
+    record::{SampleForm, SampledChannel},
+    sampled::{RESIDUAL_SCALE, SampledPart},
     up_axis::Rotation,
 };
 
@@ -155,6 +159,46 @@ impl SampleParts {
 /// The part with the header and the parameters.
 pub(super) fn parameters_part(header: &C3dHeader, parameters: &Parameters) -> Foreign {
     Foreign::exact(PARAMETERS, parameters_data(header, parameters))
+}
+
+/// The analog samples of a take that has lost the parameters of the file.
+pub(crate) fn analog_without_parameters(parts: &[ForeignPart]) -> Option<&SampledPart> {
+    let part = parts.iter().find(|part| part.kind == ANALOG)?.sampled()?;
+    let has_parameters = parts.iter().any(|part| part.kind == PARAMETERS);
+    (!has_parameters && part.is_block()).then_some(part)
+}
+
+/// The part with the parameters that follow from the descriptions of the analog channels: their names, units, scales and
+/// offsets.
+pub(crate) fn parameters_of_channels(part: &SampledPart) -> Foreign {
+    let groups = || part.groups().iter().map(|found| &found.group);
+    let channels = || groups().flat_map(|group| &group.channels);
+    let mut parameters = Parameters::default();
+    for (list, text) in [("LABELS", name as fn(&SampledChannel) -> &str), ("UNITS", unit)] {
+        // A longer one cannot have come from a C3D file.
+        let text =
+            |channel| Some(text(channel)).filter(|text| text.len() <= 255).unwrap_or_default();
+        let texts: Vec<String> = channels().map(|channel| text(channel).to_owned()).collect();
+        let _is_set = parameters.set_texts("ANALOG", list, &texts).is_ok();
+    }
+    parameters.set_float("ANALOG", "GEN_SCALE", 1.0);
+    let scales: Vec<f32> = channels().map(|channel| channel.scale as f32).collect();
+    parameters.set_float_list("ANALOG", "SCALE", &scales);
+    // Software reads offsets as integers; other numbers are not from a C3D file.
+    let offsets: Vec<u16> = channels().map(|channel| channel.offset as i64 as u16).collect();
+    parameters.set_integer_list("ANALOG", "OFFSET", &offsets);
+    if groups().any(|group| group.form == SampleForm::Uint16) {
+        parameters.set_text("ANALOG", "FORMAT", "UNSIGNED");
+    }
+    parameters_part(&C3dHeader::default(), &parameters)
+}
+
+fn name(channel: &SampledChannel) -> &str {
+    &channel.name
+}
+
+fn unit(channel: &SampledChannel) -> &str {
+    &channel.unit
 }
 
 /// Rotates the parts that are positions in space: force plate corners and coordinates under gaps.

@@ -51,7 +51,9 @@ pub(crate) use columns::{ANALOG, value as sample_value};
 pub(super) use columns::{MODEL_OUTPUTS, RESIDUALS};
 pub use foreign::residuals_10um;
 pub(super) use foreign::rotate;
-pub(crate) use foreign::{PARAMETERS, PartSamples, kept_parameters};
+pub(crate) use foreign::{
+    PARAMETERS, PartSamples, analog_without_parameters, kept_parameters, parameters_of_channels,
+};
 pub(super) use groups::EVENTS_MAX;
 pub use parameters::{C3dParameter, C3dValues};
 pub(crate) use parameters::{Parameters, is_unsigned as is_analog_unsigned, parameter_values};
