@@ -464,8 +464,10 @@ fn frames_difference(
     if let Some(why) = rows_difference(&mut one, &mut other, tolerance_mm)? {
         return Ok(Some(why));
     }
-    // The old take may state lost samples, and the new one must state the same.
-    let is_stated = |problem: &&Problem| matches!(problem, Problem::SamplesLost { .. });
+    // The old take may have lost samples or parameters, and the new one must have lost the same.
+    let is_stated = |problem: &&Problem| {
+        matches!(problem, Problem::SamplesLost { .. } | Problem::ParametersLost)
+    };
     if let Some(problem) = one.problems().iter().find(|problem| !is_stated(problem)) {
         return Err(TakeError::InvalidArgument(format!("the take cannot be compared: {problem}")));
     }
