@@ -35,7 +35,7 @@ pub(crate) enum KeptParts {
 #[derive(Debug)]
 pub(crate) struct KeptContent {
     pub(crate) info: MotionInfo,
-    /// The analog samples that are lost, which are NaN, one phrase each.
+    /// The analog samples that are lost, which are NaN, one phrase each; and the parameters, if they are.
     pub(crate) lost: Vec<String>,
 }
 
@@ -50,14 +50,18 @@ pub(crate) fn read_kept(source: &Source, parts: KeptParts) -> Result<KeptContent
     // An import of a C3D file has parameters, and samples if the parameters declare them, unless they were dropped on
     // request.
     if info.source.format == "c3d" && is_part_lost(frames.map()) {
-        let Some(found) = parameters::read(info).map_err(as_damage)? else {
-            return Err(lost("the parameters of the C3D file"));
+        let found = match parameters::read(info).map_err(as_damage)? {
+            Some(found) if !frames.problems().contains(&Problem::ParametersLost) => found,
+            _ => return Err(lost("the parameters of the C3D file")),
         };
         if parts == KeptParts::All && has_channels(&found) && analog(info)?.is_none() {
             return Err(lost("the analog samples of the C3D file"));
         }
     }
-    let is_lost = |problem: &&Problem| matches!(problem, Problem::SamplesLost { kind, .. } if analog::is_needed(kind));
+    let is_lost = |problem: &&Problem| match problem {
+        Problem::SamplesLost { kind, .. } => analog::is_needed(kind),
+        other => **other == Problem::ParametersLost,
+    };
     let lost = frames.problems().iter().filter(is_lost).map(ToString::to_string).collect();
     Ok(KeptContent { info: info.clone(), lost })
 }

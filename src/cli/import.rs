@@ -326,7 +326,7 @@ impl ImportReport {
         match self.analog_channels_inexact {
             0 if tolerance.is_empty() => None,
             0 if info.has_analog() => Some(format!(
-                "--analog-tolerance {tolerance}: no channel is smaller with it, so every analog sample is exact"
+                "--analog-tolerance {tolerance} changes nothing: every analog sample is exact"
             )),
             0 => Some(format!("--analog-tolerance {tolerance}: the file has no analog channels")),
             _ => None,

@@ -96,9 +96,12 @@ impl Args {
         };
         let effort = match self.effort {
             Some(_) if kind != ResamplerKind::Dense => {
-                let message = "--effort is for lossless takes that become takes of the resampler dense: give \
-                               --tolerance, too, or omit it";
-                return usage(message.to_owned());
+                return usage(match self.tolerance {
+                    Some(_) => format!("--effort is for the resampler dense: omit it with {kind}"),
+                    None => "--effort is for lossless takes that become takes of the resampler dense: give --tolerance, \
+                             too, or omit it"
+                        .to_owned(),
+                });
             }
             Some(effort) => effort,
             None if kind == ResamplerKind::Dense => default_effort()?,

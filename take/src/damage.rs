@@ -155,7 +155,8 @@ pub enum Problem {
     ParametersLost,
     /// Samples of a group whose description is lost.
     #[error(
-        "{chunks} chunks of sampled channels cannot be read: the description of the channels is lost"
+        "{chunks} chunks of sampled channels cannot be read: the description of the channels is lost, or there are more \
+         channels or longer names than a reader remembers"
     )]
     SamplesOrphaned {
         /// Number of chunks.

@@ -94,8 +94,12 @@ impl<R: Read + Seek> TakeFrames<R> {
                 info.foreign.push(restored.unwrap_or(content));
             }
         }
+        let is_asked = wanted(c3d::PARAMETERS) || wanted(c3d::ANALOG);
         let is_import = map.header.source.is_some();
-        if is_import && let Some(part) = c3d::analog_without_parameters(&map.foreign) {
+        if is_import
+            && is_asked
+            && let Some(part) = c3d::analog_without_parameters(&map.foreign)
+        {
             push_problem(&mut map.problems, Problem::ParametersLost);
             if wanted(c3d::PARAMETERS) {
                 info.foreign.push(c3d::parameters_of_channels(part));

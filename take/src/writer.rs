@@ -10,6 +10,7 @@ use crate::{
     foreign::{ForeignPayload, check_length},
     index::{Footer, IndexEntry, index_payload},
     interchange::c3d::{self, Parameters},
+    map::TakeMap,
     motion::Foreign,
     record::{
         Channel, Clock, Event, Header, Ledger, MoreChannels, Record, SampleLedger, SampledGroup,
@@ -207,6 +208,18 @@ impl<W: Write> TakeWriter<W> {
         let mut encoder = SpanEncoder::default();
         for span in plan.spans() {
             self.span(&encoder.encode(&span?)?)?;
+        }
+        Ok(())
+    }
+
+    /// Describes analog channels as `take` does, if that has lost the parameters of its file.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub(crate) fn describe_as(&mut self, take: &TakeMap) -> Result<(), TakeError> {
+        if let Some(part) = c3d::analog_without_parameters(&take.foreign) {
+            let kept = c3d::kept_parameters(&[c3d::parameters_of_channels(part)])?;
+            self.parameters = kept.map(|(_, parameters)| parameters).unwrap_or_default();
         }
         Ok(())
     }

@@ -335,6 +335,7 @@ fn a_lossless_take_is_repacked_and_another_needs_its_source() {
         (&["--tolerance", "1mm", "--resampler", "lossless"][..], "omit --tolerance"),
         (&["--resampler", "fast"], "give --tolerance"),
         (&["--effort", "5"], "--effort is for lossless takes"),
+        (&["--effort", "5", "--resampler", "fast", "--tolerance", "1mm"], "omit it with fast"),
         (&["--resampler", "spline", "--tolerance", "1mm"], "needs the whole take"),
     ] {
         let args = [&["repack", "exact.take", "-o", "again.take"][..], options].concat();

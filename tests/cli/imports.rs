@@ -393,7 +393,10 @@ fn analog_channels_are_within_a_tolerance_if_one_is_given() {
     };
     import("exact.take", &[]).with_code(0);
     let zero = import("zero.take", &["0"]).with_code(0);
-    assert_mentions(&zero.stderr, &["--analog-tolerance 0", "every analog sample is exact"]);
+    assert_mentions(
+        &zero.stderr,
+        &["--analog-tolerance 0 changes nothing", "every analog sample is exact"],
+    );
     let ran = import("both.take", &["1%", "F?*=2N", "EMG=3count"]).with_code(0);
     assert_mentions(&ran.stdout, &["2 analog channels within 1%, F?*=2N, EMG=3count, not exact"]);
     let [exact, both] = ["exact.take", "both.take"].map(|take| folder.read(take).len());
@@ -479,5 +482,15 @@ fn analog_samples_keep_their_units_without_the_parameters() {
             report["sampled_groups"][0]["channels"].clone()
         };
         assert_eq!(channels(&again), channels("walk.take"));
+        // So do takes that are made from it.
+        if damaged == "recovered.take" {
+            let part = ["cut", damaged, "--from", "1s", "--to", "9s", "-o", "part.take"];
+            folder.run(&part).with_code(0);
+            folder.run(&["repack", damaged, "-o", "repacked/"]).with_code(0);
+            folder.run(&["concat", "part.take", "part.take", "-o", "joined.take"]).with_code(0);
+            for made in ["part.take", "repacked/recovered.take", "joined.take"] {
+                assert_eq!(channels(made), channels("walk.take"), "{made}");
+            }
+        }
     }
 }

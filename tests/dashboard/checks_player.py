@@ -3,7 +3,7 @@
 import math
 import time
 
-from accessible import THEME, faults
+from accessible import faults
 from browser import DESKTOP, PHONE
 from checks_page import HERE, Mock
 from mock_take import LOST_S, MockTake
@@ -370,7 +370,7 @@ def readable(browser, _log):
                 assert browser.js("return document.documentElement.scrollWidth") <= size[0], device
                 assert browser.js(contrast) == [], (scheme, device)
                 assert browser.js(unnamed) == [], (scheme, device)
-                assert scheme != THEME or faults(browser) == [], device
+                assert faults(browser, scheme) == [], (scheme, device)
                 small = """return [...document.querySelectorAll('.transport button, .view-buttons button')]
                     .filter((b) => b.checkVisibility() && b.getBoundingClientRect().height < 38).map((b) => b.textContent)"""
                 assert browser.js(small) == []

@@ -181,7 +181,10 @@ fn write(
         frames.open_recording(reader(again), false).map_err(|error| not_read(name, error))?;
     }
     let left_out = frames.problems().iter().find(|problem| {
-        matches!(problem, Damage::ForeignTooLong { .. } | Damage::PartUnreadable { .. })
+        matches!(
+            problem,
+            Damage::ForeignTooLong { .. } | Damage::PartUnreadable { .. } | Damage::ParametersLost
+        )
     });
     if let Some(problem) = left_out {
         return Err(refused(name, &format!("{problem}; `mocapd export` writes what there is")));

@@ -257,7 +257,11 @@ impl ExportPlan<'_> {
             }
         };
         attempt.written.remarks.extend(remark_on_axes(format, of_take, args.up));
-        attempt.written.remarks.extend(remark_on_bounds(frames.map(), &attempt.not_supported));
+        attempt.written.remarks.extend(remark_on_bounds(
+            format,
+            frames.map(),
+            &attempt.not_supported,
+        ));
         attempt.written.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
@@ -457,9 +461,12 @@ fn remark_on_axes(format: Format, of_take: UpAxis, given: Option<UpAxis>) -> Opt
 const NAMED_MAX: usize = 3;
 
 /// A remark on analog samples that are not those of the source, unless the format has none.
-fn remark_on_bounds(take: &TakeMap, not_supported: &[String]) -> Option<String> {
-    let written = take.foreign.iter().filter(|part| !not_supported.contains(&part.kind));
-    let groups = written.filter_map(ForeignPart::sampled).flat_map(SampledPart::groups);
+fn remark_on_bounds(format: Format, take: &TakeMap, not_supported: &[String]) -> Option<String> {
+    // The loads of plates in .mot come from analog samples, of which others are left out.
+    if format != Format::Mot && not_supported.iter().any(|what| what.contains("analog")) {
+        return None;
+    }
+    let groups = take.foreign.iter().filter_map(ForeignPart::sampled).flat_map(SampledPart::groups);
     let groups = groups.map(|found| &found.group).filter(|group| !group.has_poses());
     let channels = groups
         .flat_map(|group| group.channels.iter().enumerate().map(move |(i, c)| (group.bound(i), c)));

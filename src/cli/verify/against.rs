@@ -21,6 +21,7 @@ use mocapd_take::{
         SampledDifference, SentAccount, SentComparison, SentLog, compare, compare_analog,
         compare_log, compare_poses, compare_samples,
     },
+    damage::Problem,
     foreign::analog::is_needed,
     interchange::ReadOptions,
     motion::{Ambiguity, FrameSource, MotionInfo},
@@ -81,7 +82,10 @@ pub(crate) fn against(
     };
     let comparing = || format!("cannot compare {} with {}", take.display(), original.display());
     let take_frames = open(take)?;
-    let (take_info, is_damaged) = (take_frames.info().clone(), !take_frames.problems().is_empty());
+    let take_info = take_frames.info().clone();
+    // Without parameters no sample is lost.
+    let is_damaged =
+        take_frames.problems().iter().any(|problem| *problem != Problem::ParametersLost);
     let analog_of = |original: &MotionInfo| {
         compare_analog(&take_info, original, is_damaged).with_context(comparing)
     };

@@ -136,6 +136,7 @@ pub fn concat<R: Read + Seek, W: Write>(
     left_out.retain(|what| listed.insert(what.clone()));
     first.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
     take.order(&first.map().order)?;
+    take.describe_as(first.map())?;
     if sources.iter().any(|source| source.map().subject != first.map().subject) {
         left_out.push("the subjects of later takes, which differ from the first take's".to_owned());
     }

@@ -67,6 +67,7 @@ pub fn cut<W: Write>(
     source.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
     take.order(&source.map().order.extended(header.channels.len()))?;
     recorded::write_groups(source.map(), &mut take)?;
+    take.describe_as(source.map())?;
     let mut left_out: Vec<String> = source.left_out().collect();
     let first_frame = source.first_frame();
     let frames = first_frame.saturating_add(rows.start)..first_frame.saturating_add(rows.end);

@@ -102,6 +102,7 @@ pub fn repack<W: Write>(
     map.subject.iter().try_for_each(|subject| take.subject(subject))?;
     take.order(&map.order)?;
     recorded::write_groups(map, &mut take)?;
+    take.describe_as(map)?;
     for part in map.foreign.iter().filter(|part| !is_recorded(&part.kind)) {
         let whole = super::read_whole_part(part, &mut input, context)?;
         take.foreign_with_lost(&whole.part, &whole.lost)?;

@@ -61,7 +61,7 @@ impl FromStr for ChannelTolerance {
         let value = value.ok_or_else(|| format!("`{number}` is too large"))?;
         if unit.trim() == "%" && value > PERCENT_MAX {
             return Err(format!(
-                "{value} % is too large: from {PERCENT_MAX} % of its range on, a channel may be constant"
+                "{value} % is too large: above {PERCENT_MAX} % of its range, every channel may become constant"
             ));
         }
         let unit = match unit.trim() {

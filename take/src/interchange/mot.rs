@@ -361,8 +361,10 @@ fn put_load(out: &mut Vec<u8>, load: &PlateLoad) -> io::Result<()> {
 #[derive(Debug, Clone, Default)]
 struct LoadCounts {
     missing: u64,
-    /// Sum of the vertical forces, so that the many small ones of a plate that stands empty, of either sign, hardly count.
-    vertical_n: f64,
+    /// The largest vertical forces, upwards and downwards. Their numbers would not tell: a plate whose zero has drifted has a
+    /// force in every sample without a step.
+    most_up_n: f64,
+    most_down_n: f64,
 }
 
 impl LoadCounts {
@@ -371,7 +373,9 @@ impl LoadCounts {
             self.missing += 1;
         } else if load.cop_mm.iter().all(|v| v.is_finite()) {
             let vertical = info.up.index().and_then(|axis| load.force_n.get(axis));
-            self.vertical_n += vertical.copied().unwrap_or_default();
+            let vertical_n = vertical.copied().unwrap_or_default();
+            self.most_up_n = self.most_up_n.max(vertical_n);
+            self.most_down_n = self.most_down_n.max(-vertical_n);
         }
     }
 
@@ -383,10 +387,10 @@ impl LoadCounts {
                 self.missing
             ));
         }
-        if self.vertical_n < 0.0 {
+        if self.most_down_n > self.most_up_n {
             remarks.push(format!(
-                "On the whole the forces of force plate {number} point down: the file may state the forces of the subject on \
-                 the plate; OpenSim needs those of the plate on the subject."
+                "The largest forces of force plate {number} point down: the file may state the forces of the subject \
+                 on the plate; OpenSim needs those of the plate on the subject."
             ));
         }
         remarks

@@ -341,11 +341,17 @@ fn orders_that_are_missing_damaged_or_repeated_are_reported() {
         assert!(!map.problems.is_empty(), "{what}");
     }
     // An invalid one, or one of a later version, does not keep the next one from being the first.
-    for before in [&no_permutation[..], &[2, 0, 9]] {
+    for (before, is_damage) in [(&no_permutation[..], true), (&[2, 0, 9], false)] {
         let mut two = all.clone();
         two.insert(at, (0, types::ORDER, before.to_vec()));
-        let (found, problems) = read(&of_chunks(&two)).unwrap();
+        let two = of_chunks(&two);
+        let (found, problems) = read(&two).unwrap();
         assert_eq!(found.info.labels(), expected.info.labels(), "{problems:?}");
+        let is_reported =
+            problems.iter().any(|p| p.to_string().contains("no order of the markers"));
+        assert_eq!(is_reported, is_damage, "{problems:?}");
+        let map = TakeMap::open(&mut Cursor::new(&two)).unwrap();
+        assert_eq!(map.channels[0].label, expected.info.labels()[0]);
     }
     let mut orders = 0;
     read_events(&ordered, |event| {

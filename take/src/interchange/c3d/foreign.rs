@@ -184,10 +184,26 @@ pub(crate) fn parameters_of_channels(part: &SampledPart) -> Foreign {
     parameters.set_float("ANALOG", "GEN_SCALE", 1.0);
     let scales: Vec<f32> = channels().map(|channel| channel.scale as f32).collect();
     parameters.set_float_list("ANALOG", "SCALE", &scales);
-    // Software reads offsets as integers; other numbers are not from a C3D file.
-    let offsets: Vec<u16> = channels().map(|channel| channel.offset as i64 as u16).collect();
-    parameters.set_integer_list("ANALOG", "OFFSET", &offsets);
-    if groups().any(|group| group.form == SampleForm::Uint16) {
+    let is_signed = |offset: f64| offset == f64::from(offset as i16);
+    let fits_unsigned = |offset: f64| offset == f64::from(offset as u16);
+    // Samples that are floats may come from a converter without signs, too, as their offsets show.
+    let is_large =
+        |channel: &SampledChannel| !is_signed(channel.offset) && fits_unsigned(channel.offset);
+    let is_unsigned = groups().any(|group| match group.form {
+        SampleForm::Uint16 => true,
+        SampleForm::Float32 => group.channels.iter().any(is_large),
+        SampleForm::Int16 => false,
+    });
+    let is_integer =
+        |offset: f64| if is_unsigned { fits_unsigned(offset) } else { is_signed(offset) };
+    if channels().all(|channel| is_integer(channel.offset)) {
+        let offsets = channels().map(|channel| channel.offset as i32 as u16);
+        parameters.set_integer_list("ANALOG", "OFFSET", &offsets.collect::<Vec<_>>());
+    } else {
+        let offsets = channels().map(|channel| channel.offset as f32);
+        parameters.set_float_list("ANALOG", "OFFSET", &offsets.collect::<Vec<_>>());
+    }
+    if is_unsigned {
         parameters.set_text("ANALOG", "FORMAT", "UNSIGNED");
     }
     parameters_part(&C3dHeader::default(), &parameters)
