@@ -13,6 +13,7 @@ use mocapd_take::{
     reader::read_events,
     record::{Channel, Device, Header, Ledger, SampledChannel, SampledGroup},
     recovery::RecoveryScan,
+    sampled::SampledPart,
     statistics::StretchTally,
     stretch::{LIVE_ROWS_MAX, ROWS_MAX, Span, Stretch, StretchDecoder, StretchSizes, rows_max},
     traversal::Decode,
@@ -411,8 +412,7 @@ fn names_of_sampled_channels_are_bounded() {
     }
     assert!(take.len() - at < 20 * 8192, "{} bytes", take.len() - at);
     let map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
-    let groups =
-        map.foreign.iter().filter_map(|part| part.sampled()).flat_map(|part| part.groups());
+    let groups = map.foreign.iter().filter_map(|part| part.sampled()).flat_map(SampledPart::groups);
     // 3.84 MB each.
     assert_eq!(groups.count(), 8);
     assert_eq!(map.samples_orphaned, 12);
