@@ -93,6 +93,8 @@ pub struct TakeMap {
     /// Chunks of sampled channels that belong to no group, because the chunk that describes it is damaged or of a later
     /// version.
     pub samples_orphaned: u64,
+    /// Bytes of the names and units of all sampled channels.
+    pub group_text_bytes: usize,
     /// Which chunks of sampled channels were skipped because of their version; of groups and times only if the stretches
     /// were read.
     pub later_samples: LaterSamples,
@@ -237,17 +239,16 @@ impl TakeMap {
     }
 
     fn add_group(&mut self, group: GroupSamples) {
-        let known = self.foreign.iter().filter_map(ForeignPart::sampled);
-        let (mut n_groups, mut text_bytes) = (0, group.text_bytes);
-        for known in known.flat_map(SampledPart::groups) {
-            n_groups += 1;
-            text_bytes = text_bytes.saturating_add(known.text_bytes);
-            let is_too_much = n_groups == GROUPS_MAX || text_bytes > GROUP_TEXT_BYTES_MAX;
-            if known.group.number == group.group.number || is_too_much {
-                self.samples_orphaned += 1;
-                return;
-            }
+        let texts = group.group.channels.iter().map(|of| of.name.len() + of.unit.len());
+        let text_bytes = self.group_text_bytes.saturating_add(texts.sum());
+        let mut known =
+            self.foreign.iter().filter_map(ForeignPart::sampled).flat_map(SampledPart::groups);
+        let is_too_much = known.clone().count() >= GROUPS_MAX || text_bytes > GROUP_TEXT_BYTES_MAX;
+        if is_too_much || known.any(|known| known.group.number == group.group.number) {
+            self.samples_orphaned += 1;
+            return;
         }
+        self.group_text_bytes = text_bytes;
         // Groups of one kind follow each other.
         let last = self.foreign.last_mut().and_then(ForeignPart::sampled_mut);
         let group = match last {

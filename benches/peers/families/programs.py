@@ -32,8 +32,8 @@ LEVELS = (1, 2, 3, 4)
 
 # The largest numbers of frames that LCP codes together; 16 is its default.
 BATCHES_FRAMES = (16, 64, 256, 1024)
-# LCP predicts frames from the first one of a batch, which it may code with a bound that is five times finer. It decides
-# that by itself, but the decision does not terminate for fewer than 100 markers, so both are tried.
+# LCP predicts the frames of a batch from the first one, which it may code with a bound that is five times finer. It can choose
+# between the two bounds itself, but with fewer than 100 markers the choice does not terminate; so both are tried.
 FINER = (1, 5)
 
 # They take milliseconds; a layout in which one hangs is left out.

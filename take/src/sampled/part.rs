@@ -60,8 +60,6 @@ pub struct GroupSamples {
     pub stored_bytes: u64,
     /// File offset of the chunk that describes it.
     pub(crate) offset: u64,
-    /// Bytes of the names and units of its channels.
-    pub(crate) text_bytes: usize,
 }
 
 /// What a recovery writes of a group.
@@ -86,18 +84,7 @@ impl GroupSamples {
     /// A group whose chunk is at file offset `offset` and has `chunk_bytes`.
     pub(crate) fn new(group: SampledGroup, offset: u64, chunk_bytes: u64) -> Self {
         let (chunks, anchors, times_at) = (Vec::new(), Vec::new(), Vec::new());
-        let text_bytes =
-            group.channels.iter().map(|channel| channel.name.len() + channel.unit.len());
-        Self {
-            text_bytes: text_bytes.sum(),
-            group,
-            chunks,
-            anchors,
-            times_at,
-            n_stated: 0,
-            stored_bytes: chunk_bytes,
-            offset,
-        }
+        Self { group, chunks, anchors, times_at, n_stated: 0, stored_bytes: chunk_bytes, offset }
     }
 
     /// Samples of each channel, lost ones included.

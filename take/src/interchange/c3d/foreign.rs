@@ -174,13 +174,15 @@ pub(crate) fn parameters_of_channels(part: &SampledPart) -> Foreign {
     let groups = || part.groups().iter().map(|found| &found.group);
     let channels = || groups().flat_map(|group| &group.channels);
     let mut parameters = Parameters::default();
-    for (list, text) in [("LABELS", name as fn(&SampledChannel) -> &str), ("UNITS", unit)] {
+    let mut set_texts = |list: &str, text: fn(&SampledChannel) -> &str| {
         // A longer one cannot have come from a C3D file.
         let text =
             |channel| Some(text(channel)).filter(|text| text.len() <= 255).unwrap_or_default();
         let texts: Vec<String> = channels().map(|channel| text(channel).to_owned()).collect();
         let _is_set = parameters.set_texts("ANALOG", list, &texts).is_ok();
-    }
+    };
+    set_texts("LABELS", |channel| &channel.name);
+    set_texts("UNITS", |channel| &channel.unit);
     parameters.set_float("ANALOG", "GEN_SCALE", 1.0);
     let scales: Vec<f32> = channels().map(|channel| channel.scale as f32).collect();
     parameters.set_float_list("ANALOG", "SCALE", &scales);
@@ -207,14 +209,6 @@ pub(crate) fn parameters_of_channels(part: &SampledPart) -> Foreign {
         parameters.set_text("ANALOG", "FORMAT", "UNSIGNED");
     }
     parameters_part(&C3dHeader::default(), &parameters)
-}
-
-fn name(channel: &SampledChannel) -> &str {
-    &channel.name
-}
-
-fn unit(channel: &SampledChannel) -> &str {
-    &channel.unit
 }
 
 /// Rotates the parts that are positions in space: force plate corners and coordinates under gaps.
